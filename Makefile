@@ -1,0 +1,33 @@
+# Each target first sets up whatever is missing (tools/setup.sh); a second run reinstalls nothing.
+# PYTHON=/path/to/python3 chooses the interpreter of .venv.
+
+.PHONY: help demo test bench lint format clean
+.DEFAULT_GOAL := help
+
+help: ## what can be made
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-8s %s\n", $$1, $$2}' Makefile
+
+demo: ## one full capture into out/demo/
+	@tools/setup.sh
+	@.venv/bin/gpusim render demo demo --out out/demo
+
+test: ## the whole test suite; ARGS="tests/gpu -x" narrows it
+	@tools/setup.sh test
+	@.venv/bin/python -m pytest $(ARGS)
+
+bench: ## time a job, warm: NAME=render-demo; without a name, list the jobs
+	@tools/setup.sh
+	@.venv/bin/python tools/bench.py $(if $(NAME),$(NAME) --json,--list)
+
+lint: ## check style and formatting
+	@tools/setup.sh test
+	@.venv/bin/ruff check
+	@.venv/bin/ruff format --check
+
+format: ## format the Python files
+	@tools/setup.sh test
+	@.venv/bin/ruff format
+
+clean: ## remove what was made, except .venv
+	rm -rf out build dist .pytest_cache .hypothesis .ruff_cache
+	find . -name __pycache__ -not -path './.venv/*' -prune -exec rm -rf {} +

@@ -1,0 +1,147 @@
+"""The commands and their options. Each imports what it needs: ``--help`` answers at once."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gpusim.errors import UserError
+
+app = typer.Typer(
+    name="gpusim",
+    help="Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Adapter = Annotated[
+    str | None,
+    typer.Option("--adapter", metavar="NAME", help="Graphics adapter, by a part of its name."),
+]
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
+    # Mesa asks libwayland for a screen, which complains on stderr where this is not set.
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    try:
+        app()
+    except UserError as error:
+        from gpusim.cli.screen import show_error
+
+        show_error(error)
+        sys.exit(2)
+
+
+@app.command()
+def render(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    exposure: Annotated[
+        str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")
+    ] = "1/60",
+    luminance: Annotated[
+        float | None,
+        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(metavar="E", help="Error allowed, relative to the local signal.")
+    ] = 1e-3,
+    certify: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Probes of the certificate; 0 for none.")
+    ] = 64,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise and fixed patterns.")
+    ] = 7,
+    frame: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="Frame number: new noise, same sensor.")
+    ] = 0,
+    tile_size: Annotated[
+        int | None, typer.Option(metavar="PX", min=1, help="Side of a tile; planned if not given.")
+    ] = None,
+    keep: Annotated[
+        str, typer.Option(metavar="PLANES", help="Planes to keep as EXR: electrons,rate.")
+    ] = "",
+    adapter: Adapter = None,
+) -> None:
+    """Render a capture: raw.dng, developed.png, report.json and report.html."""
+    from gpusim.cli.render import run
+
+    choose_adapter(adapter)
+    run(
+        camera,
+        scene,
+        out,
+        exposure=exposure,
+        luminance_cd_m2=luminance,
+        tolerance=tolerance,
+        probes=certify,
+        seed=seed,
+        frame=frame,
+        tile_px=tile_size,
+        keep=keep,
+    )
+
+
+@app.command()
+def chart(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],
+) -> None:
+    """Draw a test chart."""
+    from gpusim.cli.chart import run
+
+    run(name, out)
+
+
+@app.command()
+def lens(
+    name: Annotated[
+        str, typer.Argument(metavar="LENS", help="A preset name, a YAML or a Zemax .zmx file.")
+    ],
+    focal_length: Annotated[
+        float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
+    ] = None,
+    f_number: Annotated[
+        float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="PSF bank as .nc, or figures as .png.")
+    ] = None,
+) -> None:
+    """Show what a lens does: first-order data, PSFs, MTF, distortion, colour."""
+    from gpusim.cli.lens import run
+
+    run(name, focal_length, f_number, out)
+
+
+@app.command()
+def develop(
+    raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The picture to write, a .png.")],
+) -> None:
+    """Develop a raw file through LibRaw into an sRGB picture."""
+    from gpusim.cli.develop import run
+
+    run(raw, out)
+
+
+@app.command()
+def devices() -> None:
+    """List the graphics adapters and their limits."""
+    from gpusim.cli.devices import run
+
+    run()
+
+
+def choose_adapter(name: str | None) -> None:
+    """Make the named adapter the one that this process opens."""
+    if name is not None:
+        os.environ["GPUSIM_ADAPTER"] = name

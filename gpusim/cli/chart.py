@@ -1,0 +1,35 @@
+"""``gpusim chart``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from gpusim.cli.files import whole_file
+from gpusim.errors import UserError
+from gpusim.scene import make_scene
+from gpusim.scene.charts import CHARTS
+from gpusim.scene.colorimetry import encode_srgb
+from gpusim.scene.exr import write_exr
+from gpusim.scene.preview import chart_rgb
+
+# Rows of the drawing: those of the demonstration camera.
+ROWS = 1520
+
+
+def run(name: str, out: Path) -> None:
+    """Draw a chart as the eye would see it, or as linear radiance."""
+    if name not in CHARTS:
+        raise UserError(
+            "there is no chart of that name", field="NAME", value=name, allowed=", ".join(CHARTS)
+        )
+    with whole_file(out, (".png", ".exr")) as file:
+        scene = make_scene(name)
+        rgb = chart_rgb(scene, ROWS)
+        if file.suffix.lower() == ".exr":
+            write_exr(file, {"RGB": rgb}, scene.white_luminance_cd_m2)
+        else:
+            Image.fromarray(np.round(255 * encode_srgb(rgb)).astype(np.uint8)).save(file)
+    print(out)

@@ -1,0 +1,122 @@
+"""``gpusim render``."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from PIL import Image
+
+from gpusim import report
+from gpusim.camera import load_camera
+from gpusim.chain import capture as take
+from gpusim.cli import screen
+from gpusim.cli.files import staging
+from gpusim.errors import UserError
+from gpusim.gpu import default_device
+from gpusim.isp.develop import develop
+from gpusim.isp.dng import write_dng
+from gpusim.plan import Accuracy
+from gpusim.scene import make_scene
+from gpusim.scene.exr import write_exr
+
+if TYPE_CHECKING:
+    from gpusim.chain import Capture
+
+KEPT_PLANES = ("electrons", "rate")
+
+
+def run(
+    camera_name: str,
+    scene_name: str,
+    out: Path,
+    *,
+    exposure: str,
+    luminance_cd_m2: float | None,
+    tolerance: float,
+    probes: int,
+    seed: int,
+    frame: int,
+    tile_px: int | None,
+    keep: str,
+) -> None:
+    """Render one capture into the folder `out` and show what was done."""
+    exposure_s = exposure_seconds(exposure)
+    planes = kept_planes(keep)
+    accuracy = Accuracy(tolerance=tolerance, probes=probes)
+    camera = load_camera(camera_name)
+    scene = make_scene(scene_name, luminance_cd_m2)
+    default_device()
+    with staging(out) as folder:
+        with screen.progress_bar() as progress:
+            capture = take(
+                camera,
+                scene,
+                exposure_s=exposure_s,
+                seed=seed,
+                frame=frame,
+                accuracy=accuracy,
+                tile_px=tile_px,
+                keep=planes,
+                progress=progress,
+            )
+            progress("files", 0, 1)
+            facts = write(capture, folder)
+            progress("files", 1, 1)
+    screen.show_capture(facts, out)
+
+
+def exposure_seconds(text: str) -> float:
+    """Return the exposure time that `text` names, as a decimal number or as a fraction."""
+    above, slash, below = text.partition("/")
+    try:
+        seconds = float(above) / (float(below) if slash else 1.0)
+    except (ValueError, ZeroDivisionError):
+        seconds = math.nan
+    if not 0 < seconds < math.inf:
+        raise UserError(
+            "the exposure time is not a positive number of seconds",
+            field="--exposure",
+            value=text,
+            allowed="a number or a fraction above 0: 0.01, 2, 1/60",
+        )
+    return seconds
+
+
+def kept_planes(text: str) -> tuple[str, ...]:
+    """Return the names of planes in a list with commas."""
+    planes = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in planes:
+        if name not in KEPT_PLANES:
+            raise UserError(
+                "there is no such plane to keep",
+                field="--keep",
+                value=name,
+                allowed=", ".join(KEPT_PLANES),
+            )
+    return planes
+
+
+def write(capture: Capture, folder: Path) -> dict[str, Any]:
+    """Write all files of a capture into `folder`; return the facts of the report."""
+    planes = {name: getattr(capture, name) for name in KEPT_PLANES}
+    kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
+    names = ["raw.dng", "developed.png", "report.json", "report.html", *kept]
+    write_dng(
+        folder / "raw.dng",
+        capture.raw,
+        capture.camera.sensor,
+        white_e=capture.white_e,
+        exposure_s=capture.exposure_s,
+    )
+    developed = develop(folder / "raw.dng")
+    Image.fromarray(developed).save(folder / "developed.png")
+    for name, plane in kept.items():
+        write_exr(folder / name, {"Y": plane})
+    facts = report.facts(capture, files=names, command=["gpusim", *sys.argv[1:]])
+    (folder / "report.json").write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n")
+    (folder / "report.html").write_text(report.page(facts, developed), encoding="utf-8")
+    return facts

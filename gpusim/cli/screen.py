@@ -1,0 +1,96 @@
+"""What the command line shows: the error screen, the progress bar, the table of a capture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from gpusim.errors import UserError
+from gpusim.report.words import duration, error
+
+
+def show_error(mistake: UserError) -> None:
+    """Print the error's screen on stderr; long paths are not broken, so that they can be copied."""
+    screen = Text("error: ", style="bold red") + Text(mistake.screen(), style="default")
+    Console(stderr=True).print(screen, soft_wrap=True)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``."""
+    columns = (
+        TextColumn("{task.description:16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def progress(phase: str, done: int, total: int) -> None:
+            if phase not in tasks:
+                tasks[phase] = bars.add_task(phase)
+            bars.update(tasks[phase], completed=done, total=total)
+
+        yield progress
+
+
+def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None = None) -> None:
+    """Print adapter, stages, certificate and files of a capture on stdout.
+
+    Parameters
+    ----------
+    facts : mapping
+        What :func:`gpusim.report.facts` returned.
+    folder : Path
+        Where the files lie.
+    console : Console, optional
+        Where to print instead.
+    """
+    console = console or Console()
+    device, certificate = facts["device"], facts["certificate"]
+    console.print(f"{device['adapter']}, {device['driver']}, {device['backend']}", markup=False)
+    console.print(stages(facts))
+    if certificate is None:
+        console.print("certificate: none, no probes were asked for")
+    else:
+        console.print(
+            f"certificate: RMS error {error(certificate['rms_relative'])} of the local signal, "
+            f"worst of {certificate['probes']} probes {error(certificate['worst_relative'])}. "
+            f"{certificate['confidence']}",
+            markup=False,
+            highlight=False,
+        )
+    for name in facts["files"]:
+        console.print(str(folder / name), markup=False, highlight=False, soft_wrap=True)
+
+
+def stages(facts: Mapping[str, Any]) -> Table:
+    """Return each stage with its time, or with the reason why it was left out."""
+    table = Table("stage", "time", "", box=None, header_style="bold", pad_edge=False)
+    table.columns[1].justify = "right"
+    for name, seconds in facts["prepare_s"].items():
+        table.add_row(f"prepare: {name}", duration(seconds))
+    for stage in facts["plan"]["stages"]:
+        time = duration(facts["times_s"].get(stage["name"])) if stage["runs"] else "left out"
+        style = "" if stage["runs"] else "dim"
+        table.add_row(stage["name"], time, Text(stage["reason"]), style=style)
+    table.add_row("render", duration(facts["capture"]["wall_s"]), "wall clock", style="bold")
+    if facts["certificate"] is not None:
+        table.add_row("certificate", duration(facts["certificate"]["seconds"]))
+    return table
+
+
+def texts(rows: Sequence[tuple[str, str]]) -> Table:
+    """Return a table of names and texts."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, text in rows:
+        table.add_row(name, Text(text))
+    return table

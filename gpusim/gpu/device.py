@@ -1,0 +1,292 @@
+"""The adapter and the device: choice, explicit limits, report, buffers that stay."""
+
+from __future__ import annotations
+
+import os
+from importlib import metadata
+
+import numpy as np
+import wgpu
+from wgpu.backends.wgpu_native import lib
+
+from gpusim.errors import UserError
+
+from .layout import ShaderError
+from .pool import MAX_BINDING_BYTES, MAX_BUFFER_BYTES, Pool, Use
+
+# Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
+# not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.
+PORTABLE_LIMITS = {
+    "max-bind-groups": 4,
+    "max-storage-buffers-per-shader-stage": 8,
+    "max-uniform-buffers-per-shader-stage": 12,
+    "max-uniform-buffer-binding-size": 65536,
+    "max-storage-buffer-binding-size": MAX_BINDING_BYTES,
+    "max-buffer-size": MAX_BUFFER_BYTES,
+    "max-compute-workgroup-storage-size": 16384,
+    "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroup-size-x": 256,
+    "max-compute-workgroup-size-y": 256,
+    "max-compute-workgroup-size-z": 64,
+    "max-compute-workgroups-per-dimension": 65535,
+}
+DEFAULT_BUDGET_BYTES = 1 << 30  # leaves room for a desktop on an adapter with 2 GiB
+# OpenGL lists the same llvmpipe again and lacks the compute features used here.
+_BACKENDS = ("Vulkan", "Metal", "D3D12")
+_PREFERENCE = ("DiscreteGPU", "IntegratedGPU", "CPU")
+MAX_TICKS = 4096  # WebGPU's limit of one query set; two ticks a pass
+
+# NumPy dtypes that a buffer may have, and the WGSL scalar that they are.
+DTYPES = {
+    np.dtype(np.float32): "f32",
+    np.dtype(np.complex64): "f32",
+    np.dtype(np.uint32): "u32",
+    np.dtype(np.int32): "i32",
+}
+
+
+def _usable() -> list[wgpu.GPUAdapter]:
+    return [
+        adapter
+        for adapter in wgpu.gpu.enumerate_adapters_sync()
+        if adapter.info["backend_type"] in _BACKENDS
+    ]
+
+
+def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:
+    info = adapter.info
+    return {
+        "adapter": info["device"],
+        "driver": info["description"],
+        "backend": info["backend_type"],
+        "type": info["adapter_type"],
+    }
+
+
+def devices() -> list[dict[str, str]]:
+    """Return the usable adapters: adapter, driver, backend and type of each."""
+    return [_described(adapter) for adapter in _usable()]
+
+
+class Array:
+    """A GPU buffer seen as an array: what a kernel binds.
+
+    Attributes
+    ----------
+    label : str
+    shape : tuple of int
+    dtype : numpy.dtype
+        float32, complex64 (as vec2f), uint32 or int32.
+    nbytes : int
+    """
+
+    def __init__(self, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> None:
+        self.label = label
+        self.shape = (shape,) if isinstance(shape, int) else tuple(int(n) for n in shape)
+        self.dtype = np.dtype(dtype)
+        if self.dtype not in DTYPES:
+            allowed = ", ".join(str(known) for known in DTYPES)
+            raise ShaderError(f"buffer {label!r}: dtype {self.dtype}, allowed are {allowed}")
+        if min(self.shape, default=1) < 0:
+            raise ShaderError(f"buffer {label!r}: shape {self.shape}")
+        self.nbytes = int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.label!r}, {self.shape}, {self.dtype})"
+
+    def checked(self, array: np.ndarray) -> np.ndarray:
+        """Return ``array``, contiguous, if it has this shape and dtype.
+
+        Raises
+        ------
+        ShaderError
+            Another shape or dtype: nothing is converted in silence.
+        """
+        if array.shape != self.shape or array.dtype != self.dtype:
+            raise ShaderError(
+                f"buffer {self.label!r} is {self.dtype} {self.shape}, "
+                f"got an array {array.dtype} {array.shape}"
+            )
+        return np.ascontiguousarray(array)
+
+
+class Resident(Array):
+    """An array that stays on the device until :meth:`destroy`; it counts against the budget."""
+
+    def __init__(
+        self, device: Device, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type
+    ) -> None:
+        super().__init__(label, shape, dtype)
+        self._pool = device.pool
+        self._buffer: wgpu.GPUBuffer | None = device.pool.acquire(label, self.nbytes)
+
+    @property
+    def buffer(self) -> wgpu.GPUBuffer:
+        """The GPU buffer.
+
+        Raises
+        ------
+        ShaderError
+            After :meth:`destroy`.
+        """
+        if self._buffer is None:
+            raise ShaderError(f"resident {self.label!r} is used after destroy()")
+        return self._buffer
+
+    def destroy(self) -> None:
+        """Give the memory back to the pool; a second call does nothing."""
+        if self._buffer is not None:
+            self._pool.release(self._buffer)
+            self._buffer = None
+
+
+class Device:
+    """One GPU device under portable limits; open it with :meth:`open`.
+
+    Attributes
+    ----------
+    pool : Pool
+    timestamps : bool
+        Passes are timed by the GPU; switched off when its ticks turn out to be nonsense.
+    """
+
+    def __init__(self, adapter: wgpu.GPUAdapter, budget: int) -> None:
+        features = ["timestamp-query"] if "timestamp-query" in adapter.features else []
+        self._adapter = adapter
+        self.gpu = adapter.request_device_sync(
+            label="gpusim", required_features=features, required_limits=PORTABLE_LIMITS
+        )
+        self.pool = Pool(self.gpu, budget)
+        self.timestamps = bool(features)
+        self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
+        self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
+        self._fence = self.gpu.create_buffer(
+            label="fence", size=16, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
+        )
+        self._ticks: wgpu.GPUQuerySet | None = None
+
+    @classmethod
+    def open(cls, adapter: str | None = None, budget: int = DEFAULT_BUDGET_BYTES) -> Device:
+        """Open a device.
+
+        Parameters
+        ----------
+        adapter : str, optional
+            Part of the adapter's or driver's name, upper or lower case. Without it: a discrete
+            GPU before an integrated one before a CPU.
+        budget : int
+            GPU memory budget in bytes.
+
+        Raises
+        ------
+        UserError
+            No usable adapter, or none of that name.
+        """
+        found = _usable()
+        if not found:
+            raise UserError(
+                "No GPU adapter was found (Vulkan, Metal or Direct3D 12)",
+                allowed="a GPU driver, or Mesa's software Vulkan driver: "
+                "apt-get install libvulkan1 mesa-vulkan-drivers",
+            )
+        wanted = [
+            one
+            for one in found
+            if adapter is None
+            or adapter.lower() in f"{one.info['device']} {one.info['description']}".lower()
+        ]
+        if not wanted:
+            raise UserError(
+                "No adapter of that name was found",
+                field="adapter",
+                value=adapter,
+                allowed="part of one of: " + ", ".join(one.info["device"] for one in found),
+            )
+
+        def rank(one: wgpu.GPUAdapter) -> int:
+            kind = one.info["adapter_type"]
+            return _PREFERENCE.index(kind) if kind in _PREFERENCE else len(_PREFERENCE)
+
+        return cls(min(wanted, key=rank), budget)
+
+    def report(self) -> dict[str, object]:
+        """Return what runs here: adapter, driver, backend, versions, clock, limits, budget."""
+        return {
+            **_described(self._adapter),
+            "wgpu": metadata.version("wgpu"),
+            "timestamps": self.timestamps,
+            "budget_bytes": self.pool.budget,
+            "limits": {name: self.gpu.limits[name] for name in PORTABLE_LIMITS},
+        }
+
+    def resident(self, label: str, array: np.ndarray) -> Resident:
+        """Upload an array that stays on the device until ``.destroy()``."""
+        result = Resident(self, label, array.shape, array.dtype)
+        self.write(result, array)
+        return result
+
+    def empty(self, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> Resident:
+        """Make a resident array whose content is undefined."""
+        return Resident(self, label, shape, dtype)
+
+    def write(self, resident: Resident, array: np.ndarray) -> None:
+        """Replace the content of a resident array."""
+        data = resident.checked(array)
+        if data.nbytes:
+            self.gpu.queue.write_buffer(resident.buffer, 0, data)
+
+    def read(self, resident: Resident) -> np.ndarray:
+        """Return a copy of a resident array."""
+        result = np.empty(resident.shape, resident.dtype)
+        if result.nbytes:
+            staging = self.pool.acquire("read", result.nbytes, Use.READBACK)
+            encoder = self.gpu.create_command_encoder(label="read")
+            encoder.copy_buffer_to_buffer(resident.buffer, 0, staging, 0, result.nbytes)
+            self.gpu.queue.submit([encoder.finish()])
+            self.fetch(staging, result)
+            self.pool.release(staging)
+        return result
+
+    def fetch(self, staging: wgpu.GPUBuffer, into: np.ndarray) -> None:
+        """Wait for ``staging`` and copy its first bytes into a contiguous array."""
+        staging.map_async("READ", 0, into.nbytes).sync_wait()
+        view = staging.read_mapped(0, into.nbytes, copy=False)
+        into.reshape(-1).view(np.uint8)[:] = view
+        del view  # a view past unmap() may point nowhere
+        staging.unmap()
+
+    def wait(self) -> None:
+        """Wait until everything submitted so far is done.
+
+        ``queue.on_submitted_work_done`` fails in wgpu 0.32.0; mapping a buffer waits as well.
+        """
+        self._fence.map_async("READ").sync_wait()
+        self._fence.unmap()
+
+    @property
+    def ticks(self) -> wgpu.GPUQuerySet:
+        """The query set for the timestamps of one submit."""
+        if self._ticks is None:
+            self._ticks = self.gpu.create_query_set(
+                label="ticks", type="timestamp", count=MAX_TICKS
+            )
+        return self._ticks
+
+
+_default: Device | None = None
+
+
+def default_device() -> Device:
+    """Return the one device of this process; the first call opens it.
+
+    The environment variable GPUSIM_ADAPTER names the adapter; without it the best one is taken.
+
+    Raises
+    ------
+    UserError
+        No such adapter.
+    """
+    global _default
+    if _default is None:
+        _default = Device.open(os.environ.get("GPUSIM_ADAPTER") or None)
+    return _default

@@ -1,0 +1,131 @@
+"""A pool of GPU buffers in size classes, with a budget and counters."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from enum import Enum
+
+import wgpu
+
+from gpusim.errors import UserError
+
+# The portable caps of WebGPU's default limits: what runs here then runs on any adapter.
+MAX_BUFFER_BYTES = 256 << 20
+MAX_BINDING_BYTES = 128 << 20
+MIN_CLASS_BYTES = 256  # WebGPU's alignment of uniform offsets: the smallest useful buffer
+
+
+class Use(Enum):
+    """What a buffer is for; buffers of different uses are never exchanged."""
+
+    DATA = (
+        wgpu.BufferUsage.STORAGE
+        | wgpu.BufferUsage.UNIFORM
+        | wgpu.BufferUsage.COPY_SRC
+        | wgpu.BufferUsage.COPY_DST
+    )
+    READBACK = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
+    TICKS = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+
+
+def size_class(nbytes: int) -> int:
+    """Return the smallest 2^n or 1.5 * 2^n bytes that holds ``nbytes``.
+
+    At most a third of a buffer is unused, a sixth on average, and a few classes serve all tiles.
+    """
+    power = MIN_CLASS_BYTES
+    while power < nbytes:
+        if power * 3 // 2 >= nbytes:
+            return power * 3 // 2
+        power *= 2
+    return power
+
+
+def mebibytes(nbytes: float) -> str:
+    """Return ``nbytes`` as a text in MiB."""
+    return f"{nbytes / 2**20:.1f} MiB"
+
+
+class Pool:
+    """Hands out GPU buffers and keeps the returned ones for reuse.
+
+    Parameters
+    ----------
+    device : wgpu.GPUDevice
+    budget : int
+        Bytes that buffers in use and buffers kept for reuse may hold together.
+
+    Attributes
+    ----------
+    in_use, idle, peak : int
+        Bytes handed out now; bytes kept for reuse; largest ``in_use`` so far.
+    hits, misses : int
+        Requests served from the kept buffers; requests that made a new one.
+    """
+
+    def __init__(self, device: wgpu.GPUDevice, budget: int) -> None:
+        self._device = device
+        self._free: defaultdict[tuple[int, Use], list[wgpu.GPUBuffer]] = defaultdict(list)
+        self.budget = budget
+        self.in_use = self.idle = self.peak = self.hits = self.misses = 0
+
+    def acquire(self, label: str, nbytes: int, use: Use = Use.DATA) -> wgpu.GPUBuffer:
+        """Return a buffer of at least ``nbytes``; what it holds is undefined.
+
+        Raises
+        ------
+        UserError
+            The buffer is larger than a portable binding, or the budget does not allow it.
+        """
+        if nbytes > MAX_BINDING_BYTES:
+            raise UserError(
+                f"The GPU buffer {label!r} would be larger than one binding may be",
+                field=label,
+                value=mebibytes(nbytes),
+                allowed=f"at most {mebibytes(MAX_BINDING_BYTES)} on any adapter: work in tiles",
+            )
+        size = size_class(nbytes)
+        kept = self._free[size, use]
+        if kept:
+            self.hits += 1
+            self.idle -= size
+            buffer = kept.pop()
+        else:
+            self._make_room(label, size)
+            self.misses += 1
+            try:
+                buffer = self._device.create_buffer(label=label, size=size, usage=use.value)
+            except wgpu.GPUOutOfMemoryError as error:
+                raise UserError(
+                    f"The adapter has no memory left for the buffer {label!r}",
+                    value=mebibytes(size),
+                    allowed="a smaller tile or a smaller frame",
+                ) from error
+        self.in_use += size
+        self.peak = max(self.peak, self.in_use)
+        return buffer
+
+    def release(self, buffer: wgpu.GPUBuffer) -> None:
+        """Take back a buffer; the GPU must have finished with it."""
+        self._free[buffer.size, Use(buffer.usage)].append(buffer)
+        self.in_use -= buffer.size
+        self.idle += buffer.size
+
+    def clear(self) -> None:
+        """Destroy the buffers kept for reuse."""
+        for buffers in self._free.values():
+            for buffer in buffers:
+                buffer.destroy()
+        self._free.clear()
+        self.idle = 0
+
+    def _make_room(self, label: str, size: int) -> None:
+        if self.in_use + self.idle + size > self.budget:
+            self.clear()
+        if self.in_use + size > self.budget:
+            raise UserError(
+                f"The GPU memory budget does not hold the buffer {label!r}",
+                field="GPU memory budget",
+                value=f"{mebibytes(self.budget)}, {mebibytes(self.in_use)} of it in use",
+                allowed=f"at least {mebibytes(self.in_use + size)}",
+            )

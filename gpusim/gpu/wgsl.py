@@ -1,0 +1,362 @@
+"""WGSL text: include-once composition and reflection of what the host must know.
+
+A shader is written once, in its ``.wgsl`` file; bindings, overrides, the workgroup size, workgroup
+bytes and ``struct Params`` are read from that text, so no binding number and no struct layout is
+repeated in Python. Sections quoted are those of the WGSL specification (W3C).
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import math
+import operator
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from .layout import Layouts, ShaderError, Struct, split_top
+
+Scalar = bool | int | float
+
+
+def shaders_root() -> Path:
+    """Return the folder of the shaders: in the wheel, beside the package in a checkout.
+
+    The environment variable GPUSIM_SHADERS_DIR names another one (``tools/mutate.py`` uses it).
+    """
+    if named := os.environ.get("GPUSIM_SHADERS_DIR"):
+        return Path(named)
+    package = Path(__file__).resolve().parents[1]
+    packaged = package / "shaders"
+    return packaged if packaged.is_dir() else package.parent / "shaders"
+
+
+@dataclass(frozen=True)
+class Source:
+    """Composed WGSL: the text and, for each of its lines, where that line was written."""
+
+    name: str
+    text: str
+    origins: tuple[tuple[str, int], ...]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the composed text: what defines the compiled shader."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+    def numbered(self, around: int | None = None, margin: int = 12) -> str:
+        """Return the text with line numbers and origins, or only the lines near one of them."""
+        first, last = 1, len(self.origins)
+        if around is not None:
+            first, last = max(first, around - margin), min(last, around + margin)
+        lines = self.text.split("\n")
+        rows = []
+        for number in range(first, last + 1):
+            file, line = self.origins[number - 1]
+            arrow = ">" if number == around else " "
+            rows.append(f"{arrow}{number:5d} {file + ':' + str(line):28s} | {lines[number - 1]}")
+        return "\n".join(rows)
+
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+
+
+def load(path: str) -> Source:
+    """Read and compose the shader ``path`` (below the shaders root, without suffix).
+
+    Raises
+    ------
+    ShaderError
+        The file, or one that it includes, does not exist; an include cycle.
+    """
+    file = shaders_root() / f"{path}.wgsl"
+    if not file.is_file():
+        raise ShaderError(f"no shader {path!r}: {file} does not exist")
+    return compose(path, file.read_text(encoding="utf-8"))
+
+
+def compose(name: str, text: str) -> Source:
+    """Replace each ``#include "x"`` by ``common/x.wgsl``, once each, and keep the line origins."""
+    lines: list[str] = []
+    origins: list[tuple[str, int]] = []
+    done: set[str] = set()
+
+    def paste(origin: str, content: str, chain: tuple[str, ...]) -> None:
+        for number, line in enumerate(content.removesuffix("\n").split("\n"), start=1):
+            found = _INCLUDE.match(line)
+            if found is None:
+                if line.lstrip().startswith("#"):
+                    raise ShaderError(f"{origin}:{number}: unknown directive {line.strip()!r}")
+                lines.append(line)
+                origins.append((origin, number))
+                continue
+            wanted = found[1]
+            if wanted in chain:
+                cycle = " -> ".join([*chain, wanted])
+                raise ShaderError(f"{origin}:{number}: include cycle {cycle}")
+            if wanted in done:
+                continue
+            done.add(wanted)
+            file = shaders_root() / "common" / f"{wanted}.wgsl"
+            if not file.is_file():
+                raise ShaderError(f"{origin}:{number}: unknown include {wanted!r} (no {file})")
+            included = file.read_text(encoding="utf-8")
+            paste(f"common/{wanted}.wgsl", included, (*chain, wanted))
+
+    paste(f"{name}.wgsl", text, ())
+    return Source(name, "\n".join(lines), tuple(origins))
+
+
+@dataclass(frozen=True)
+class Binding:
+    """One ``@group(0) @binding(index)`` buffer: ``kind`` as wgpu names it."""
+
+    index: int
+    name: str
+    kind: str  # "uniform", "read-only-storage" or "storage"
+    type: str
+
+
+@dataclass(frozen=True)
+class Override:
+    """One ``override name: type = default;``; ``default`` is the text, or None if there is none."""
+
+    name: str
+    type: str
+    default: str | None
+
+
+@dataclass(frozen=True)
+class Module:
+    """What a composed shader declares at module scope.
+
+    Attributes
+    ----------
+    bindings : tuple of Binding
+        In the order of their indices.
+    overrides : dict of str to Override
+    params : Struct
+        Memory layout of ``struct Params``.
+    consts, aliases, structs : dict of str to str
+        The text of each module-scope constant, alias and member list.
+    """
+
+    bindings: tuple[Binding, ...]
+    overrides: Mapping[str, Override]
+    params: Struct
+    consts: Mapping[str, str]
+    _workgroup_size: str
+    _workgroup_vars: Mapping[str, str]
+    aliases: Mapping[str, str]
+    structs: Mapping[str, str]
+
+    def constants(self, values: Mapping[str, Scalar]) -> Names:
+        """Return the module-scope constants with the overrides resolved to ``values``."""
+        known: dict[str, Scalar | str] = dict(self.consts)
+        for name, override in self.overrides.items():
+            if name in values:
+                known[name] = values[name]
+            elif override.default is not None:
+                known[name] = override.default
+            else:
+                raise ShaderError(f"override {name!r} has no default and no value was given")
+        return Names(known)
+
+    def layouts(self, names: Names) -> Layouts:
+        """Return the type-layout rules of this module under resolved constants."""
+        return Layouts(self.aliases, self.structs, names.evaluate)
+
+    def workgroup_size(self, names: Names) -> tuple[int, int, int]:
+        """Return the three resolved numbers of ``@workgroup_size``."""
+        sizes = [int(names.evaluate(part)) for part in split_top(self._workgroup_size)]
+        return tuple(sizes + [1] * (3 - len(sizes)))  # type: ignore[return-value]
+
+    def workgroup_bytes(self, names: Names) -> int:
+        """Return the bytes of all ``var<workgroup>`` declarations, each rounded up to 16.
+
+        wgpu never validates this sum (gfx-rs/wgpu #8946), so the kernel must. Rounding up to 16 is
+        how wgpu counts (Vulkan's block rules), the larger of the possible answers.
+        """
+        rules = self.layouts(names)
+        return sum(-(-rules.of(kind).size // 16) * 16 for kind in self._workgroup_vars.values())
+
+
+_BINDING = re.compile(
+    r"@group\(\s*(\d+)\s*\)\s*@binding\(\s*(\d+)\s*\)\s*"
+    r"var\s*(?:<\s*(\w+)\s*(?:,\s*(\w+)\s*)?>)?\s*(\w+)\s*:\s*([^;]+);"
+)
+_OVERRIDE = re.compile(r"(@id\([^)]*\)\s*)?\boverride\s+(\w+)\s*:\s*(\w+)\s*(?:=\s*([^;]+))?;")
+_CONST = re.compile(r"\bconst\s+(\w+)\s*(?::\s*[^=;]+)?=\s*([^;]+);")
+_WORKGROUP_VAR = re.compile(r"\bvar\s*<\s*workgroup\s*>\s*(\w+)\s*:\s*([^;]+);")
+_ALIAS = re.compile(r"\balias\s+(\w+)\s*=\s*([^;]+);")
+_STRUCT = re.compile(r"\bstruct\s+(\w+)\s*\{([^}]*)\}")
+_ENTRY = re.compile(r"((?:@\w+\s*(?:\([^)]*\))?\s*)+)fn\s+main\s*\(")
+_KINDS = {
+    ("uniform", None): "uniform",
+    ("storage", None): "read-only-storage",
+    ("storage", "read"): "read-only-storage",
+    ("storage", "read_write"): "storage",
+}
+
+
+@lru_cache(maxsize=256)  # about the shaders of one session, their mutants included
+def reflect(text: str) -> Module:
+    """Read the declarations of one composed shader.
+
+    Raises
+    ------
+    ShaderError
+        A declaration outside the rules of this project: another bind group, a binding that is no
+        buffer, ``params`` missing or not at binding 0, no ``main``.
+    """
+    flat = _module_scope(strip_comments(text))
+    bindings = []
+    for group, index, space, access, name, kind in _BINDING.findall(flat):
+        if int(group) != 0:
+            raise ShaderError(f"binding {name!r} is in group {group}: only group 0 is used")
+        usage = _KINDS.get((space, access or None))
+        if usage is None:
+            raise ShaderError(f"binding {name!r}: var<{space}{', ' * bool(access)}{access}>")
+        bindings.append(Binding(int(index), name, usage, kind.strip()))
+    bindings.sort(key=lambda binding: binding.index)
+    if len(bindings) != len(re.findall(r"@binding\b", flat)):
+        raise ShaderError(
+            "a @binding could not be read: write @group(0) @binding(n) var<...> x: T;"
+        )
+    indices = [binding.index for binding in bindings]
+    if len(set(indices)) != len(indices):
+        raise ShaderError(f"a binding index is used twice: {indices}")
+    head = bindings[0] if bindings else None
+    if head is None or (head.index, head.name, head.kind) != (0, "params", "uniform"):
+        raise ShaderError("binding 0 must be `var<uniform> params: Params;`")
+    overrides = {}
+    for identifier, name, kind, default in _OVERRIDE.findall(flat):
+        if identifier:
+            raise ShaderError(f"override {name!r}: @id is not used, overrides go by name")
+        if kind not in ("bool", "u32", "i32", "f32"):
+            raise ShaderError(f"override {name!r} has type {kind!r}")
+        overrides[name] = Override(name, kind, default.strip() or None)
+    if len(overrides) != len(re.findall(r"\boverride\b", flat)):
+        raise ShaderError("an override could not be read: write `override name: type = default;`")
+    entry = _ENTRY.search(flat)
+    size = re.search(r"@workgroup_size\s*\(([^)]*)\)", entry[1]) if entry else None
+    if entry is None or size is None or "@compute" not in entry[1]:
+        raise ShaderError("no `@compute @workgroup_size(...) fn main(`")
+    consts = dict(_CONST.findall(flat))
+    aliases = dict(_ALIAS.findall(flat))
+    structs = dict(_STRUCT.findall(flat))
+    # A uniform struct has no overridable sizes, so plain constants are enough here.
+    rules = Layouts(aliases, structs, Names(dict(consts)).evaluate)
+    return Module(
+        bindings=tuple(bindings),
+        overrides=overrides,
+        params=rules.uniform(head.type),
+        consts=consts,
+        _workgroup_size=size[1],
+        _workgroup_vars=dict(_WORKGROUP_VAR.findall(flat)),
+        aliases=aliases,
+        structs=structs,
+    )
+
+
+def strip_comments(text: str) -> str:
+    """Blank out ``//`` and nested ``/* */`` comments; every line keeps its number."""
+    kept = []
+    depth = 0
+    for piece in re.split(r"(/\*|\*/|//[^\n]*|\n)", text):
+        if piece == "/*":
+            depth += 1
+        elif piece == "*/" and depth:
+            depth -= 1
+        elif piece == "\n" or (depth == 0 and not piece.startswith("//")):
+            kept.append(piece)
+    return "".join(kept)
+
+
+def _module_scope(text: str) -> str:
+    """Return the text without the bodies of functions; struct bodies stay."""
+    kept, position = [], 0
+    for found in re.finditer(r"\bfn\s+\w+", text):
+        if found.start() < position:
+            continue
+        start = text.find("{", found.end())
+        depth, end = 0, start
+        while end < len(text):
+            depth += (text[end] == "{") - (text[end] == "}")
+            end += 1
+            if depth == 0:
+                break
+        kept.append(text[position:start])
+        position = end
+    return "".join([*kept, text[position:]])
+
+
+_OPERATORS = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.LShift: operator.lshift,
+    ast.RShift: operator.rshift,
+    ast.BitAnd: operator.and_,
+    ast.BitOr: operator.or_,
+    ast.BitXor: operator.xor,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+_FUNCTIONS = {"u32": int, "i32": int, "f32": float, "min": min, "max": max, "abs": abs}
+_SUFFIX = re.compile(r"(?<![\w.])(0[xX][0-9a-fA-F]+|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)[uifh]\b")
+
+
+class Names:
+    """Module-scope constants by name, evaluated when asked for.
+
+    Parameters
+    ----------
+    known : dict of str to number or str
+        A str is a WGSL constant expression.
+    """
+
+    def __init__(self, known: dict[str, Scalar | str]) -> None:
+        self._known = known
+
+    def evaluate(self, expression: str) -> Scalar:
+        """Evaluate a WGSL constant expression of numbers, names, + - * / % << >> & | ^.
+
+        Raises
+        ------
+        ShaderError
+            Anything else in the expression, or an unknown name.
+        """
+        plain = _SUFFIX.sub(r"\1", expression.strip())
+        try:
+            return self._node(ast.parse(plain, mode="eval").body)
+        except (SyntaxError, ZeroDivisionError, RecursionError) as error:
+            raise ShaderError(f"cannot evaluate {expression!r}: {error}") from error
+
+    def _node(self, node: ast.expr) -> Scalar:
+        match node:
+            case ast.Constant(value=bool() | int() | float() as value):
+                return value
+            case ast.Name(id="true" | "false" as word):
+                return word == "true"
+            case ast.Name(id=name) if name in self._known:
+                value = self._known[name]
+                return self.evaluate(value) if isinstance(value, str) else value
+            case ast.BinOp(left=left, op=ast.Div(), right=right):
+                a, b = self._node(left), self._node(right)
+                # WGSL divides integers toward zero (section "Arithmetic Expressions").
+                return math.trunc(a / b) if isinstance(a, int) and isinstance(b, int) else a / b
+            case ast.BinOp(left=left, op=ast.Mod(), right=right):
+                a, b = self._node(left), self._node(right)
+                return int(math.fmod(a, b)) if isinstance(a, int) else math.fmod(a, b)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)](self._node(left), self._node(right))
+            case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
+                return _OPERATORS[type(op)](self._node(operand))
+            case ast.Call(func=ast.Name(id=name), args=args) if name in _FUNCTIONS:
+                return _FUNCTIONS[name](*[self._node(argument) for argument in args])
+        raise ShaderError(f"cannot evaluate {ast.unparse(node)!r} in a constant expression")

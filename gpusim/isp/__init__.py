@@ -1,0 +1,1 @@
+"""From raw digital numbers to pictures: the DNG file, its colour data, and its development."""

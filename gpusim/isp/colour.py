@@ -1,0 +1,82 @@
+"""The colour data of a camera, from its own spectra, in the terms of the DNG specification."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.scene.spectra import (
+    QUADRATURE_NM,
+    WAVELENGTHS_NM,
+    colorchecker,
+    white_radiance,
+    xyz,
+)
+
+CHANNELS = ("R", "G", "B")
+
+# LightSource of Exif 2.3, which DNG's CalibrationIlluminant uses.
+LIGHT_SOURCE = {"A": 17, "D65": 21}
+
+
+def response(qe: dict[str, np.ndarray], transmission: np.ndarray | None = None) -> np.ndarray:
+    """Return what radiance counts for in each colour channel, to a common factor.
+
+    Electrons are counted from photons: QE(lambda) T(lambda) lambda dlambda (EMVA 1288, linear
+    signal model).
+
+    Parameters
+    ----------
+    qe : dict of str to ndarray (61,)
+        Quantum efficiency of the channels R, G and B, electrons per photon.
+    transmission : ndarray (61,), optional
+        Of the lens, to a common factor; 1 if not given.
+
+    Returns
+    -------
+    ndarray (3, 61)
+        Of R, G, B, for radiance per nm on `WAVELENGTHS_NM`.
+
+    Raises
+    ------
+    UserError
+        If the channels are not R, G and B.
+    """
+    if set(qe) != set(CHANNELS):
+        raise UserError(
+            "no colour data for this filter array",
+            field="cfa",
+            value=", ".join(qe),
+            allowed="R, G, B",
+        )
+    curves = np.stack([qe[channel] for channel in CHANNELS])
+    return curves * (1.0 if transmission is None else transmission) * WAVELENGTHS_NM * QUADRATURE_NM
+
+
+def colour_matrix(camera_response: np.ndarray, illuminant: str) -> np.ndarray:
+    """Return the matrix from XYZ to the camera's own RGB under an illuminant: DNG's ColorMatrix.
+
+    Least squares over the 24 ColorChecker patches, with the white kept exactly (Finlayson and Drew
+    1997, "Constrained least-squares regression in color spaces").
+
+    Parameters
+    ----------
+    camera_response : ndarray (3, 61)
+        As `response` returns it.
+    illuminant : str
+        CIE name of the calibration illuminant.
+
+    Returns
+    -------
+    ndarray (3, 3)
+        Scaled so that the white, at Y = 1, has 1 as its largest component.
+    """
+    white = white_radiance(illuminant, 1.0)
+    patches = np.stack(list(colorchecker().values())) * white
+    white_xyz, white_camera = xyz(white), camera_response @ white
+    seen = xyz(patches) / white_xyz
+    counted = patches @ camera_response.T / white_camera
+    # With white at (1, 1, 1) on both sides each row sums to 1: two unknowns are left in each.
+    free, *_ = np.linalg.lstsq(seen[:, :2] - seen[:, 2:], counted - seen[:, 2:], rcond=None)
+    rows = np.vstack([free, 1.0 - free.sum(axis=0)]).T
+    return rows * (white_camera / white_camera.max())[:, None] / white_xyz

@@ -1,0 +1,1 @@
+"""From a published prescription to a bank of point-spread functions, in float64 NumPy."""

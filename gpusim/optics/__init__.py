@@ -1,0 +1,1 @@
+"""From radiance on the ideal image plane to electrons per second at every photosite."""

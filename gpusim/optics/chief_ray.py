@@ -1,0 +1,61 @@
+"""The chief-ray map as the shaders use it: a polynomial from the real to the ideal image plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.lens.bank import Bank
+
+# Error of the fit that the design allows at any image height (a thousandth of a pixel of 1 um).
+FIT_ERROR_UM = 1e-3
+
+
+@dataclass(frozen=True)
+class ChiefRayMap:
+    """u = x g(|x|^2 / R^2) with R the image circle.
+
+    Attributes
+    ----------
+    coefficients : ndarray (8,)
+        Of g, low to high.
+    radius_um : float
+        R, um.
+    """
+
+    coefficients: np.ndarray
+    radius_um: float
+
+    def params(self, sim_pitch_um: float) -> dict:
+        """Return the fields of the shaders' `Params` that describe the map, lengths in sim samples."""
+        return {
+            "g_low": self.coefficients[:4],
+            "g_high": self.coefficients[4:],
+            "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
+        }
+
+
+def chief_ray_map(bank: Bank) -> ChiefRayMap:
+    """Fit the bank's chief-ray map at the reference wavelength.
+
+    Raises
+    ------
+    UserError
+        When a polynomial of degree 15 in image height does not follow the map to a thousandth of a micrometre.
+    """
+    radius = np.linspace(0, bank.image_circle_um, 401)[1:]
+    ratio = bank.ideal_from_real(radius)[0] / radius
+    fit = np.polynomial.Polynomial.fit((radius / radius[-1]) ** 2, ratio, 7, domain=[0, 1], w=radius).convert()
+    coefficients = np.zeros(8)
+    coefficients[: len(fit.coef)] = fit.coef
+    error_um = np.abs(np.polynomial.Polynomial(coefficients)((radius / radius[-1]) ** 2) - ratio) * radius
+    if error_um.max() > FIT_ERROR_UM:
+        raise UserError(
+            "The lens's chief-ray map is not smooth enough to be followed by the engine's polynomial.",
+            field="distortion",
+            value=f"{error_um.max():.3g} um from the polynomial at {radius[error_um.argmax()]:.0f} um height",
+            allowed=f"at most {FIT_ERROR_UM} um",
+        )
+    return ChiefRayMap(coefficients, float(bank.image_circle_um))

@@ -1,0 +1,60 @@
+"""Veiling glare: light that surfaces and barrel scatter evenly over the frame, as a fraction of the mean signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpusim.lens.bank import Bank
+from gpusim.scene.chart import Chart
+from gpusim.scene.raster import PlacedRaster
+from gpusim.sensor.sensor import Sensor
+
+SIDE = 256  # points of the mean along each side; the mean of a chart is then good to a few parts in a thousand
+
+
+def veiling_glare(
+    bank: Bank, sensor: Sensor, source: Chart | PlacedRaster, weights: np.ndarray, coefficients: np.ndarray
+) -> np.ndarray:
+    """Return the veiling glare of every CFA site.
+
+    The scene's mean over the sensor is taken on a grid of points, before the PSFs (which conserve energy) and with the
+    relative illumination, so that it does not depend on tiles.
+
+    Parameters
+    ----------
+    bank : Bank
+    sensor : Sensor
+    source : Chart or PlacedRaster
+    weights : ndarray (J, C, L)
+        Electrons/s of each plane in each channel, by bank wavelength.
+    coefficients : ndarray (M, J)
+        Of the scene's spectra.
+
+    Returns
+    -------
+    ndarray (S,)
+        Electrons/s, by site of the filter pattern, row by row.
+    """
+    pitch = sensor.pixel_pitch_um
+    line = (np.arange(SIDE) + 0.5) / SIDE - 0.5
+    x, y = np.meshgrid(line * sensor.cols * pitch, line * sensor.rows * pitch)
+    radius = np.hypot(x, y)
+    ideal, lit = bank.ideal_from_real(radius)
+    scale = ideal / np.maximum(radius, 1e-9)
+    if isinstance(source, Chart):
+        planes = np.moveaxis(coefficients[source.material_at(x * scale, y * scale)], -1, 0)
+    else:
+        cols = np.clip((x * scale - source.x0_um) / source.pitch_um, 0, source.planes.shape[2] - 1)
+        rows = np.clip((y * scale - source.y0_um) / source.pitch_um, 0, source.planes.shape[1] - 1)
+        sampled = source.planes[:, rows.astype(int), cols.astype(int)]
+        planes = np.tensordot(coefficients.T, sampled, axes=1)
+    illumination = np.stack(
+        [
+            np.interp(radius, bank.real_height_um[:, bank.reference], bank.relative_illumination[:, k]) * lit
+            for k in range(len(bank.wavelengths_nm))
+        ]
+    )
+    moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
+    mean = np.einsum("jl,jcl->c", moments, weights)
+    channels = list(sensor.channels)
+    return sensor.veiling_glare * mean[[channels.index(name) for name in sensor.site_channels()]]

@@ -1,0 +1,154 @@
+"""Fold wavelengths, quantum efficiency and scene spectra, so that few planes need to be convolved.
+
+Before the shot noise the chain is linear. The PSF is taken as linear in wavelength between those of the bank, so the
+integral over wavelength reduces to one weight per colour channel, scene spectrum and bank wavelength.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.lens.bank import Bank
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.sensor import Sensor
+
+PLANCK_J_S = 6.62607015e-34  # SI (2019), exact
+LIGHT_M_S = 299792458.0  # SI (2019), exact
+ROUNDING = 1e-9  # far above the rounding of a decomposition in float64, far below any tolerance
+MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
+
+
+def spectral_weights(bank: Bank, sensor: Sensor) -> np.ndarray:
+    """Return the electrons per second that a unit of spectral radiance makes, by channel and wavelength.
+
+    N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1, with the
+    irradiance of an extended source, E = L Omega), by the trapezoidal rule, shared out between the two nearest
+    wavelengths of the bank.
+
+    Returns
+    -------
+    ndarray (C, L, 61)
+        Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample of WAVELENGTHS_NM.
+    """
+    step = np.gradient(WAVELENGTHS_NM)
+    step[[0, -1]] /= 2
+    area_m2 = sensor.fill_factor * (sensor.pixel_pitch_um * 1e-6) ** 2
+    photons_per_joule = WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_M_S)
+    collected_sr = np.interp(
+        WAVELENGTHS_NM, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
+    )
+    qe = np.stack([sensor.qe[channel] for channel in sensor.channels])
+    response = qe * photons_per_joule * area_m2 * collected_sr * step
+    tents = np.stack(
+        [np.interp(WAVELENGTHS_NM, bank.wavelengths_nm, row) for row in np.eye(len(bank.wavelengths_nm))]
+    )
+    return response[:, None, :] * tents
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Scene spectra as the camera sees them: V[m, c, l] = sum_j coefficients[m, j] weights[j, c, l].
+
+    Attributes
+    ----------
+    coefficients : ndarray (M, J)
+        Of each scene spectrum.
+    weights : ndarray (J, C, L)
+        Electrons/s of each plane in each channel, by bank wavelength.
+    residual : float
+        Largest error of an edge response, relative to the signal of the same spectrum in the same channel.
+    """
+
+    coefficients: np.ndarray
+    weights: np.ndarray
+    residual: float
+
+
+def edge_responses(bank: Bank) -> np.ndarray:
+    """Return edge-spread functions of the bank, at axis, half field and full field, along both axes.
+
+    Returns
+    -------
+    ndarray (L, n_features)
+        The last sample of each is the PSF's whole energy.
+    """
+    features = []
+    positions = (np.arange(bank.psf.shape[-1]) - bank.psf.shape[-1] // 2) * bank.pitch_um
+    reference = list(bank.wavelengths_nm).index(bank.reference_nm)
+    for field in (0, len(bank.field_deg) // 2, len(bank.field_deg) - 1):
+        shift_um = bank.real_height_um[field] - bank.real_height_um[field, reference]
+        radial = np.cumsum(bank.psf[field].sum(axis=1, dtype=np.float64), axis=-1)
+        radial = np.stack(
+            [np.interp(positions - d, positions, row) for d, row in zip(shift_um, radial, strict=True)]
+        )
+        tangential = np.cumsum(bank.psf[field].sum(axis=2, dtype=np.float64), axis=-1)
+        # Every second sample: 1 um, below half of the Airy radius.
+        features += [radial[:, ::2], tangential[:, ::2]]
+    return np.concatenate(features, axis=1)
+
+
+def reduce_spectra(
+    spectra: np.ndarray,
+    weights: np.ndarray,
+    edges: np.ndarray,
+    tolerance: float,
+    common_first: np.ndarray,
+) -> Basis:
+    """Find the fewest planes that give every scene spectrum's edge response within a tolerance.
+
+    A singular value decomposition in the space of edge responses: what the camera cannot tell apart is not kept
+    apart. A chart in shades of one spectrum needs one plane, and three channels behind a lens
+    without chromatic aberration need three for any scene. The planes are then turned so that the commonest spectra lie in the
+    first of them: where a block of the image shows no others, the rest is left out.
+
+    Parameters
+    ----------
+    spectra : ndarray (M, 61)
+        Scene spectra, W m^-2 sr^-1 nm^-1 per unit coefficient.
+    weights : ndarray (C, L, 61)
+        As `spectral_weights` returns them.
+    edges : ndarray (L, n_features)
+        As `edge_responses` returns them.
+    tolerance : float
+        Largest error of an edge response, relative to the spectrum's own signal.
+    common_first : ndarray (M,) of int
+        The spectra, commonest first.
+    """
+    seen = np.einsum("clw,mw->mcl", weights, spectra)
+    signal = seen.sum(axis=2)
+    channel_scale = 1 / np.maximum(signal.max(axis=0), np.finfo(float).tiny)
+    material_scale = 1 / np.maximum((signal * channel_scale).mean(axis=1), np.finfo(float).tiny)
+    scaled = seen * material_scale[:, None, None] * channel_scale[:, None]
+    features = np.einsum("mcl,lf->mcf", scaled, edges)
+    left, _, _ = np.linalg.svd(features.reshape(len(spectra), -1), full_matrices=False)
+    for planes in range(1, min(left.shape[1], MAX_PLANES) + 1):
+        vectors = left[:, :planes]
+        planes_seen = np.einsum("mj,mcl->jcl", vectors, scaled)
+        fitted = np.einsum("mj,jcl->mcl", vectors, planes_seen)
+        error = np.abs(np.einsum("mcl,lf->mcf", scaled - fitted, edges)).max(axis=2)
+        residual = float((error / np.maximum(scaled.sum(axis=2), 1e-12)).max())
+        if residual <= tolerance:
+            break
+    turn = _commonest_first((vectors / material_scale[:, None])[common_first])
+    coefficients = vectors / material_scale[:, None] @ turn
+    size = np.linalg.norm(coefficients, axis=1, keepdims=True)
+    coefficients[np.abs(coefficients) < ROUNDING * size] = 0.0
+    return Basis(
+        coefficients=coefficients,
+        weights=np.einsum("jk,jcl->kcl", turn, planes_seen) / channel_scale[:, None],
+        residual=residual,
+    )
+
+
+def _commonest_first(coefficients: np.ndarray) -> np.ndarray:
+    """Return a rotation (J, J) after which the first spectra need the fewest planes: Gram-Schmidt in their order."""
+    directions: list[np.ndarray] = []
+    for row in coefficients:
+        rest = row - sum((direction * (direction @ row) for direction in directions), np.zeros(len(row)))
+        if np.linalg.norm(rest) > ROUNDING * np.linalg.norm(row):
+            directions.append(rest / np.linalg.norm(rest))
+        if len(directions) == len(row):
+            break
+    return np.stack(directions, axis=1)

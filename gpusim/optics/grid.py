@@ -1,0 +1,139 @@
+"""Geometry of the simulation: the sim grid, its blocks and PSF nodes. Integers only, no device.
+
+Lengths are in sim samples (pixel pitch / N, N = D / P) from the sensor's upper left corner unless a name says otherwise. The source region
+is the sensor plus the reach of the kernels on every side; it is cut into cells between PSF nodes, and
+each cell into equal blocks. A block's window is the block plus the reach of the kernels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SimGrid:
+    """Sim grid of a frame, at one scale.
+
+    Attributes
+    ----------
+    rows, cols : int
+        Pixels of the frame.
+    stride : int
+        Sim samples D from a photosite to the next of the same CFA site: 1, 2, 4 or 8.
+    period : int
+        Rows and columns P of the CFA pattern: 1, 2 or 4.
+    length : int
+        Transform length T, a power of two from 256 to 1024.
+    half_size : int
+        Reach R of the kernels: they span 2 R samples; a multiple of `stride`.
+    cells : (int, int)
+        Cells between PSF nodes in x and in y.
+    """
+
+    rows: int
+    cols: int
+    stride: int
+    period: int
+    length: int
+    half_size: int
+    cells: tuple[int, int]
+
+    @property
+    def oversampling(self) -> float:
+        """Sim samples per pixel N."""
+        return self.stride / self.period
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """x, y of the optical axis."""
+        return (self.oversampling * self.cols / 2, self.oversampling * self.rows / 2)
+
+    @property
+    def sites(self) -> int:
+        """Sites of the CFA period."""
+        return self.period**2
+
+    @property
+    def window(self) -> int:
+        """Photosites M of one site across a block's window."""
+        return self.length // self.stride
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Width and height of the source region."""
+        return tuple(
+            math.ceil(self.oversampling * pixels) + 2 * self.half_size
+            for pixels in (self.cols, self.rows)
+        )
+
+    @property
+    def blocks_per_cell(self) -> tuple[int, int]:
+        """Blocks across and down one cell."""
+        largest = (self.length - 2 * self.half_size) // self.stride * self.stride
+        return tuple(
+            math.ceil(extent / cells / largest)
+            for extent, cells in zip(self.extent, self.cells, strict=True)
+        )
+
+    @property
+    def block(self) -> tuple[int, int]:
+        """Width and height of a block: a multiple of `stride`."""
+        return tuple(
+            math.ceil(extent / (cells * blocks) / self.stride) * self.stride
+            for extent, cells, blocks in zip(self.extent, self.cells, self.blocks_per_cell, strict=True)
+        )
+
+    @property
+    def blocks(self) -> tuple[int, int]:
+        """Blocks across and down the source region."""
+        return tuple(c * b for c, b in zip(self.cells, self.blocks_per_cell, strict=True))
+
+    def block_origin(self, index: tuple[int, int]) -> tuple[int, int]:
+        """Return x, y of the first sample of a block."""
+        return tuple(i * b - self.half_size for i, b in zip(index, self.block, strict=True))
+
+    def window_origin(self, index: tuple[int, int]) -> tuple[int, int]:
+        """Return x, y of the first photosite of a block's window, in photosites of one site."""
+        return tuple((o - self.half_size) // self.stride for o in self.block_origin(index))
+
+    def node_position(self, index: tuple[int, int]) -> tuple[int, int]:
+        """Return x, y of a PSF node."""
+        return tuple(
+            i * blocks * b - self.half_size
+            for i, blocks, b in zip(index, self.blocks_per_cell, self.block, strict=True)
+        )
+
+    @property
+    def nodes(self) -> tuple[int, int]:
+        """PSF nodes across and down."""
+        return (self.cells[0] + 1, self.cells[1] + 1)
+
+    def cell_of(self, index: tuple[int, int]) -> tuple[int, int]:
+        """Return the cell in which a block lies; its upper left node has the same index."""
+        return tuple(i // blocks for i, blocks in zip(index, self.blocks_per_cell, strict=True))
+
+    def node_weights(self, index: tuple[int, int]) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return, for x and for y, the position of a block's first sample between two nodes (0..1), and the step."""
+        result = []
+        for axis in (0, 1):
+            cell = self.blocks_per_cell[axis] * self.block[axis]
+            first = (index[axis] % self.blocks_per_cell[axis]) * self.block[axis]
+            result.append(((first + 0.5) / cell, 1 / cell))
+        return tuple(result)
+
+    def blocks_for(self, row0: int, col0: int, rows: int, cols: int) -> list[tuple[int, int]]:
+        """Return the blocks whose windows touch a rectangle of pixels, row by row."""
+        chosen = []
+        for axis, first, count in ((0, col0, cols), (1, row0, rows)):
+            low = first * self.oversampling - self.half_size
+            high = (first + count) * self.oversampling + self.half_size
+            chosen.append(
+                [
+                    i
+                    for i in range(self.blocks[axis])
+                    if i * self.block[axis] - self.half_size < high
+                    and (i + 1) * self.block[axis] - self.half_size > low
+                ]
+            )
+        return [(x, y) for y in chosen[1] for x in chosen[0]]

@@ -1,0 +1,220 @@
+"""Channel kernels at the PSF nodes: what one sample of one plane gives to each photosite around it.
+
+All in float64 on the host; the spectra are handed to the device in float32. The kernel of plane j in channel c at field
+point s is
+
+    H_cj(x; s) = sum_l weights[j, c, l] K(s, l) h_l(x - (x_l(s) - x_ref(s)); s),
+
+K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour, interpolated between the bank's
+fields in radius and rotated to the azimuth of s. Into it are folded the pixel aperture, and the inverse of the
+Gaussian with which the scene was low-passed before it was sampled on the sim grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates, spline_filter
+
+from gpusim.lens.bank import Bank
+
+# Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples on each side.
+PAD = 32
+# The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a sharp end would ring.
+BAND_EDGE = 0.85
+# Where the core of a PSF is cut from its tail, a raised cosine falls from this fraction of the outer radius to it.
+CUT_EDGE = 0.5
+
+
+@dataclass(frozen=True)
+class FieldKernels:
+    """Channel kernels at the fields of the bank, in the meridional frame, on the bank's grid.
+
+    Attributes
+    ----------
+    splines : ndarray (F, J, C, n, n)
+        Cubic-spline coefficients, [tangential, radial].
+    radius_um : ndarray (F,)
+        Real image height of the fields at the reference wavelength.
+    pitch_um : float
+        Of the grid.
+    """
+
+    splines: np.ndarray
+    radius_um: np.ndarray
+    pitch_um: float
+
+
+def low_pass(frequency: np.ndarray, sim_pitch_um: float) -> np.ndarray:
+    """Return the band limit of a sim grid at radial spatial frequencies, cycles/um."""
+    nyquist = 0.5 / sim_pitch_um
+    fall = np.clip((frequency / nyquist - BAND_EDGE) / (1 - BAND_EDGE), 0, 1)
+    return 0.5 * (1 + np.cos(np.pi * fall))
+
+
+def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
+    """Return the weight of a PSF's core at distances from its chief ray; the rest belongs to the tail."""
+    fall = np.clip((distance_um / radius_um - CUT_EDGE) / (1 - CUT_EDGE), 0, 1)
+    return 0.5 * (1 + np.cos(np.pi * fall))
+
+
+def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.ndarray, np.ndarray]:
+    """Fold the bank's wavelengths into channel kernels, at the fields of the bank that the sensor uses.
+
+    Parameters
+    ----------
+    bank : Bank
+    weights : ndarray (J, C, L)
+        Electrons/s of each plane in each channel, by bank wavelength.
+    reach_um : float
+        Largest image height that is needed.
+
+    Returns
+    -------
+    images : ndarray (F', J, C, n, n)
+        On the bank's grid, [tangential, radial].
+    radius_um : ndarray (F',)
+    """
+    n = bank.psf.shape[-1] + 2 * PAD
+    fx = scipy.fft.rfftfreq(n, bank.pitch_um)
+    radius_um = bank.real_height_um[:, bank.reference]
+    fields = min(int(np.searchsorted(radius_um, reach_um)) + 1, len(radius_um))
+    images = np.empty((fields, *weights.shape[:2], n, n))
+    for field in range(fields):
+        shift_um = bank.real_height_um[field] - radius_um[field]
+        padded = np.pad(bank.psf[field].astype(np.float64), ((0, 0), (PAD, PAD), (PAD, PAD)))
+        # Along the rows only: the shifts are radial, and the sum over wavelengths is linear.
+        lines = scipy.fft.rfft(padded, axis=-1, workers=2)
+        lines *= np.exp(-2j * np.pi * fx * shift_um[:, None, None])
+        mixed = np.tensordot(weights * bank.relative_illumination[field], lines, axes=1)
+        images[field] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
+    return images, radius_um[:fields]
+
+
+def field_kernels(
+    images: np.ndarray, radius_um: np.ndarray, bank_pitch_um: float, sim_pitch_um: float, part: np.ndarray
+) -> FieldKernels:
+    """Take a part of the channel kernels, end its band at a sim grid's, and make splines of it.
+
+    Parameters
+    ----------
+    images, radius_um
+        As `field_images` returns them.
+    bank_pitch_um, sim_pitch_um : float
+    part : ndarray (n, n)
+        Weight of each sample: the core, the tail, or all.
+    """
+    n = images.shape[-1]
+    frequency = np.hypot(
+        scipy.fft.rfftfreq(n, bank_pitch_um), scipy.fft.fftfreq(n, bank_pitch_um)[:, None]
+    )
+    limited = scipy.fft.rfft2(images * part, workers=2) * low_pass(frequency, sim_pitch_um)
+    smooth = scipy.fft.irfft2(limited, s=(n, n), workers=2)
+    splines = np.empty(images.shape, np.float32)
+    for index in np.ndindex(images.shape[:3]):
+        splines[index] = spline_filter(smooth[index], order=3, mode="mirror")
+    return FieldKernels(splines, radius_um, bank_pitch_um)
+
+
+def distances_um(n: int, pitch_um: float) -> np.ndarray:
+    """Return the distance of each sample of an n x n kernel grid from the chief ray."""
+    line = (np.arange(n) - n // 2) * pitch_um
+    return np.hypot(line, line[:, None])
+
+
+def sampled_kernels(
+    kernels: FieldKernels, x_um: float, y_um: float, sim_pitch_um: float, half_size: int
+) -> np.ndarray:
+    """Return the kernels of one field point on a sim grid.
+
+    Beyond the last field they are the last field's.
+
+    Returns
+    -------
+    ndarray (J, C, 2 R, 2 R)
+        Index [row, column]; the source sample is at [R, R].
+    """
+    planes, channels, n = kernels.splines.shape[1], kernels.splines.shape[2], kernels.splines.shape[-1]
+    radius = float(np.hypot(x_um, y_um))
+    upper = int(np.clip(np.searchsorted(kernels.radius_um, radius), 1, len(kernels.radius_um) - 1))
+    lower = upper - 1
+    span = kernels.radius_um[upper] - kernels.radius_um[lower]
+    t = min((radius - kernels.radius_um[lower]) / span, 1.0)
+    cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
+    dx = (np.arange(2 * half_size) - half_size) * sim_pitch_um
+    dy = dx[:, None]
+    radial = (cos * dx + sin * dy) / kernels.pitch_um
+    tangential = (cos * dy - sin * dx) / kernels.pitch_um
+    inside = np.hypot(dx, dy) < (n // 2 - 2) * kernels.pitch_um
+    where = np.stack([tangential[inside], radial[inside]]) + n // 2
+    area = (sim_pitch_um / kernels.pitch_um) ** 2
+    out = np.zeros((planes, channels, 2 * half_size, 2 * half_size))
+    for index in np.ndindex(planes, channels):
+        spline = (1 - t) * kernels.splines[(lower, *index)] + t * kernels.splines[(upper, *index)]
+        out[index][inside] = area * map_coordinates(spline, where, np.float64, order=3, prefilter=False)
+    return out
+
+
+def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> np.ndarray:
+    """Return the transform of a square pixel aperture of unit weight, over that of the scene's Gaussian.
+
+    Parameters
+    ----------
+    length : int
+        Transform length T.
+    width : float
+        Side of the aperture, sim samples.
+    sigma : float
+        Standard deviation of the Gaussian with which the scene was low-passed, sim samples; 0 for none.
+    shift : float
+        Position of the pixel's centre, sim samples.
+
+    Returns
+    -------
+    ndarray (T,), complex
+        sinc(width f) exp(2 pi^2 sigma^2 f^2 + 2 pi i f shift) at f = k / T; zero at the Nyquist frequency, which has no mirror
+        of its own.
+    """
+    f = scipy.fft.fftfreq(length)
+    transfer = np.sinc(width * f) * np.exp(2 * np.pi**2 * sigma**2 * f**2 + 2j * np.pi * f * shift)
+    transfer[length // 2] = 0.0
+    return transfer
+
+
+def kernel_spectra(
+    sampled: np.ndarray,
+    length: int,
+    width: float,
+    sigma: float,
+    outputs: list[tuple[int, float, float]],
+) -> np.ndarray:
+    """Return the spectra that shaders/optics/columns multiplies with.
+
+    Parameters
+    ----------
+    sampled : ndarray (J, C, 2 R, 2 R)
+        As `sampled_kernels` returns them.
+    length : int
+        Transform length T.
+    width, sigma : float
+        See `aperture_spectrum`.
+    outputs : list of (channel, shift_x, shift_y)
+        What to make spectra for: a channel, and where the pixel's centre lies, sim samples.
+
+    Returns
+    -------
+    ndarray (T/2+1, J, len(outputs), 4, T/8, 2), complex64
+        [kx, plane, output, a, lane, b] with ky = (2 a + b) T/8 + lane, as the lanes of a workgroup load them two at a time;
+        divided by T^2 for the inverse transforms, which are not normalised.
+    """
+    half = length // 2 + 1
+    spectra = scipy.fft.rfft2(sampled, s=(length, length), workers=2)
+    result = np.empty((half, sampled.shape[0], len(outputs), 4, length // 8, 2), np.complex64)
+    for place, (channel, shift_x, shift_y) in enumerate(outputs):
+        along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2
+        along_x = aperture_spectrum(length, width, sigma, shift_x)[:half]
+        one = (spectra[:, channel] * (along_y * along_x)).transpose(2, 0, 1)
+        result[:, :, place] = one.reshape(half, -1, 4, 2, length // 8).swapaxes(-1, -2)
+    return result

@@ -1,0 +1,77 @@
+"""Exact areas of chart primitives inside small quadrilaterals, for the truth model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return the z component of the cross product of plane vectors (..., 2)."""
+    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+
+
+def area(polygons: np.ndarray) -> np.ndarray:
+    """Return the areas of polygons (N, V, 2), by the shoelace formula, positive in either sense of rotation."""
+    return np.abs(np.sum(cross(polygons, np.roll(polygons, -1, axis=1)), axis=1)) / 2
+
+
+def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
+    """Clip polygons by the half-plane normal . p <= limit.
+
+    A vertex outside is moved onto the line along the normal, and each crossing edge gains its crossing point: what
+    then lies outside the clipped polygon lies on the line, and has no area.
+
+    Parameters
+    ----------
+    polygons : ndarray (N, V, 2)
+    normal : ndarray (2,)
+        Unit vector.
+    limit : float
+
+    Returns
+    -------
+    ndarray (N, 2 V, 2)
+    """
+    height = polygons @ normal - limit
+    kept = polygons - np.maximum(height, 0)[..., None] * normal
+    following = np.roll(polygons, -1, axis=1)
+    next_height = np.roll(height, -1, axis=1)
+    crosses = (height > 0) != (next_height > 0)
+    fraction = np.where(crosses, height / np.where(crosses, height - next_height, 1.0), 0.0)
+    meeting = polygons + fraction[..., None] * (following - polygons)
+    points = np.stack([kept, np.where(crosses[..., None], meeting, kept)], axis=2)
+    return points.reshape(len(polygons), -1, 2)
+
+
+def rectangle_area(
+    quads: np.ndarray, centre: tuple[float, float], half_size: tuple[float, float], angle: float
+) -> np.ndarray:
+    """Return the area of each quadrilateral (N, 4, 2) inside a rectangle turned by `angle`."""
+    polygons = quads - np.asarray(centre)
+    for half, direction in zip(half_size, (angle, angle + np.pi / 2), strict=True):
+        e = np.array([np.cos(direction), np.sin(direction)])
+        polygons = clip(clip(polygons, e, half), -e, half)
+    return area(polygons)
+
+
+def disc_area(quads: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
+    """Return the area of each quadrilateral (N, 4, 2) inside a disc.
+
+    Green's theorem along the edges: the part of an edge inside the circle spans a triangle with the centre, a part
+    outside spans a sector.
+    """
+    start = quads - np.asarray(centre)
+    edge = np.roll(start, -1, axis=1) - start
+    a = np.sum(edge**2, axis=-1)
+    b = np.sum(start * edge, axis=-1)
+    c = np.sum(start**2, axis=-1) - radius**2
+    root = np.sqrt(np.maximum(b**2 - a * c, 0))
+    enter = np.clip((-b - root) / a, 0, 1)[..., None]
+    leave = np.clip((-b + root) / a, 0, 1)[..., None]
+    stops = [start, start + enter * edge, start + leave * edge, start + edge]
+
+    def sector(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return radius**2 / 2 * np.arctan2(cross(p, q), np.sum(p * q, axis=-1))
+
+    total = sector(stops[0], stops[1]) + cross(stops[1], stops[2]) / 2 + sector(stops[2], stops[3])
+    return np.abs(total.sum(axis=1))

@@ -1,0 +1,45 @@
+"""Philox4x32-10 on NumPy integers, and the counters by which the sensor stages use it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SHOT, READ, PRNU, DSNU = 1, 2, 3, 4
+"""Purposes: upper half of the last counter word."""
+
+
+def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
+    """Return the four words of each counter (Salmon, Moraes, Dror & Shaw 2011, section 3.3).
+
+    Parameters
+    ----------
+    counter : array of integers (..., 4)
+    key : array of integers (..., 2)
+
+    Returns
+    -------
+    ndarray (..., 4), uint32
+    """
+    c0, c1, c2, c3 = np.moveaxis(np.asarray(counter, np.uint64), -1, 0)
+    k0, k1 = np.moveaxis(np.asarray(key, np.uint64), -1, 0)
+    word, low = np.uint64(32), np.uint64(0xFFFFFFFF)
+    for _ in range(10):
+        p0, p1 = c0 * np.uint64(0xD2511F53), c2 * np.uint64(0xCD9E8D57)
+        c0, c1, c2, c3 = (p1 >> word) ^ c1 ^ k0, p1 & low, (p0 >> word) ^ c3 ^ k1, p0 & low
+        k0, k1 = (k0 + np.uint64(0x9E3779B9)) & low, (k1 + np.uint64(0xBB67AE85)) & low
+    return np.stack(np.broadcast_arrays(c0, c1, c2, c3), axis=-1).astype(np.uint32)
+
+
+def pixel_words(
+    row: np.ndarray, col: np.ndarray, frame: int, purpose: int, draw: int, key: int
+) -> np.ndarray:
+    """Return four words for each pixel (..., 4)."""
+    last = np.uint64(purpose << 16 | draw)
+    counter = np.stack(np.broadcast_arrays(col, row, np.uint64(frame), last), axis=-1)
+    return philox(counter, (key & 0xFFFFFFFF, key >> 32))
+
+
+def shared_word(row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int) -> np.ndarray:
+    """Return one word for each pixel, one call serving four neighbours of a row."""
+    words = pixel_words(row, col // 4, frame, purpose, 0, key)
+    return np.take_along_axis(words, np.asarray(col % 4, np.intp)[..., None], axis=-1)[..., 0]

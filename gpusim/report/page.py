@@ -1,0 +1,238 @@
+"""The report as one HTML file, a function of the facts and of the developed picture alone.
+
+Pictures are embedded and nothing is loaded from elsewhere, so the file can be sent and kept.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib import resources
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gpusim.report.probes import probe_map
+from gpusim.report.words import duration, error, exposure
+
+# The overview shows no single pixel, so a JPEG serves: 0.3 MB where a PNG of a noisy capture has 3.
+_OVERVIEW_PX = 1400
+_OVERVIEW_QUALITY = 88
+_CROP_PX = 320
+# Where on the way from the centre to the upper right corner each crop lies.
+_CROPS = {"Centre": 0.0, "Half field": 0.5, "Corner": 1.0}
+_WORST_SHOWN = 10
+
+
+def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
+    """Return the report as an HTML document.
+
+    Parameters
+    ----------
+    facts : mapping
+        What :func:`gpusim.report.facts` returned.
+    developed : ndarray of uint8, shape (rows, cols, 3)
+        The developed capture, sRGB.
+    """
+    capture = facts["capture"]
+    title = escape(f"{facts['scene']['name']}: {facts['camera']['title']}")
+    summary = escape(
+        f"{capture['cols']} x {capture['rows']} px, {exposure(capture['exposure_s'])}, "
+        f"seed {capture['seed']}, frame {capture['frame']}. "
+        f"Made {facts['created']} by gpusim {facts['gpusim']}."
+    )
+    style = resources.files("gpusim.report").joinpath("style.css").read_text()
+    return f"""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>
+{style}</style>
+</head>
+<body>
+<header><h1>{title}</h1><p class="soft">{summary}</p></header>
+{_cards(facts)}
+{_pictures(developed)}
+{_stages(facts)}
+{_certificate(facts)}
+{_details(facts)}
+</body>
+</html>
+"""
+
+
+def _cards(facts: Mapping[str, Any]) -> str:
+    """Return the four figures that matter most."""
+    certificate = facts["certificate"]
+    if certificate is None:
+        cards = {"no probes were asked for": "not certified"}
+    else:
+        met = "within" if certificate["met"] else "beyond"
+        cards = {
+            f"RMS error of the local signal, {met} the tolerance of "
+            f"{facts['capture']['tolerance']:g}": error(certificate["rms_relative"]),
+            f"worst of {certificate['probes']} probes": error(certificate["worst_relative"]),
+        }
+    cards["for the render, wall clock"] = duration(facts["capture"]["wall_s"])
+    cards["adapter"] = facts["device"]["adapter"]
+    shown = (
+        f'<div class="card"><b>{escape(value)}</b><span>{escape(text)}</span></div>'
+        for text, value in cards.items()
+    )
+    return f'<section class="cards">{"".join(shown)}</section>'
+
+
+def _embedded(image: Image.Image, form: str, **options: Any) -> str:
+    """Return an image as a data URL."""
+    file = io.BytesIO()
+    image.save(file, form, **options)
+    return f"data:image/{form.lower()};base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _pictures(developed: np.ndarray) -> str:
+    """Return the overview with the frames of the crops, and the crops."""
+    rows, cols = developed.shape[:2]
+    scale = min(1.0, _OVERVIEW_PX / max(rows, cols))
+    size = (max(1, round(cols * scale)), max(1, round(rows * scale)))
+    overview = Image.fromarray(developed).resize(size, Image.Resampling.BOX)
+    height, width = min(rows, _CROP_PX), min(cols, _CROP_PX)
+    frames, crops = "", ""
+    for name, way in _CROPS.items():
+        top = round((rows - height) / 2 * (1 - way))
+        left = round((cols - width) / 2 * (1 + way))
+        crop = Image.fromarray(developed[top : top + height, left : left + width])
+        label = f"{name}: from row {top}, column {left}"
+        frames += f'<rect x="{left}" y="{top}" width="{width}" height="{height}"/>'
+        crops += (
+            f'<figure><img src="{_embedded(crop, "PNG")}" width="{width}" height="{height}" '
+            f'alt="{label}"><figcaption>{label}</figcaption></figure>'
+        )
+    return f"""<h2>The picture</h2>
+<figure><div class="overview">
+<img src="{_embedded(overview, "JPEG", quality=_OVERVIEW_QUALITY)}" alt="The developed capture">
+<svg viewBox="0 0 {cols} {rows}" fill="none">
+<g stroke="#000" stroke-opacity=".6" stroke-width="{cols / 280:.1f}">{frames}</g>
+<g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
+<figcaption>The developed raw, reduced to {size[0]} x {size[1]} px. The frames are the crops below,
+which show each pixel as it is.</figcaption></figure>
+<div class="crops">{crops}</div>"""
+
+
+def _stages(facts: Mapping[str, Any]) -> str:
+    """Return the plan and what became of it: one row a stage, in the order that light takes."""
+    times = facts["times_s"]
+    longest = max(times.values(), default=0.0) or 1.0
+    rows = ""
+    for stage in facts["plan"]["stages"]:
+        seconds = times.get(stage["name"])
+        width = 0.0 if seconds is None else 100 * seconds / longest
+        bar = f'<i style="width:{width:.1f}%"></i>' if width else ""
+        rows += f"""<tr{"" if stage["runs"] else ' class="out"'}><td>{escape(stage["name"])}</td>
+<td>{"" if stage["runs"] else "left out: "}{escape(stage["reason"])}</td>
+<td class="number">{error(stage["predicted_error"])}</td>
+<td class="number">{duration(stage["predicted_cost_s"])}</td>
+<td class="number">{duration(seconds)}</td><td class="bar">{bar}</td></tr>"""
+    prepared = ", ".join(f"{name} {duration(s)}" for name, s in facts["prepare_s"].items())
+    return f"""<h2>What was done, and what was left out</h2>
+<div class="scroll"><table>
+<thead><tr><th>Stage</th><th>Reason</th><th class="number">Predicted error</th>
+<th class="number">Predicted time</th><th class="number">Time</th><th></th></tr></thead>
+<tbody>{rows}</tbody>
+<tfoot><tr><td colspan="4">Render, wall clock</td>
+<td class="number">{duration(facts["capture"]["wall_s"])}</td><td></td></tr></tfoot>
+</table></div>
+<p class="soft">Before, and once only for further frames of the same scene: {escape(prepared)}.</p>"""
+
+
+def _certificate(facts: Mapping[str, Any]) -> str:
+    """Return the certificate with its map of probes."""
+    certificate = facts["certificate"]
+    if certificate is None:
+        return "<h2>Certificate</h2><p>None: no probes were asked for.</p>"
+    probes = sorted(certificate["points"], key=lambda probe: -(probe["relative"] or 0.0))
+    figures = {
+        "RMS error, relative": error(certificate["rms_relative"]),
+        "worst error, relative": error(certificate["worst_relative"]),
+        "RMS error, noise sigmas": error(certificate["rms_sigma"]),
+        "worst error, noise sigmas": error(certificate["worst_sigma"]),
+        "probes": str(certificate["probes"]),
+        "time": duration(certificate["seconds"]),
+    }
+    columns = ("Row", "Column", "Exact [e-]", "Rendered [e-]", "Relative error", "Noise sigmas")
+    worst = [
+        (
+            str(probe["row"]),
+            str(probe["col"]),
+            f"{probe['truth']:.6g}",
+            f"{probe['render']:.6g}",
+            error(probe["relative"]),
+            error(probe["sigma"]),
+        )
+        for probe in probes[:_WORST_SHOWN]
+    ]
+    return f"""<h2>Certificate</h2>
+<p>At each probe, the mean electrons of the render before noise are compared with the exact model,
+evaluated for that one pixel in float64 by code that shares nothing with the shaders.</p>
+<div class="probes"><figure>{probe_map(probes, facts["capture"])}
+<figcaption>The probes on the sensor by relative error. The worst is ringed.</figcaption></figure>
+<div>{_pairs(figures)}<p class="soft">{escape(certificate["confidence"])}</p></div></div>
+<details><summary>The {len(worst)} worst probes</summary>{_numbers(columns, worst)}</details>"""
+
+
+def _details(facts: Mapping[str, Any]) -> str:
+    """Return the parameters that are one number or one line, and the command."""
+    sections = {
+        "Lens": facts["camera"]["lens"],
+        "Sensor": facts["camera"]["sensor"],
+        "Scene": facts["scene"],
+        "Capture": facts["capture"],
+        **{f"Grid: {scale['name']}": scale for scale in facts["plan"]["scales"]},
+        "Device": facts["device"],
+        "Versions": {**facts["versions"], "shaders_sha256": facts["shaders_sha256"]},
+    }
+    tables = "".join(
+        f"<section><h2>{name}</h2>{_pairs(_lines(entry))}</section>"
+        for name, entry in sections.items()
+    )
+    files = "".join(
+        f'<li><a href="{escape(name)}">{escape(name)}</a></li>' for name in facts["files"]
+    )
+    return f"""<div class="facts">{tables}<section><h2>Files</h2><ul>{files}</ul>
+<p class="soft">report.json holds all of this and what takes more than a line.</p></section></div>
+<h2>Command</h2><pre>{escape(" ".join(facts["command"]))}</pre>"""
+
+
+def _lines(entry: Mapping[str, Any]) -> dict[str, str]:
+    """Return those entries that fit a line, as text: neither tables nor what is not known."""
+    lines = {}
+    for key, value in entry.items():
+        parts = value if isinstance(value, list) else [value]
+        if parts and not any(isinstance(part, Mapping | list | None) for part in parts):
+            lines[key] = ", ".join(
+                f"{part:g}" if isinstance(part, float) else str(part) for part in parts
+            )
+    return lines
+
+
+def _pairs(pairs: Mapping[str, str]) -> str:
+    """Return a table of names and texts."""
+    rows = (
+        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in pairs.items()
+    )
+    return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
+
+
+def _numbers(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table of numbers."""
+    head = "".join(f'<th class="number">{escape(name)}</th>' for name in columns)
+    body = ""
+    for row in rows:
+        cells = "".join(f'<td class="number">{escape(cell)}</td>' for cell in row)
+        body += f"<tr>{cells}</tr>"
+    return f"""<div class="scroll"><table><thead><tr>{head}</tr></thead>
+<tbody>{body}</tbody></table></div>"""

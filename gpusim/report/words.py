@@ -1,0 +1,28 @@
+"""Numbers as people write them."""
+
+from __future__ import annotations
+
+import math
+
+NOTHING = "\N{EN DASH}"
+
+
+def exposure(seconds: float) -> str:
+    """Return an exposure time as photographers write it: 1/60 s, 2.5 s."""
+    if 0 < seconds < 1 and math.isclose(1 / seconds, round(1 / seconds), rel_tol=1e-9):
+        return f"1/{round(1 / seconds)} s"
+    return f"{seconds:g} s"
+
+
+def duration(seconds: float | None) -> str:
+    """Return a run time with three digits: 12.3 s, 45.6 ms; a dash where there is none."""
+    if seconds is None:
+        return NOTHING
+    return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
+
+
+def error(value: float | None) -> str:
+    """Return a relative error with two digits: 3.2e-04; a dash where there is none."""
+    if value is None:
+        return NOTHING
+    return f"{value:.1e}" if value else "0"

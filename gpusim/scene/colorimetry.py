@@ -1,0 +1,46 @@
+"""RGB spaces and chromatic adaptation: the few matrices that scene and ISP share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""Chromaticities x, y of Rec.709 red, green, blue and its D65 white (ITU-R BT.709)."""
+
+# Cone-like responses of the Bradford transform (Lam 1985; ICC.1, annex E).
+BRADFORD = np.array(
+    [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
+)
+
+
+def rgb_to_xyz(chromaticities: tuple[float, ...]) -> np.ndarray:
+    """Return the matrix (3, 3) from linear RGB to XYZ, with Y = 1 at RGB = (1, 1, 1).
+
+    Parameters
+    ----------
+    chromaticities : tuple of 8 float
+        x, y of red, green, blue and white, in this order (as in the OpenEXR attribute of that
+        name).
+    """
+    xy = np.reshape(np.asarray(chromaticities, np.float64), (4, 2))
+    columns = np.stack([xy[:, 0] / xy[:, 1], np.ones(4), (1 - xy.sum(axis=1)) / xy[:, 1]])
+    primaries, white = columns[:, :3], columns[:, 3]
+    return primaries * np.linalg.solve(primaries, white)
+
+
+def adaptation(source_xyz: np.ndarray, target_xyz: np.ndarray) -> np.ndarray:
+    """Return the Bradford matrix (3, 3) that takes XYZ seen under one white to another's.
+
+    Parameters
+    ----------
+    source_xyz, target_xyz : ndarray (3,)
+        The two whites, at equal Y.
+    """
+    gain = (BRADFORD @ target_xyz) / (BRADFORD @ source_xyz)
+    return np.linalg.solve(BRADFORD, gain[:, None] * BRADFORD)
+
+
+def encode_srgb(linear: np.ndarray) -> np.ndarray:
+    """Return sRGB values 0..1 of linear Rec.709 values, clipped to 0..1 (IEC 61966-2-1)."""
+    linear = np.clip(linear, 0.0, 1.0)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -1,0 +1,57 @@
+"""A scene as the eye would see it: linear Rec.709 and PNG, for previews and for other programs."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from gpusim.scene.chart import Chart
+from gpusim.scene.charts import HALF_WIDTH
+from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, rgb_to_xyz
+from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import xyz
+
+SUBSAMPLES = 4  # per pixel and direction: edges in 17 grey levels
+
+
+def _material_map(chart: Chart, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the material at each node (y, x) of a grid: `Chart.material_at` by windows."""
+    material = np.full((y.size, x.size), chart.background, np.uint16)
+    for p in chart.primitives:
+        low, high = np.searchsorted(x, (p.cx - p.reach, p.cx + p.reach))
+        top, bottom = np.searchsorted(y, (p.cy - p.reach, p.cy + p.reach))
+        inside = p.distance(x[None, low:high], y[top:bottom, None]) <= 0
+        material[top:bottom, low:high][inside] = p.material
+    return material
+
+
+def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
+    """Return a chart over its 4:3 field in linear Rec.709, area-averaged.
+
+    The illuminant is adapted to D65 (Bradford), so that a perfect white is (1, 1, 1). Colours
+    outside Rec.709 are clipped to it: of the ColorChecker under D50, cyan only.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a chart.
+    rows : int
+        Height of the result.
+
+    Returns
+    -------
+    ndarray (rows, round(4/3 rows), 3), float32
+    """
+    white = xyz(scene.white)
+    space = rgb_to_xyz(REC709_CHROMATICITIES)
+    to_rgb = np.linalg.solve(space, adaptation(white / white[1], space.sum(axis=1)))
+    materials = np.maximum(xyz(scene.spectra) / white[1] @ to_rgb.T, 0.0).astype(np.float32)
+    columns = round(HALF_WIDTH * rows)
+    total = np.zeros((rows, columns, 3), np.float32)
+    phases = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES
+    for right, down in product(phases, phases):
+        x = (np.arange(columns) + right - columns / 2) / (rows / 2)
+        y = (np.arange(rows) + down - rows / 2) / (rows / 2)
+        total += materials[_material_map(scene.source, x, y)]
+    return total / SUBSAMPLES**2

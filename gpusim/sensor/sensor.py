@@ -1,0 +1,312 @@
+"""The model of a sensor: what its data sheet says, in EMVA 1288's terms.
+
+Symbols of EMVA Standard 1288, release 3.1 (European Machine Vision Association, 2016): system gain
+K, temporal dark noise sigma_d, dark current mu_I, dark signal and photo response non-uniformity
+DSNU and PRNU.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from functools import cached_property
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
+
+from gpusim.errors import UserError
+from gpusim.scene.spectra import WAVELENGTHS_NM
+
+PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
+# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
+CFA_LETTERS = "RGBCMYW"
+MAX_SIDE = 65535  # pixels
+ABSOLUTE_ZERO_C = -273.15
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class ColourFilterArray(_Strict):
+    """The filter pattern, from the upper left pixel: one letter for each photosite, row by row."""
+
+    pattern: list[list[str]]
+
+    @field_validator("pattern")
+    @classmethod
+    def _rectangle_of_letters(cls, pattern: list[list[str]]) -> list[list[str]]:
+        if not pattern or not pattern[0] or any(len(row) != len(pattern[0]) for row in pattern):
+            raise _wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
+        for letter in chain(*pattern):
+            if letter not in tuple(CFA_LETTERS):
+                raise _wrong(f"unknown filter colour {letter!r}", ", ".join(CFA_LETTERS))
+        return pattern
+
+
+class QuantumEfficiency(_Strict):
+    """Quantum efficiency of each channel, filters included, on a wavelength grid of its own."""
+
+    wavelengths_nm: list[Positive]
+    channels: dict[str, list[NotNegative]]
+
+    @model_validator(mode="after")
+    def _on_one_grid(self) -> QuantumEfficiency:
+        grid = self.wavelengths_nm
+        if any(b <= a for a, b in pairwise(grid)):
+            raise _wrong("the wavelengths do not rise", "nm, each more than the one before")
+        first, last = WAVELENGTHS_NM[[0, -1]]
+        if not grid or grid[0] > first or grid[-1] < last:
+            raise _wrong("the wavelengths end too soon", f"{first:g} to {last:g} nm, or beyond")
+        for name, curve in self.channels.items():
+            if len(curve) != len(grid):
+                raise _wrong(
+                    f"channel {name} has {len(curve)} values", f"{len(grid)}, as wavelengths"
+                )
+            if max(curve) > 1:
+                warnings.warn(
+                    f"quantum efficiency of {name} exceeds 1: {max(curve):g}", stacklevel=2
+                )
+        return self
+
+
+class Sensor(_Strict):
+    """A sensor, or a region of one.
+
+    Attributes
+    ----------
+    name : str
+    serial_number : int
+        Which piece of this type: it keys the fixed pattern (PRNU, DSNU).
+    rows, cols : int
+        Pixels read out.
+    first_row, first_col : int
+        Where these begin on the chip; multiples of the filter pattern.
+    pixel_pitch_um : float
+    fill_factor : float
+        Area of the square pixel aperture over that of the pixel.
+    cfa : ColourFilterArray
+    quantum_efficiency : QuantumEfficiency
+        Electrons per incident photon, filters included. See :attr:`qe`.
+    system_gain_dn_per_e : float
+        K, DN per electron.
+    black_level_dn : float
+    bit_depth : int
+    full_well_e : float
+        Saturation capacity, electrons.
+    temporal_dark_noise_e : float
+        sigma_d, electrons.
+    dark_current_e_per_s : float
+        mu_I at ``reference_temperature_c``, electrons per second and pixel.
+    reference_temperature_c : float
+    doubling_temperature_c : float
+        Rise of temperature that doubles the dark current, kelvin.
+    dsnu_e : float
+        Standard deviation of the fixed offset between pixels, electrons.
+    prnu_percent : float
+        Standard deviation of the response between pixels, per cent of the signal.
+    veiling_glare : float
+        Uniform light in the image over its mean, 0..1.
+    sources : dict of str to str
+        Where each figure comes from, by field.
+    """
+
+    name: str
+    serial_number: int = Field(default=0, ge=0, lt=2**64)
+    rows: int = Field(ge=1, le=MAX_SIDE)
+    cols: int = Field(ge=1, le=MAX_SIDE)
+    first_row: int = Field(default=0, ge=0, le=MAX_SIDE)
+    first_col: int = Field(default=0, ge=0, le=MAX_SIDE)
+    pixel_pitch_um: Positive
+    fill_factor: float = Field(gt=0, le=1)
+    cfa: ColourFilterArray
+    quantum_efficiency: QuantumEfficiency
+    system_gain_dn_per_e: Positive
+    black_level_dn: NotNegative
+    bit_depth: int = Field(ge=1, le=16)
+    full_well_e: float = Field(gt=0, le=1e7)
+    temporal_dark_noise_e: NotNegative
+    dark_current_e_per_s: NotNegative
+    reference_temperature_c: float = Field(gt=ABSOLUTE_ZERO_C)
+    doubling_temperature_c: Positive
+    dsnu_e: NotNegative
+    prnu_percent: float = Field(ge=0, le=100)
+    veiling_glare: float = Field(ge=0, lt=1)
+    sources: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Sensor:
+        letters, curves = set(self.site_channels()), set(self.quantum_efficiency.channels)
+        if letters != curves:
+            raise _wrong(
+                f"the filter pattern has {', '.join(sorted(letters))}, "
+                f"quantum_efficiency has {', '.join(sorted(curves))}",
+                "the same letters in both",
+            )
+        if self.black_level_dn >= self.max_dn:
+            raise _wrong(
+                f"black_level_dn {self.black_level_dn:g} leaves no range", f"below {self.max_dn}"
+            )
+        if unknown := set(self.sources) - set(type(self).model_fields):
+            raise _wrong(
+                f"sources names no field: {', '.join(sorted(unknown))}", "fields of this file"
+            )
+        return self
+
+    @property
+    def max_dn(self) -> int:
+        """Highest code of the analogue-to-digital converter, DN."""
+        return 2**self.bit_depth - 1
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels by letter, in the order of :data:`CFA_LETTERS`."""
+        return tuple(letter for letter in CFA_LETTERS if letter in self.quantum_efficiency.channels)
+
+    @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of the filter pattern."""
+        return len(self.cfa.pattern), len(self.cfa.pattern[0])
+
+    def site_channels(self) -> tuple[str, ...]:
+        """Return the channel of each site of the filter pattern, row by row."""
+        return tuple(chain(*self.cfa.pattern))
+
+    @cached_property
+    def qe(self) -> dict[str, np.ndarray]:
+        """Quantum efficiency of each channel at ``WAVELENGTHS_NM``: (61,), read-only."""
+        measured = self.quantum_efficiency
+        curves = {}
+        for name in self.channels:
+            curves[name] = np.interp(
+                WAVELENGTHS_NM, measured.wavelengths_nm, measured.channels[name]
+            )
+            curves[name].flags.writeable = False
+        return curves
+
+    def dark_current_at(self, temperature_c: float) -> float:
+        """Return the dark current at a temperature, electrons per second (EMVA 1288, section 3.2).
+
+        Parameters
+        ----------
+        temperature_c : float
+            Temperature of the sensor, degrees Celsius.
+
+        Raises
+        ------
+        UserError
+            Not a temperature above absolute zero.
+        """
+        if not ABSOLUTE_ZERO_C < temperature_c < math.inf:
+            raise UserError(
+                "not a temperature of a sensor",
+                field="temperature_c",
+                value=temperature_c,
+                allowed=f"above {ABSOLUTE_ZERO_C} degrees Celsius",
+            )
+        rise = temperature_c - self.reference_temperature_c
+        return self.dark_current_e_per_s * 2 ** (rise / self.doubling_temperature_c)
+
+    def roi(self, rows: int, cols: int) -> Sensor:
+        """Return the region of rows x cols pixels about the centre.
+
+        It begins on a whole filter pattern, so that the phase of the pattern is kept: less than
+        one pattern above and to the left of the central position.
+
+        Raises
+        ------
+        UserError
+            Larger than the sensor, or without a pixel.
+        """
+        for field, wanted, available in (("rows", rows, self.rows), ("cols", cols, self.cols)):
+            if not 1 <= wanted <= available:
+                raise UserError(
+                    f"the region does not fit the sensor {self.name}",
+                    field=field,
+                    value=wanted,
+                    allowed=f"1 to {available}",
+                )
+        (first_row, first_col), (py, px) = (self.rows - rows, self.cols - cols), self.period
+        return self.model_copy(
+            update={
+                "rows": rows,
+                "cols": cols,
+                "first_row": self.first_row + first_row // 2 // py * py,
+                "first_col": self.first_col + first_col // 2 // px * px,
+            }
+        )
+
+
+def _wrong(problem: str, allowed: str) -> PydanticCustomError:
+    return PydanticCustomError("sensor", "{problem}", {"problem": problem, "allowed": allowed})
+
+
+def presets() -> list[str]:
+    """Return the names of the sensors that come with the package."""
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def load_sensor(name_or_path: str | Path) -> Sensor:
+    """Load a sensor file, or a preset by its name.
+
+    Raises
+    ------
+    UserError
+        Unknown preset; a file that cannot be read or is no YAML; a wrong field.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = PRESETS / f"{name_or_path}.yaml"
+        if not path.exists():
+            raise UserError(
+                "there is no sensor of that name",
+                field="sensor",
+                value=name_or_path,
+                allowed=f"a .yaml file, or one of: {', '.join(presets())}",
+            )
+    try:
+        return Sensor.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"the sensor file cannot be read: {error}", file=path) from error
+    except yaml.YAMLError as error:
+        raise UserError(f"the sensor file is not YAML: {error}", file=path) from error
+    except ValidationError as error:
+        raise _user_error(error.errors()[0], path) from error
+
+
+def _user_error(first: ErrorDetails, path: Path) -> UserError:
+    """Return what one finding of pydantic means to the user."""
+    field = ".".join(str(part) for part in first["loc"])
+    match first["type"]:
+        case "sensor":
+            return UserError(
+                first["ctx"]["problem"],
+                file=path,
+                field=field or None,
+                allowed=first["ctx"]["allowed"],
+            )
+        case "missing":
+            return UserError("a field is missing", file=path, field=field)
+        case "extra_forbidden":
+            known = Sensor
+            for part in first["loc"][:-1]:
+                known = known.model_fields[part].annotation
+            return UserError(
+                "unknown field", file=path, field=field, allowed=", ".join(known.model_fields)
+            )
+        case "model_type":
+            return UserError(
+                "not a list of fields", file=path, field=field or None, value=first["input"]
+            )
+    allowed = first["msg"].removeprefix("Input should be ")
+    return UserError(
+        "a field is wrong", file=path, field=field, value=first["input"], allowed=allowed
+    )

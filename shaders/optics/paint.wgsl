@@ -1,0 +1,107 @@
+// Paints a chart onto one block of the sim grid, on the real image plane, low-passed by a Gaussian.
+//
+// The chart is a list of primitives on the ideal (distortion-free) plane, painted in order over a background:
+//   a(x) <- a(x) + (m - a(x)) w(u(x)),   w = the primitive's indicator convolved with the Gaussian
+// The Gaussian has standard deviation `sigma` samples on the *real* plane; along the unit vector e of the ideal
+// plane that is sigma |M^T e|, M = du/dx. Rectangle: product of two differences of Phi (exact for every angle).
+// Disc: Phi((R - r)/s - s/(2r)): to first order in s/R the curved edge drifts inward by s^2/(2r), the f'/r term of
+// the heat equation in polar coordinates.
+// Beyond the image circle the plane is black, its rim low-passed likewise.
+// The kernels of the convolution divide the Gaussian out again: it only keeps the samples free of aliases.
+// Units: samples from the optical axis; coefficients in radiance units of the basis.
+// Output planes (J, BY, BX). Dispatch: ceil(BX/16) x ceil(BY/16) workgroups of 16 x 16, one sample each.
+#include "normal"
+#include "distortion"
+
+override BX: u32 = 336u;  // block width, samples
+override BY: u32 = 336u;  // block height, samples
+override J: u32 = 3u;     // coefficient planes, 1 to 8
+
+const DISC = 1u;          // kind of primitive; 0 is a rectangle
+const REACH = 6.0;        // standard deviations; Phi(-6) = 1e-9
+
+struct Params {
+    g_low: vec4f,             // chief-ray map, see common/distortion
+    g_high: vec4f,
+    origin: vec2f,            // sample (0, 0) of the block
+    inverse_radius2: f32,
+    sigma: f32,
+    first: u32,               // the block's primitives in `chosen`
+    count: u32,
+    background: u32,          // material
+}
+
+struct Primitive {
+    centre: vec2f,
+    half_size: vec2f,         // a disc has its radius in x
+    axis: vec2f,              // unit vector of the rectangle's width
+    kind: u32,
+    material: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> primitives: array<Primitive>;
+@group(0) @binding(2) var<storage, read> chosen: array<u32>;
+@group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two per material: up to 8 coefficients
+@group(0) @binding(4) var<storage, read_write> planes: array<f32>;
+
+// sigma along the unit vector e of the ideal plane: sigma |M^T e|
+fn width_along(e: vec2f, x: vec2f, p: IdealPoint) -> f32 {
+    return params.sigma * length(p.g * e + p.dg * dot(x, e) * x);
+}
+
+fn slab(distance: f32, half_width: f32, width: f32) -> f32 {
+    return normal_cdf((half_width - distance) / width) - normal_cdf((-half_width - distance) / width);
+}
+
+fn coverage(shape: Primitive, x: vec2f, p: IdealPoint) -> f32 {
+    let d = p.u - shape.centre;
+    if (shape.kind == DISC) {
+        let r = max(length(d), 1e-3);
+        let width = width_along(d / r, x, p);
+        if (r - shape.half_size.x > REACH * width) {
+            return 0.0;
+        }
+        return normal_cdf((shape.half_size.x - r) / width - 0.5 * width / r);
+    }
+    let across = vec2f(-shape.axis.y, shape.axis.x);
+    let along_d = dot(d, shape.axis);
+    let across_d = dot(d, across);
+    let reach = REACH * 2.0 * params.sigma;   // the map stretches less than twofold
+    if (abs(along_d) - shape.half_size.x > reach || abs(across_d) - shape.half_size.y > reach) {
+        return 0.0;
+    }
+    return slab(along_d, shape.half_size.x, width_along(shape.axis, x, p))
+        * slab(across_d, shape.half_size.y, width_along(across, x, p));
+}
+
+@compute @workgroup_size(16, 16, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= BX || id.y >= BY) {
+        return;
+    }
+    let x = params.origin + vec2f(id.xy);
+    let p = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
+    var low = materials[2u * params.background];
+    var high = materials[2u * params.background + 1u];
+    for (var i = params.first; i < params.first + params.count; i++) {
+        let shape = primitives[chosen[i]];
+        let w = coverage(shape, x, p);
+        low += w * (materials[2u * shape.material] - low);
+        high += w * (materials[2u * shape.material + 1u] - high);
+    }
+    // Beyond the image circle, rho2 = 1, no light arrives.
+    let rim = inverseSqrt(params.inverse_radius2) - length(x);
+    let lit = normal_cdf(rim / params.sigma);
+    low *= lit;
+    high *= lit;
+    let at = id.y * BX + id.x;
+    planes[at] = low.x;
+    if (J > 1u) { planes[at + BX * BY] = low.y; }
+    if (J > 2u) { planes[at + 2u * BX * BY] = low.z; }
+    if (J > 3u) { planes[at + 3u * BX * BY] = low.w; }
+    if (J > 4u) { planes[at + 4u * BX * BY] = high.x; }
+    if (J > 5u) { planes[at + 5u * BX * BY] = high.y; }
+    if (J > 6u) { planes[at + 6u * BX * BY] = high.z; }
+    if (J > 7u) { planes[at + 7u * BX * BY] = high.w; }
+}

@@ -1,0 +1,76 @@
+// Samples one coefficient plane of a raster scene on one block of the sim grid, on the real image plane.
+//
+// The continuous radiance is the cubic spline through the raster's samples (Unser 1999, eq. 3):
+//   a(u) = sum_k c_k beta3(u_x - k_x) beta3(u_y - k_y),   u(x) by the chief-ray map
+// with the spline coefficients c computed on the host in float64. Beyond the raster its border value goes on.
+// The raster is never finer than the sim grid, so its spline needs no further low-pass here.
+// Beyond the image circle, rho2 = 1, the plane is black.
+// Radiance is preserved: the value is carried, not spread.
+// Units: x in sim samples from the optical axis; u in raster samples; output planes (J, BY, BX), plane `plane`.
+// Dispatch: ceil(BX/16) x ceil(BY/16) workgroups of 16 x 16, one sample each.
+#include "distortion"
+
+override BX: u32 = 336u;  // block width, samples
+override BY: u32 = 336u;  // block height, samples
+
+struct Params {
+    g_low: vec4f,             // chief-ray map, see common/distortion
+    g_high: vec4f,
+    origin: vec2f,            // sample (0, 0) of the block
+    centre: vec2f,            // the optical axis in raster samples (sample 0 at 0)
+    size: vec2i,              // raster columns, rows
+    inverse_radius2: f32,
+    scale: f32,               // raster samples per sim sample
+    plane: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> coefficients: array<f32>;   // (rows, cols)
+@group(0) @binding(2) var<storage, read_write> planes: array<f32>;
+
+// beta3 at f + 1, f, f - 1, f - 2 for 0 <= f < 1
+fn cubic_weights(f: f32) -> vec4f {
+    let e = 1.0 - f;
+    return vec4f(
+        e * e * e,
+        4.0 + 3.0 * f * f * (f - 2.0),
+        4.0 + 3.0 * e * e * (e - 2.0),
+        f * f * f,
+    ) / 6.0;
+}
+
+// The spline goes on mirrored about the first and last sample.
+fn mirror(k: i32, n: i32) -> i32 {
+    return max(min(abs(k), 2 * (n - 1) - abs(k)), 0);
+}
+
+fn row_sum(first: vec2i, row: i32, weights: vec4f) -> f32 {
+    let at = mirror(first.y + row, params.size.y) * params.size.x;
+    return dot(weights, vec4f(
+        coefficients[at + mirror(first.x, params.size.x)],
+        coefficients[at + mirror(first.x + 1, params.size.x)],
+        coefficients[at + mirror(first.x + 2, params.size.x)],
+        coefficients[at + mirror(first.x + 3, params.size.x)],
+    ));
+}
+
+@compute @workgroup_size(16, 16, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= BX || id.y >= BY) {
+        return;
+    }
+    let x = params.origin + vec2f(id.xy);
+    let ideal = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
+    let lit = select(0.0, 1.0, dot(x, x) * params.inverse_radius2 <= 1.0);
+    let u = clamp(params.centre + params.scale * ideal.u, vec2f(0.0), vec2f(params.size - 1));
+    let cell = floor(u);
+    let wx = cubic_weights(u.x - cell.x);
+    let wy = cubic_weights(u.y - cell.y);
+    let first = vec2i(cell) - 1;
+    planes[(params.plane * BY + id.y) * BX + id.x] = lit * dot(wy, vec4f(
+        row_sum(first, 0, wx),
+        row_sum(first, 1, wx),
+        row_sum(first, 2, wx),
+        row_sum(first, 3, wx),
+    ));
+}

@@ -1,0 +1,39 @@
+"""One device for the session, named in the header; a wrong or missing adapter fails the tests."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from gpusim.errors import UserError
+from gpusim.gpu import Device, default_device
+
+
+def pytest_report_header() -> str:
+    try:
+        report = default_device().report()
+    except UserError as error:
+        return f"adapter: none ({error.problem})"
+    return (
+        f"adapter: {report['adapter']}, {report['driver']}, {report['backend']}, "
+        f"wgpu {report['wgpu']}"
+    )
+
+
+@pytest.fixture(scope="session", autouse=True)
+def expected_adapter() -> None:
+    """Fail every test where GPUSIM_EXPECT_ADAPTER names another adapter than the one in use.
+
+    A suite that silently ran elsewhere proves nothing about the adapter that was meant.
+    """
+    expected = os.environ.get("GPUSIM_EXPECT_ADAPTER")
+    if expected:
+        found = str(default_device().report()["adapter"])
+        assert expected.lower() in found.lower(), f"{expected!r} was expected, this is {found!r}"
+
+
+@pytest.fixture(scope="session")
+def device() -> Device:
+    """Return the device of this process; without an adapter the test fails."""
+    return default_device()

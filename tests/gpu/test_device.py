@@ -1,0 +1,104 @@
+"""Choice of the adapter, its limits, and arrays that stay on the device."""
+
+import numpy as np
+import pytest
+
+from gpusim.errors import UserError
+from gpusim.gpu import Device, ShaderError, default_device, devices
+from gpusim.gpu import device as device_module
+from gpusim.gpu.device import PORTABLE_LIMITS
+
+
+def test_there_is_one_device_per_process(device: Device):
+    assert default_device() is device
+
+
+def test_the_listed_adapters_are_no_opengl_ones():
+    found = devices()
+    assert found
+    assert {one["backend"] for one in found} <= {"Vulkan", "Metal", "D3D12"}
+
+
+def test_the_report_names_the_adapter_and_the_driver(device: Device):
+    report = device.report()
+    assert report["adapter"] in {one["adapter"] for one in devices()}
+    assert report["driver"]
+    assert report["wgpu"].count(".") == 2
+    assert report["budget_bytes"] == device.pool.budget
+
+
+def test_the_device_has_the_portable_limits_and_no_larger_ones(device: Device):
+    assert device.report()["limits"] == PORTABLE_LIMITS
+
+
+def test_an_unknown_adapter_is_refused_with_the_known_ones(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(device_module, "Device", None)  # nothing may be opened
+    with pytest.raises(UserError, match="No adapter of that name") as caught:
+        Device.open("no such adapter")
+    assert caught.value.value == "no such adapter"
+    assert devices()[0]["adapter"] in caught.value.allowed
+
+
+def test_without_an_adapter_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(device_module, "_usable", list)
+    with pytest.raises(UserError, match="No GPU adapter") as caught:
+        Device.open()
+    assert "mesa-vulkan-drivers" in caught.value.allowed
+
+
+class Listed:
+    """An adapter as far as the choice looks at it."""
+
+    def __init__(self, name: str, kind: str, driver: str = "Mesa 22") -> None:
+        self.info = {"device": name, "description": driver, "adapter_type": kind}
+
+
+def test_the_choice_is_by_name_then_by_kind(monkeypatch: pytest.MonkeyPatch):
+    listed = [
+        Listed("llvmpipe", "CPU"),
+        Listed("small", "IntegratedGPU"),
+        Listed("large", "DiscreteGPU", "other"),
+        Listed("odd", "Unknown"),
+    ]
+    monkeypatch.setattr(device_module, "_usable", lambda: listed)
+    monkeypatch.setattr(
+        Device, "__init__", lambda self, adapter, budget: vars(self).update(a=adapter)
+    )
+    assert Device.open().a.info["device"] == "large"
+    assert Device.open("LLVMpipe").a.info["device"] == "llvmpipe"
+    assert Device.open("mesa").a.info["device"] == "small"
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.complex64, np.uint32, np.int32])
+def test_a_resident_comes_back_as_it_went(device: Device, dtype: type):
+    array = np.arange(35).reshape(5, 7).astype(dtype)
+    one = device.resident("one", array)
+    back = device.read(one)
+    assert back.dtype == array.dtype
+    assert np.array_equal(back, array)
+    device.write(one, array[::-1])
+    assert np.array_equal(device.read(one), array[::-1])
+    one.destroy()
+
+
+def test_an_empty_resident_has_no_elements(device: Device):
+    one = device.resident("none", np.zeros((0, 3), np.float32))
+    assert device.read(one).shape == (0, 3)
+    one.destroy()
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros(4, np.float64), np.zeros(4, np.uint8), np.zeros(4, np.float16)]
+)
+def test_a_dtype_that_shaders_lack_is_refused(device: Device, array: np.ndarray):
+    with pytest.raises(ShaderError, match=f"dtype {array.dtype}, allowed are float32"):
+        device.resident("one", array)
+
+
+def test_writing_another_shape_or_dtype_is_refused(device: Device):
+    one = device.empty("one", (2, 3), np.float32)
+    device.write(one, np.ones((2, 3), np.float32))
+    for wrong in (np.ones((3, 2), np.float32), np.ones((2, 3))):
+        with pytest.raises(ShaderError, match="buffer 'one' is float32"):
+            device.write(one, wrong)
+    one.destroy()

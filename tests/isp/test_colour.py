@@ -1,0 +1,89 @@
+"""The colour matrix against its definition."""
+
+import numpy as np
+import pytest
+from harness import assert_close
+
+from gpusim.errors import UserError
+from gpusim.isp.colour import LIGHT_SOURCE, colour_matrix, response
+from gpusim.scene.spectra import (
+    QUADRATURE_NM,
+    WAVELENGTHS_NM,
+    colorchecker,
+    colour_matching,
+    white_radiance,
+    xyz,
+)
+from gpusim.sensor.sensor import load_sensor
+
+ILLUMINANTS = ["A", "D50", "D65"]
+
+
+@pytest.fixture(scope="module")
+def camera() -> np.ndarray:
+    return response(load_sensor("imx477").qe)
+
+
+def test_response_counts_photons():
+    flat = {channel: np.full(61, 0.5) for channel in "RGB"}
+    curves = response(flat) / QUADRATURE_NM
+    # Equal power at 600 nm has 600/500 as many photons as at 500 nm.
+    at = {nm: int(np.flatnonzero(nm == WAVELENGTHS_NM)[0]) for nm in (500, 600)}
+    assert_close(curves[:, at[600]] / curves[:, at[500]], np.full(3, 1.2), rtol=1e-15)
+
+
+def test_response_is_in_the_order_rgb_and_takes_the_lens_in():
+    qe = {channel: np.full(61, value) for channel, value in zip("BGR", (1, 2, 3), strict=True)}
+    lens = np.linspace(0.2, 0.9, 61)
+    clear, through = response(qe), response(qe, lens)
+    assert_close(clear / clear[2], np.array([3.0, 2.0, 1.0])[:, None] * np.ones(61), rtol=1e-15)
+    assert_close(through, clear * lens, rtol=1e-15)
+
+
+@pytest.mark.parametrize("channels", ["RG", "RGBW", "CMY"])
+def test_other_filters_have_no_colour_data(channels):
+    with pytest.raises(UserError, match="filter array"):
+        response({channel: np.ones(61) for channel in channels})
+
+
+@pytest.mark.parametrize("illuminant", ILLUMINANTS)
+def test_white_is_kept_exactly(camera, illuminant):
+    white = white_radiance(illuminant, 1.0)
+    seen = camera @ white
+    # Some tens of roundings in sums of positive terms.
+    assert_close(colour_matrix(camera, illuminant) @ xyz(white), seen / seen.max(), rtol=1e-13)
+
+
+@pytest.mark.parametrize("illuminant", ILLUMINANTS)
+def test_a_colorimetric_camera_gets_its_own_matrix(illuminant):
+    mix = np.array([[0.7, 0.2, -0.1], [-0.3, 1.3, 0.1], [0.05, -0.1, 0.8]])
+    camera = mix @ (colour_matching() * QUADRATURE_NM)
+    matrix = colour_matrix(camera, illuminant)
+    # Exact but for rounding, through a least-squares problem of condition below 1e3.
+    assert_close(matrix / matrix[1, 1], mix / mix[1, 1], atol=1e-11)
+
+
+@pytest.mark.parametrize("illuminant", ILLUMINANTS)
+def test_the_matrix_is_the_constrained_least_squares_solution(camera, illuminant):
+    # Independently: for each row m of the matrix, minimise |X m - c|^2 subject to w . m = c_w, by
+    # Lagrange's equations.
+    white = white_radiance(illuminant, 1.0)
+    seen = xyz(np.stack(list(colorchecker().values())) * white)
+    counted = (np.stack(list(colorchecker().values())) * white) @ camera.T
+    w, c_w = xyz(white), camera @ white
+    system = np.zeros((4, 4))
+    matrix = np.empty((3, 3))
+    # Each coordinate in units of its white's, as in the definition.
+    x = seen / w
+    system[:3, :3] = 2 * x.T @ x
+    system[:3, 3] = system[3, :3] = 1
+    for row in range(3):
+        target = counted[:, row] / c_w[row]
+        matrix[row] = np.linalg.solve(system, [*(2 * x.T @ target), 1])[:3]
+    expected = matrix * c_w[:, None] / w / c_w.max()
+    # Normal equations square the condition, below 1e3 for 24 chromatic patches: 1e6 * 2^-52.
+    assert_close(colour_matrix(camera, illuminant), expected, atol=1e-9)
+
+
+def test_light_sources_are_exifs():
+    assert LIGHT_SOURCE == {"A": 17, "D65": 21}  # Exif 2.3, tag LightSource

@@ -1,0 +1,238 @@
+"""DNG files, as LibRaw, dcraw and a TIFF reader see them."""
+
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import rawpy
+import tifffile
+from harness import assert_close
+
+from gpusim.errors import UserError
+from gpusim.isp import colour
+from gpusim.isp.dng import TAGS, noise_profile, saturation_dn, write_dng
+from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
+from gpusim.sensor.sensor import load_sensor
+
+PATTERNS = ["RGGB", "BGGR", "GRBG", "GBRG"]
+WHITE_E = {"R": 3000.0, "G": 6000.0, "B": 4500.0}
+HALF_DECIMAL = 0.5e-6  # rationals have six decimals
+
+needs_dcraw = pytest.mark.skipif(shutil.which("dcraw") is None, reason="dcraw is not installed")
+
+
+def sensor(pattern: str = "RGGB", **changes: object):
+    base = load_sensor("imx477")
+    cfa = base.cfa.model_copy(update={"pattern": [list(pattern[:2]), list(pattern[2:])]})
+    return base.model_copy(update={"cfa": cfa} | changes)
+
+
+def frame(rows: int = 48, cols: int = 64, top: int = 4095) -> np.ndarray:
+    raw = np.random.default_rng(7).integers(0, top, (rows, cols), endpoint=True, dtype=np.uint16)
+    raw[0, :2] = raw[-1, -2:] = 0, top
+    return raw
+
+
+def write(path, raw, camera, **changes):
+    write_dng(path, raw, camera, **({"white_e": WHITE_E, "exposure_s": 1 / 60} | changes))
+    return path
+
+
+def values(path) -> dict:
+    """Return the tags' values by name; rationals as numbers."""
+    names = {number: name for name, number in TAGS.items()}
+    with tifffile.TiffFile(path) as file:
+        tags = {names[tag.code]: tag for tag in file.pages.first.tags if tag.code in names}
+        result = {}
+        for name, tag in tags.items():
+            value = tag.value
+            if tag.dtype.name in ("RATIONAL", "SRATIONAL"):
+                value = np.array(value, np.float64).reshape(-1, 2)
+                value = value[:, 0] / value[:, 1]
+            result[name] = value
+    return result
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_libraw_reads_every_sample_and_what_they_mean(tmp_path, pattern):
+    raw = frame()
+    with rawpy.imread(str(write(tmp_path / "a.dng", raw, sensor(pattern)))) as read:
+        assert_close(read.raw_image.copy(), raw, atol=0)
+        assert_close(read.raw_image_visible.copy(), raw, atol=0)
+        assert read.black_level_per_channel == [256] * 4
+        assert read.white_level == 4095
+        names = read.color_desc.decode()
+        letters = [[names[i] for i in row] for row in read.raw_pattern]
+        assert letters == [list(pattern[:2]), list(pattern[2:])]
+        gains = np.array(read.camera_whitebalance[:3])
+        # 1 / AsShotNeutral, in float32 and six decimals of numbers above 0.5.
+        assert_close(gains / gains[1], np.array([2.0, 1.0, 4 / 3]), rtol=3e-6)
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(22, 24), (33, 47), (64, 256)])
+def test_sizes_odd_and_even_are_read(tmp_path, rows, cols):
+    raw = frame(rows, cols)
+    with rawpy.imread(str(write(tmp_path / "a.dng", raw, sensor()))) as read:
+        assert_close(read.raw_image_visible.copy(), raw, atol=0)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 14, 16])
+def test_bit_depths_keep_their_codes(tmp_path, bits):
+    top = 2**bits - 1
+    raw = frame(top=top)
+    camera = sensor(bit_depth=bits, black_level_dn=16, system_gain_dn_per_e=top / 5000)
+    with rawpy.imread(str(write(tmp_path / "a.dng", raw, camera))) as read:
+        assert_close(read.raw_image.copy(), raw, atol=0)
+        assert read.white_level == top
+        assert read.black_level_per_channel == [16] * 4
+
+
+def dcraw_matrix(xyz_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return camera to sRGB, and the daylight multipliers, as dcraw and LibRaw derive them.
+
+    They take the matrix as one for D65, X 0.95047 and Z 1.08883, and scale the camera's channels so
+    that sRGB's white is (1, 1, 1).
+    """
+    total = 0.95047 + 1 + 1.08883
+    from_rgb = xyz_to_camera @ rgb_to_xyz((*REC709_CHROMATICITIES[:6], 0.95047 / total, 1 / total))
+    return np.linalg.inv(from_rgb / from_rgb.sum(axis=1, keepdims=True)), 1 / from_rgb.sum(axis=1)
+
+
+def test_libraw_has_the_colour_matrix_of_d65(tmp_path):
+    camera = sensor()
+    with rawpy.imread(str(write(tmp_path / "a.dng", frame(), camera))) as read:
+        expected, _ = dcraw_matrix(colour.colour_matrix(colour.response(camera.qe), "D65"))
+        # The file's numbers have six decimals, LibRaw's sRGB matrix as many: 1e-6 in ten terms,
+        # against elements of 0.05 and more, magnified by an inverse of norm 3.
+        assert_close(read.color_matrix[:, :3], expected, atol=3e-5)
+
+
+@needs_dcraw
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_dcraw_reads_every_sample_and_what_they_mean(tmp_path, pattern):
+    raw, camera = frame(), sensor(pattern)
+    path = write(tmp_path / "a.dng", raw, camera)
+    for document_mode in ("-D", "-E"):
+        subprocess.run(["dcraw", document_mode, "-4", "-T", path], check=True)
+        assert_close(tifffile.imread(tmp_path / "a.tiff"), raw, atol=0)
+    text = subprocess.run(
+        ["dcraw", "-i", "-v", path], check=True, capture_output=True, text=True
+    ).stdout
+    assert f"Filter pattern: {pattern[:2]}/{pattern[2:]}" in text
+    assert "Shutter: 1/60.0 sec" in text
+    assert "DNG Version: 1.4.0.0" in text
+    daylight = np.array(re.search("Daylight multipliers: (.*)", text)[1].split(), float)
+    _, expected = dcraw_matrix(colour.colour_matrix(colour.response(camera.qe), "D65"))
+    # dcraw's own sRGB matrix has a white of Z 1.088754, 7e-5 less. Six decimals in the file, in
+    # that matrix and in what it prints, of numbers from 0.3: 1e-5 more.
+    assert_close(daylight / daylight[1], expected / expected[1], rtol=8e-5)
+    gains = np.array(re.search("Camera multipliers: (.*)", text)[1].split()[:3], float)
+    assert_close(gains / gains[1], np.array([2.0, 1.0, 4 / 3]), rtol=3e-6)
+
+
+@needs_dcraw
+def test_dcraw_has_the_black_and_white_level(tmp_path):
+    path = write(tmp_path / "a.dng", frame(), sensor())
+    text = subprocess.run(
+        ["dcraw", "-v", "-d", "-T", path],
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stderr
+    assert "darkness 256, saturation 4095" in text
+
+
+def test_tags_say_what_the_sensor_is(tmp_path):
+    camera = sensor("BGGR")
+    tags = values(write(tmp_path / "a.dng", frame(33, 47), camera, exposure_s=1 / 250))
+    assert tags["DNGVersion"] == bytes([1, 4, 0, 0])
+    assert tags["CFAPattern"] == bytes([2, 1, 1, 0])
+    assert tags["CFARepeatPatternDim"] == (2, 2)
+    assert tags["ActiveArea"] == (0, 0, 33, 47)
+    assert (tags["DefaultCropOrigin"], tags["DefaultCropSize"]) == ((0, 0), (47, 33))
+    assert tags["ExposureTime"] == 1 / 250
+    assert tags["BlackLevel"] == 256
+    assert tags["WhiteLevel"] == 4095
+    assert tags["UniqueCameraModel"] == "gpusim IMX477-like"
+    assert (tags["CalibrationIlluminant1"], tags["CalibrationIlluminant2"]) == (17, 21)
+    curves = colour.response(camera.qe)
+    for number, illuminant in enumerate(("A", "D65"), start=1):
+        expected = colour.colour_matrix(curves, illuminant)
+        assert_close(tags[f"ColorMatrix{number}"], expected.ravel(), atol=HALF_DECIMAL * 1.01)
+    assert_close(tags["AsShotNeutral"], np.array([0.5, 1.0, 0.75]), atol=0)
+    # log2 of the span over the white's signal in green, the brightest.
+    expected_ev = np.log2((4095 - 256) / (0.47 * 6000))
+    assert tags["BaselineExposure"] == pytest.approx(expected_ev, abs=HALF_DECIMAL * 1.01)
+
+
+def test_the_lens_is_part_of_the_colour_matrix(tmp_path):
+    camera, lens = sensor(), np.linspace(0.3, 1.0, 61)
+    tags = values(write(tmp_path / "a.dng", frame(), camera, transmission=lens))
+    expected = colour.colour_matrix(colour.response(camera.qe, lens), "D65")
+    assert_close(tags["ColorMatrix2"], expected.ravel(), atol=HALF_DECIMAL * 1.01)
+    clear = colour.colour_matrix(colour.response(camera.qe), "D65")
+    assert np.abs(expected - clear).max() > 0.01
+
+
+@pytest.mark.parametrize("white_e", [1e-12, 1e12])
+def test_an_extreme_exposure_stays_in_range(tmp_path, white_e):
+    tags = values(
+        write(tmp_path / "a.dng", frame(), sensor(), white_e=dict.fromkeys("RGB", white_e))
+    )
+    assert abs(tags["BaselineExposure"]) == 10
+
+
+def test_saturation_is_the_converters_or_the_wells():
+    assert saturation_dn(sensor()) == 4095
+    assert saturation_dn(sensor(full_well_e=4000)) == 256 + 1880  # 0.47 DN/e- * 4000 e-
+
+
+def test_noise_profile_is_the_variance_of_a_simulated_pixel():
+    camera = sensor(full_well_e=7000)
+    scale, offset = noise_profile(camera)
+    span = saturation_dn(camera) - 256
+    rng, n = np.random.default_rng(8), 400_000
+    for mean_e in (0, 20, 2000):
+        electrons = rng.poisson(mean_e, n) + rng.normal(0, camera.temporal_dark_noise_e, n)
+        x = np.round(camera.system_gain_dn_per_e * electrons) / span
+        expected = scale * camera.system_gain_dn_per_e * mean_e / span + offset
+        # The variance of n samples is off by sqrt(2 / n) for one sigma: 5 sigma. On top, rounding
+        # adds 1/12 only on average: with sigma above 1.4 DN it is off by less than 1e-4 of it.
+        assert x.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / n) + 1e-4)
+
+
+def test_the_same_frame_gives_the_same_bytes(tmp_path):
+    first = write(tmp_path / "a.dng", frame(), sensor()).read_bytes()
+    again = write(tmp_path / "b.dng", frame().copy(), sensor()).read_bytes()
+    assert first == again
+    other = frame()
+    other[5, 5] ^= 1
+    assert write(tmp_path / "a.dng", other, sensor()).read_bytes() != first
+
+
+def test_only_the_file_is_left_behind(tmp_path):
+    write(tmp_path / "a.dng", frame(), sensor())
+    write(tmp_path / "a.dng", frame(), sensor())
+    assert [p.name for p in tmp_path.iterdir()] == ["a.dng"]
+
+
+def test_a_failed_write_is_a_clear_error_and_leaves_the_old_file(tmp_path):
+    with pytest.raises(UserError, match="cannot write") as caught:
+        write(tmp_path / "none" / "a.dng", frame(), sensor())
+    assert caught.value.file == tmp_path / "none" / "a.dng"
+    (tmp_path / "a.dng").mkdir()  # cannot be replaced by a file
+    with pytest.raises(UserError, match="cannot write"):
+        write(tmp_path / "a.dng", frame(), sensor())
+    assert [p.name for p in tmp_path.iterdir()] == ["a.dng"]
+
+
+@pytest.mark.parametrize("pattern", [[["R", "G", "G", "B"]], [["R", "G"], ["G", "W"]]])
+def test_filter_arrays_that_no_reader_knows_are_refused(tmp_path, pattern):
+    camera = sensor()
+    camera = camera.model_copy(update={"cfa": camera.cfa.model_copy(update={"pattern": pattern})})
+    with pytest.raises(UserError, match="filter array") as caught:
+        write(tmp_path / "a.dng", frame(), camera)
+    assert caught.value.field == "cfa.pattern"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,50 @@
+"""Small lenses and pupils with closed forms."""
+
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.lens.prescription import validated
+from gpusim.lens.wavefront import Samples
+
+
+def lens(surfaces, **fields):
+    """A prescription from rows of surface fields; f/5 over 5 deg unless told otherwise."""
+    data = {
+        "title": "test lens",
+        "patent": None,
+        "source": "made up",
+        "units": "mm",
+        "max_field_deg": 5.0,
+        "focus": "paraxial",
+        "stop": 1,
+        "surfaces": surfaces,
+    }
+    apertures = {"f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm"}
+    if not apertures & set(fields):
+        data["f_number"] = 5.0
+    return validated(data | fields, Path("test.yaml"))
+
+
+def model(nd):
+    """A glass that does not disperse: an Abbe number as large as the model allows."""
+    return {"glass": "model", "nd": nd, "vd": 149.0}
+
+
+def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
+    """Rays of a synthetic pupil: a disc in direction cosines, W a function of (alpha, beta) in mm."""
+    u, v = np.meshgrid(np.linspace(0, 1.12, 21), np.linspace(-1.12, 1.12, 41))
+    keep = u * u + v * v <= 1.12**2
+    u, v = u[keep], v[keep]
+    alpha, beta = half_width * u, beta_centre + half_width * v
+    nothing = np.zeros((1, alpha.size))
+    return Samples(
+        chief_y_mm=np.zeros(1),
+        alpha=alpha[None],
+        beta=beta[None],
+        opd_mm=opd(alpha, beta)[None],
+        landing_x_mm=nothing,
+        landing_y_mm=nothing,
+        margin=(u * u + v * v - 1)[None, None],
+        ok=np.ones((1, alpha.size), dtype=bool),
+    )

@@ -1,0 +1,171 @@
+"""Placing a raster, low-passing it, and the spline that makes it continuous."""
+
+import numpy as np
+import pytest
+from harness import assert_close
+from scipy.interpolate import BSpline
+from scipy.ndimage import map_coordinates
+
+from gpusim.scene import PlacedRaster, Raster
+
+RNG = np.random.default_rng(5)
+
+
+def raster(rows: int, cols: int) -> Raster:
+    return Raster(RNG.uniform(0.5, 1.5, (2, rows, cols)).astype(np.float32))
+
+
+@pytest.mark.parametrize(("rows", "cols"), [(30, 40), (20, 60), (50, 10), (1, 1)])
+def test_a_raster_covers_the_sensor_and_is_centred(rows, cols):
+    placed = raster(rows, cols).placed(400.0, 300.0, 1.0)
+    width, height = cols * placed.pitch_um, rows * placed.pitch_um
+    # One of the two directions fits exactly, the other hangs over.
+    assert min(width / 800, height / 600) == pytest.approx(1, rel=1e-12)
+    assert (placed.x0_um, placed.y0_um) == pytest.approx((-width / 2, -height / 2), rel=1e-12)
+    assert placed.note == f"{cols} x {rows} samples at {placed.pitch_um:.4g} um"
+
+
+def test_a_raster_no_finer_than_the_grid_keeps_its_samples():
+    source = raster(30, 40)
+    assert source.placed(400.0, 300.0, 20.0).planes is source.planes
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "min_pitch_um"), [(30, 40, 21.0), (30, 40, 47.0), (90, 40, 55.0)]
+)
+def test_a_finer_raster_is_reduced_to_the_grid_or_just_above(rows, cols, min_pitch_um):
+    placed = raster(rows, cols).placed(400.0, 300.0, min_pitch_um)
+    _, new_rows, new_cols = placed.planes.shape
+    assert min_pitch_um <= placed.pitch_um < min_pitch_um * (1 + 1 / new_cols)
+    assert new_cols * placed.pitch_um >= 800 - 1e-9
+    assert new_rows * placed.pitch_um >= 600 - 1e-9
+    assert (placed.x0_um, placed.y0_um) == pytest.approx(
+        (-new_cols * placed.pitch_um / 2, -new_rows * placed.pitch_um / 2), rel=1e-12
+    )
+    assert "low-passed" in placed.note
+
+
+def test_reduction_is_the_integral_with_a_triangle_two_samples_wide():
+    source = raster(30, 40)
+    placed = source.placed(400.0, 300.0, 47.0)
+    old, new = 20.0, placed.pitch_um
+    # The midpoint rule on n = 4000 points over the triangle: cells cut through at most 2 n / 94
+    # steps, each misplaced by half a step, of samples below 1.5 and weights below 2 / n.
+    n = 4000
+    t = (np.arange(n) + 0.5) / n * 2 - 1
+    weight = (1 - np.abs(t)) * 2 / n
+    for row, col in [(0, 0), (5, 3), (12, 16), (6, 9)]:
+        x = placed.x0_um + (col + 0.5) * new + t * new
+        y = placed.y0_um + (row + 0.5) * new + t * new
+        columns = np.clip(np.floor((x + 400) / old).astype(int), 0, 39)
+        rows = np.clip(np.floor((y + 300) / old).astype(int), 0, 29)
+        expected = np.einsum(
+            "i,j,mij->m", weight, weight, source.planes[:, rows][:, :, columns], optimize=True
+        )
+        allowed = 2 * 6 * 1.5 * 2 / n  # 6 cell borders in each direction
+        assert_close(placed.planes[:, row, col], expected, atol=allowed)
+
+
+def test_reduction_leaves_uniform_light_uniform():
+    source = Raster(np.full((1, 33, 47), 0.7, np.float32))
+    placed = source.placed(400.0, 300.0, 55.5)
+    assert_close(placed.planes, np.full(placed.planes.shape, np.float32(0.7)), rtol=2.0**-22)
+
+
+def test_reduction_keeps_the_light_of_a_small_source():
+    planes = np.zeros((1, 60, 80), np.float32)
+    planes[0, 30, 41] = 1000.0
+    source = Raster(planes)
+    before = source.placed(400.0, 300.0, 1.0)
+    after = source.placed(400.0, 300.0, 33.3)
+    assert after.planes.sum() * after.pitch_um**2 == pytest.approx(
+        1000 * before.pitch_um**2, rel=1e-6
+    )  # float32 sums of some ten samples
+
+
+@pytest.mark.parametrize("frequency", [0.25, 0.5, 0.8, 1.0])
+def test_reduction_passes_a_wave_as_sinc_squared(frequency):
+    # In cycles per new sample; what is above 0.5 would alias. The triangle's sinc^2 comes on top of
+    # the sinc of the old samples' cells.
+    cols, step = 4096, 8
+    phase = 2 * np.pi * frequency * (np.arange(cols) + 0.5) / step + 0.3
+    source = Raster(np.broadcast_to(1 + np.cos(phase), (1, 64, cols)).astype(np.float32))
+    placed = source.placed(cols / 2, 1.0, step)
+    n = np.arange(512)[8:-8]
+    amplitude = np.sinc(frequency) ** 2 * np.sinc(frequency / step)
+    expected = 1 + amplitude * np.cos(2 * np.pi * frequency * (n + 0.5) + 0.3)
+    # The cells' images lie at 8 k +- f: sinc^2 times sinc of that is at most 3e-4 + 1.5e-4 for
+    # k = 1, 3e-5 + 2e-5 for k = 2, and falls as k^-3.
+    assert_close(placed.planes[0, 4, 8:-8], expected, atol=6e-4)
+
+
+def calm(rows: int, cols: int) -> PlacedRaster:
+    """Return samples of 0.9 to 1.1: interpolation rings by at most 0.1 * 9, not below zero.
+
+    9 is the sum of the interpolation filter's absolute weights, 3 in each direction.
+    """
+    planes = RNG.uniform(0.9, 1.1, (2, rows, cols)).astype(np.float32)
+    return PlacedRaster(planes, 1.0, -cols / 2, -rows / 2, "")
+
+
+def spline(placed: PlacedRaster, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the radiance at positions in samples, mirrored beyond the first and last."""
+    return np.stack(
+        [
+            map_coordinates(
+                plane.astype(np.float64), [y, x], order=3, prefilter=False, mode="mirror"
+            )
+            for plane in placed.spline_coefficients()
+        ]
+    )
+
+
+def test_the_spline_goes_through_the_samples():
+    placed = calm(12, 17)
+    y, x = np.mgrid[0:12, 0:17].astype(float)
+    # float32 coefficients, rounded, that lie between 0 and 2.
+    assert_close(spline(placed, x, y), placed.planes, atol=2.0**-23)
+
+
+def test_coefficients_are_those_of_the_cubic_b_spline():
+    placed = calm(12, 17)
+    coefficients = placed.spline_coefficients()[0].astype(np.float64)
+    basis = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
+    for row, col in [(3, 4), (8, 12)]:
+        near = np.nan_to_num(basis(np.arange(-1, 2)))
+        block = coefficients[row - 1 : row + 2, col - 1 : col + 2]
+        assert near @ block @ near == pytest.approx(placed.planes[0, row, col], abs=1e-6)
+
+
+@pytest.mark.parametrize("peak", [10.0, 1e6])
+def test_a_highlight_makes_no_negative_light_and_no_ghosts(peak):
+    planes = np.ones((1, 41, 41), np.float32)
+    planes[0, 20, 20] = peak
+    placed = PlacedRaster(planes, 1.0, -20.5, -20.5, "")
+    coefficients = placed.spline_coefficients()
+    assert coefficients.min() >= 0
+    y, x = np.mgrid[2:38:0.25, 2:38:0.25]
+    light = spline(placed, x, y)[0]
+    assert light.min() >= 0
+    away = np.maximum(np.abs(x - 20), np.abs(y - 20))
+    # A spline with non-negative coefficients cannot fall faster than its own basis function,
+    # which reaches 2 samples; at 4, interpolation alone would be off by 0.5 % of the peak.
+    assert np.abs(light[away >= 4] - 1).max() < 0.5
+    # The narrowest that can be, one coefficient, has 4/9 of itself at its own sample.
+    assert light[away == 0][0] >= 4 / 9 * peak * 0.99
+    # Each step conserves the sum; float32 rounds what 25 samples near the peak hold.
+    assert coefficients.sum(dtype=np.float64) == pytest.approx(peak + 41**2 - 1, rel=1e-6)
+
+
+def test_zeros_stay_zero():
+    placed = PlacedRaster(np.zeros((1, 5, 6), np.float32), 1.0, -3.0, -2.5, "")
+    assert_close(placed.spline_coefficients(), np.zeros((1, 5, 6)), atol=0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (3, 2)])
+def test_small_rasters_have_a_spline(shape):
+    placed = raster(*shape).placed(10.0, 10.0, 1.0)
+    coefficients = placed.spline_coefficients()
+    assert coefficients.shape == placed.planes.shape
+    assert np.isfinite(coefficients).all()
+    assert coefficients.min() >= 0

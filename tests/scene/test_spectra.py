@@ -1,0 +1,117 @@
+"""Tables against colour-science's own numbers, and photometry against its definitions."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from harness import assert_close
+
+from gpusim.errors import UserError
+from gpusim.scene import spectra
+from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
+
+colour = pytest.importorskip("colour", reason="colour-science is what the tables are checked by")
+SHAPE = colour.SpectralShape(400, 700, 5)
+OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+
+
+def test_illuminants_are_those_of_colour_science():
+    names = list(spectra._table("illuminants"))
+    assert {"A", "D50", "D65", "E", "FL2", "LED-B3"} <= set(names)
+    for name in names:
+        published = [colour.SDS_ILLUMINANTS[name][nm] for nm in WAVELENGTHS_NM]
+        # The file keeps 8 digits: half a unit in the last place of a number that begins with 1.
+        assert_close(spectra.illuminant(name), np.array(published), rtol=5e-8)
+
+
+def test_colorchecker_reflectances_are_those_of_colour_science():
+    published = colour.SDS_COLOURCHECKERS["BabelColor Average"]
+    ours = spectra.colorchecker()
+    assert list(ours) == list(published)
+    for name, reflectance in ours.items():
+        # The file keeps 6 decimals.
+        assert_close(reflectance, published[name].copy().align(SHAPE).values, atol=0.51e-6)
+
+
+def test_observer_and_rgb_reflectances_are_those_of_colour_science():
+    published = OBSERVER.copy().align(SHAPE).values.T
+    assert_close(spectra.colour_matching(), published, rtol=1e-11)  # 12 digits in the file
+    basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(SHAPE).values.T
+    assert_close(spectra.rgb_reflectances(), basis, rtol=1e-11)
+
+
+def test_quadrature_is_the_trapezoidal_rule():
+    curve = np.cos(WAVELENGTHS_NM / 50)
+    # Two orders of summing 61 terms below 5: 61 * 2^-53 * 300.
+    assert QUADRATURE_NM @ curve == pytest.approx(
+        np.trapezoid(curve, WAVELENGTHS_NM), rel=0, abs=3e-12
+    )
+
+
+def test_dark_skin_under_d50_has_its_published_colour():
+    # BabelColor's table gives x 0.4325, y 0.3788, Y 0.1034 for its average chart under D50;
+    # colour-science gets 0.43245, 0.37833, 0.1033 from the same spectrum over 360-780 nm. What is
+    # left: 5e-4 between table and spectrum, and the tails beyond 400-700 nm, below 1e-4 in x, y, Y.
+    white = spectra.white_radiance("D50", 1.0)
+    big_x, big_y, big_z = spectra.xyz(spectra.colorchecker()["dark skin"] * white)
+    total = big_x + big_y + big_z
+    assert big_x / total == pytest.approx(0.4325, abs=6e-4)
+    assert big_y / total == pytest.approx(0.3788, abs=6e-4)
+    assert big_y == pytest.approx(0.1034, abs=2e-4)
+
+
+@pytest.mark.parametrize("illuminant", ["D50", "A", "FL2"])
+def test_xyz_of_all_patches_agrees_with_the_integral_over_all_wavelengths(illuminant):
+    lamp = colour.SDS_ILLUMINANTS[illuminant]
+    full = colour.SpectralShape(380, 730, 5)
+    bars = OBSERVER.copy().align(full).values
+    power = lamp.copy().align(full).values
+    reflectances = np.stack(
+        [
+            sd.copy().align(full).values
+            for sd in colour.SDS_COLOURCHECKERS["BabelColor Average"].values()
+        ]
+    )
+    reference = (reflectances * power) @ bars / (power @ bars[:, 1])
+    # No reflectance exceeds 1: what lies outside 400-700 nm is at most the lamp's own tails, and
+    # as much again in the normalisation.
+    outside = (full.wavelengths < 400) | (full.wavelengths > 700)
+    tails = np.abs(power[outside] @ bars[outside]) / (power @ bars[:, 1])
+    ends = 5 * np.abs(power[[4, 64]] @ bars[[4, 64]]) / (5 * power @ bars[:, 1])
+    white = spectra.white_radiance(illuminant, 1.0)
+    ours = spectra.xyz(np.stack(list(spectra.colorchecker().values())) * white)
+    allowed = tails + ends + reference * (tails + ends)[1]
+    assert allowed.max() < 0.03  # the bound itself is tight enough to mean something
+    assert_close(ours, reference, atol=allowed)
+
+
+@pytest.mark.parametrize("name", ["D50", "A", "E", "FL11", "LED-RGB1"])
+@pytest.mark.parametrize("luminance", [1e-3, 300.0, 1e9])
+def test_white_has_the_luminance_that_was_asked_for(name, luminance):
+    radiance = spectra.white_radiance(name, luminance)
+    # Two sums of 61 positive terms, one product and one division: 2 * 61 + 2 roundings.
+    assert spectra.luminance_cd_m2(radiance) == pytest.approx(luminance, rel=124 * 2.0**-53)
+
+
+def test_luminance_of_a_line_at_555_nm_is_683_lumens_per_watt():
+    line = np.zeros(61)
+    line[31] = 1 / 5  # 1 W m^-2 sr^-1 in the sample at 555 nm
+    assert WAVELENGTHS_NM[31] == 555
+    assert spectra.luminance_cd_m2(line) == pytest.approx(683.0, rel=1e-12)  # V(555 nm) = 1
+
+
+def test_an_unknown_illuminant_is_an_error_that_lists_the_known():
+    with pytest.raises(UserError) as caught:
+        spectra.illuminant("D51")
+    assert caught.value.value == "D51"
+    assert "D50" in caught.value.allowed
+
+
+def test_making_a_scene_imports_neither_colour_science_nor_scipy():
+    # 2 s and 0.3 s of start-up.
+    code = (
+        "import sys; from gpusim.scene import make_scene; make_scene('demo');"
+        "sys.exit(bool({'colour', 'scipy', 'OpenEXR'} & set(sys.modules)))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

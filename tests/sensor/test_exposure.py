@@ -1,0 +1,169 @@
+"""Exposure: against float64 from the same random words; its fixed pattern; its dark current.
+
+Tolerance of the stage, relative to the light: the gain 1 + PRNU z carries the error of the deviate,
+1e-6 PRNU |z| (test_gaussian), and five roundings; the sum with the dark signal one more:
+6 * 2^-24 + 1e-6 PRNU |z|.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from scipy.stats import chi2, kstest
+
+from gpusim.errors import UserError
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.reference.exposure import dark_current, exposure
+from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.sensor import load_sensor
+
+F32 = np.float32
+SERIAL = (3 << 32) + 12345
+LEVEL = 1e-3  # of each statistical test; the seeds are fixed
+
+
+def on_device(
+    rate: np.ndarray, origin=(0, 0), exposure_s=0.02, prnu=0.01, dark_e=0.3, spare=0, serial=SERIAL
+) -> np.ndarray:
+    rows, cols = rate.shape
+    params = {
+        "serial": (serial & 0xFFFFFFFF, serial >> 32),
+        "row0": origin[0],
+        "col0": origin[1],
+        "rows": rows,
+        "cols": cols,
+        "exposure_s": exposure_s,
+        "prnu": prnu,
+        "dark_e": dark_e,
+    }
+    result = run_stage(
+        "sensor/exposure",
+        (-(-(origin[1] % 4 + cols) // 128), -(-rows // 2), 1),
+        params,
+        {"rate": rate},
+        {"mean": (rows * cols + spare, F32)},
+    )
+    return result["mean"]
+
+
+def rates(shape: tuple[int, int]) -> np.ndarray:
+    return np.random.default_rng(51).uniform(0, 1e5, shape).astype(F32)
+
+
+def test_means_are_those_of_the_reference():
+    rate = rates((150, 411))
+    for prnu in (0.0, 0.007, 0.1):
+        expected = exposure(
+            rate.astype(float),
+            float(F32(0.02)),
+            prnu=float(F32(prnu)),
+            dark_current_e_per_s=float(F32(0.3)) / float(F32(0.02)),
+            serial_number=SERIAL,
+            origin=(17, 5),
+        )
+        found = on_device(rate, (17, 5), prnu=prnu).reshape(rate.shape)
+        assert_close(found, expected, rtol=6 * 2.0**-24 + 5e-6 * prnu)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 127), (5, 129), (3, 256)])
+@pytest.mark.parametrize("col0", [0, 1, 2, 3, 127])
+def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: int):
+    whole = on_device(rates((12, 400))).reshape(12, 400)
+    part = np.s_[7 : 7 + shape[0], col0 : col0 + shape[1]]
+    rate = np.ascontiguousarray(rates((12, 400))[part])
+    found = on_device(rate, (7, col0), spare=300)
+    assert unwritten(found[rate.size :]).all()
+    assert_close(found[: rate.size].reshape(shape), whole[part].copy(), atol=0)
+
+
+def test_light_is_never_negative_but_dark_signal_stays():
+    found = on_device(np.full((64, 64), 100, F32), exposure_s=1, prnu=1, dark_e=0.25)
+    assert found.min() == 0.25
+    assert 0.1 < (found == 0.25).mean() < 0.2  # Phi(-1) = 0.159
+    assert_close(on_device(np.zeros((4, 4), F32), dark_e=0.25), np.full(16, 0.25), atol=0)
+
+
+def pattern(serial: int = SERIAL, shape=(256, 256)) -> np.ndarray:
+    """Return the deviates z of the fixed pattern."""
+    found = on_device(np.ones(shape, F32), exposure_s=1, prnu=0.01, dark_e=0, serial=serial)
+    return (found.reshape(shape).astype(float) - 1) / 0.01
+
+
+def test_the_pattern_is_normal_and_without_structure():
+    z = pattern()
+    assert kstest(z.ravel(), "norm").pvalue > LEVEL
+    n = z.size
+    bound = np.sqrt(chi2.isf(LEVEL / 8, 1))
+    for shifted in ((0, 1), (1, 0), (1, 1), (0, 2), (0, 4), (2, 0), (4, 4)):
+        assert abs(np.mean(z * np.roll(z, shifted, (0, 1)))) < bound / np.sqrt(n), shifted
+    for axis in (0, 1):  # no row or column stands out
+        assert np.abs(z.mean(axis)).max() < 4.5 / np.sqrt(256)  # 256 means: 1.7e-3 by chance
+        assert z.std(axis).min() > 0.8
+
+
+def test_another_serial_number_is_another_sensor():
+    one = pattern()
+    for other in (SERIAL + 1, SERIAL + (1 << 32)):
+        correlation = np.corrcoef(one.ravel(), pattern(other).ravel())[0, 1]
+        assert abs(correlation) < 3.5 / 256
+
+
+def recorded(device: Device, rate: np.ndarray, sensor, exposure_s=0.1, **more) -> np.ndarray:
+    rec = Recording(device)
+    buffer = rec.buffer("rate", rate.shape, F32)
+    rec.upload(buffer, rate)
+    label = rec.download(record_exposure(rec, buffer, sensor, exposure_s, **more))
+    return rec.run()[label]
+
+
+def test_the_host_exposes_by_the_sensor(device: Device):
+    sensor = load_sensor("imx477").model_copy(update={"prnu_percent": 2.0, "serial_number": SERIAL})
+    rate = rates((33, 70))
+    dark = dark_current(
+        sensor.dark_current_e_per_s,
+        42,
+        sensor.reference_temperature_c,
+        sensor.doubling_temperature_c,
+    )
+    expected = exposure(
+        rate.astype(float),
+        0.1,
+        prnu=0.02,
+        dark_current_e_per_s=dark,
+        serial_number=SERIAL,
+        origin=(3, 9),
+    )
+    found = recorded(device, rate, sensor, temperature_c=42.0, origin=(3, 9))
+    # As above, and exposure_s, prnu and dark_e rounded to f32
+    assert_close(found, expected, rtol=9 * 2.0**-24 + 5e-6 * 0.02)
+
+
+def test_a_region_keeps_the_pattern_of_its_pixels(device: Device):
+    sensor = load_sensor("imx477").model_copy(update={"rows": 40, "cols": 60})
+    rate = np.ones((40, 60), F32)
+    whole = recorded(device, rate, sensor)
+    region = sensor.roi(20, 28)
+    part = recorded(device, np.ones((20, 28), F32), region)
+    first = (region.first_row, region.first_col)
+    assert first == (10, 16)
+    assert_close(part, whole[first[0] : first[0] + 20, first[1] : first[1] + 28].copy(), atol=0)
+
+
+def test_dark_current_doubles_with_temperature(device: Device):
+    sensor = load_sensor("imx477")
+    dark = [
+        recorded(device, np.zeros((1, 1), F32), sensor, 10.0, temperature_c=temperature)[0, 0]
+        for temperature in (25.0, 25 + 5.9, 25 + 2 * 5.9, None)
+    ]
+    # 1 e-/s at 25 C, the default, for 10 s; rounded once
+    assert_close(np.array(dark), np.array([10.0, 20.0, 40.0, 10.0]), rtol=2.0**-23)
+
+
+@pytest.mark.parametrize("exposure_s", [-1e-3, float("nan"), float("inf")])
+def test_a_time_that_is_none_is_refused(device: Device, exposure_s: float):
+    with pytest.raises(UserError, match="not an exposure time") as caught:
+        recorded(device, np.zeros((1, 1), F32), load_sensor("imx477"), exposure_s)
+    assert caught.value.field == "exposure_s"
+
+
+def test_the_dispatch_is_as_the_header_says():
+    assert Kernel("sensor/exposure").workgroup_size == (32, 2, 1)

@@ -1,0 +1,202 @@
+"""Noise: against float64 from the same random words; tiles, sizes, limits; independence.
+
+The law of the Poisson counts is tested in test_poisson, that of the deviates in test_gaussian.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from scipy.stats import chi2, kstest
+
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.reference.noise import noise
+from gpusim.sensor.noise import record_noise
+from gpusim.sensor.sensor import load_sensor
+
+F32 = np.float32
+SEED, SERIAL = (9 << 32) + 77, (5 << 32) + 88
+LEVEL = 1e-3  # of each statistical test; the seeds are fixed
+QUIET = {"full_well_e": 1e9, "temporal_dark_noise_e": 0.0, "dsnu_e": 0.0}
+
+
+def on_device(
+    mean: np.ndarray,
+    origin=(0, 0),
+    full_well_e=8180.0,
+    temporal_dark_noise_e=3.0,
+    dsnu_e=1.5,
+    frame=4,
+    seed=SEED,
+    serial=SERIAL,
+    spare=0,
+) -> np.ndarray:
+    rows, cols = mean.shape
+    params = {
+        "seed": (seed & 0xFFFFFFFF, seed >> 32),
+        "serial": (serial & 0xFFFFFFFF, serial >> 32),
+        "frame": frame,
+        "row0": origin[0],
+        "col0": origin[1],
+        "rows": rows,
+        "cols": cols,
+        "full_well_e": full_well_e,
+        "temporal_dark_noise_e": temporal_dark_noise_e,
+        "dsnu_e": dsnu_e,
+    }
+    result = run_stage(
+        "sensor/noise",
+        (-(-(origin[1] % 4 + cols) // 128), -(-rows // 2), 1),
+        params,
+        {"mean": mean},
+        {"electrons": (rows * cols + spare, F32)},
+    )
+    electrons = result["electrons"]
+    return electrons if spare else electrons.reshape(mean.shape)
+
+
+def means(shape: tuple[int, int]) -> np.ndarray:
+    return np.exp(np.random.default_rng(61).uniform(-7, 10, shape)).astype(F32)
+
+
+# --- the stage ---
+
+
+@pytest.mark.parametrize(("read", "dsnu"), [(3.0, 1.5), (0.0, 1.5), (3.0, 0.0)])
+def test_electrons_are_those_of_the_reference(read: float, dsnu: float):
+    mean = means((150, 411))
+    expected = noise(
+        mean.astype(float),
+        full_well_e=8180.5,
+        temporal_dark_noise_e=read,
+        dsnu_e=dsnu,
+        seed=SEED,
+        frame=4,
+        serial_number=SERIAL,
+        origin=(17, 5),
+    )
+    found = on_device(mean, (17, 5), 8180.5, read, dsnu)
+    # Two additions of up to 8200: 2^-24 * 8200 * 2 = 1e-3; the deviates 1e-6. A Poisson uniform on
+    # a step is rare (test_poisson): at most 5 of 61 650 may differ, by no more than the noise.
+    assert_close(found, expected, atol=1.1e-3, outliers=5 / mean.size, outlier_atol=1000)
+    assert (mean > 8300).sum() > 1000  # some are full
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 127), (5, 129), (3, 256)])
+@pytest.mark.parametrize("col0", [0, 1, 2, 3, 127])
+def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: int):
+    whole = on_device(means((12, 400)))
+    part = np.s_[7 : 7 + shape[0], col0 : col0 + shape[1]]
+    mean = np.ascontiguousarray(means((12, 400))[part])
+    found = on_device(mean, (7, col0), spare=300)
+    assert unwritten(found[mean.size :]).all()
+    assert_close(found[: mean.size].reshape(shape), whole[part].copy(), atol=0)
+
+
+def test_a_full_well_stays_full():
+    found = on_device(
+        np.full((16, 16), 1e7, F32), full_well_e=8180, temporal_dark_noise_e=0, dsnu_e=0
+    )
+    assert_close(found, np.full((16, 16), 8180.0), atol=0)
+
+
+def test_means_beyond_the_counts_are_limited():
+    """1e12 e- must not overflow the count: it is drawn at 1e9, to ten of its sigmas."""
+    found = on_device(np.full((16, 16), 1e12, F32), **{**QUIET, "full_well_e": 3e9})
+    assert_close(found, np.full((16, 16), 1e9), atol=10 * np.sqrt(1e9))
+
+
+def test_no_light_and_no_read_out_noise_is_nothing():
+    found = on_device(np.zeros((16, 16), F32), **QUIET)
+    assert_close(found, np.zeros((16, 16)), atol=0)
+
+
+# --- independence ---
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+
+
+SIDE = 512
+# |correlation| of independent noise exceeds this by chance once in 1e4
+UNRELATED = np.sqrt(chi2.isf(1e-4, 1)) / SIDE
+SHIFTS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (0, 3), (0, 4), (2, 0), (4, 4)]
+
+PARTS = {
+    "shot, inversion": (3.0, QUIET),
+    "shot, rejection": (900.0, QUIET),
+    "read": (0.0, {**QUIET, "temporal_dark_noise_e": 1.0}),
+    "dsnu": (0.0, {**QUIET, "dsnu_e": 1.0}),
+}
+
+
+def part_of_noise(name: str, **changed) -> np.ndarray:
+    mean, settings = PARTS[name]
+    return on_device(np.full((SIDE, SIDE), mean, F32), **{**settings, **changed}).astype(float)
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_neighbours_are_unrelated_and_no_row_or_column_stands_out(name: str):
+    field = part_of_noise(name)
+    field = (field - field.mean()) / field.std()
+    for shift in SHIFTS:
+        assert abs(correlation(field, np.roll(field, shift, (0, 1)))) < UNRELATED, shift
+    for axis in (0, 1):
+        # 512 means of 512: the largest exceeds 4.9 sigma by chance once in 2000
+        assert np.abs(field.mean(axis)).max() < 4.9 / np.sqrt(SIDE)
+        assert field.std(axis).min() > 0.8
+
+
+@pytest.mark.parametrize("name", ["shot, inversion", "shot, rejection", "read"])
+def test_frames_and_seeds_are_unrelated(name: str):
+    field = part_of_noise(name)
+    for changed in ({"frame": 5}, {"seed": SEED + 1}, {"seed": SEED + (1 << 32)}):
+        assert abs(correlation(field, part_of_noise(name, **changed))) < UNRELATED, changed
+    assert np.array_equal(field, part_of_noise(name, serial=SERIAL + 1))
+
+
+def test_the_dark_pattern_belongs_to_the_sensor_alone():
+    field = part_of_noise("dsnu")
+    assert np.array_equal(field, part_of_noise("dsnu", frame=5, seed=SEED + 1))
+    for serial in (SERIAL + 1, SERIAL + (1 << 32)):
+        assert abs(correlation(field, part_of_noise("dsnu", serial=serial))) < UNRELATED
+
+
+def test_purposes_are_unrelated_even_under_one_key():
+    same_key = {"seed": 7, "serial": 7, "frame": 0}
+    fields = [part_of_noise(name, **same_key) for name in ("shot, rejection", "read", "dsnu")]
+    for place, one in enumerate(fields):
+        for other in fields[:place]:
+            for shift in [(0, 0), *SHIFTS]:
+                assert abs(correlation(one, np.roll(other, shift, (0, 1)))) < UNRELATED
+
+
+def test_read_noise_is_normal():
+    assert kstest(part_of_noise("read").ravel(), "norm").pvalue > LEVEL
+
+
+# --- the host ---
+
+
+def recorded(device: Device, mean: np.ndarray, sensor, **more) -> np.ndarray:
+    rec = Recording(device)
+    buffer = rec.buffer("mean", mean.shape, F32)
+    rec.upload(buffer, mean)
+    label = rec.download(record_noise(rec, buffer, sensor, **more))
+    return rec.run()[label]
+
+
+def test_the_host_adds_the_noise_of_the_sensor(device: Device):
+    sensor = load_sensor("imx477").model_copy(
+        update={"serial_number": SERIAL, "first_row": 2, "first_col": 6}
+    )
+    mean = means((33, 70))
+    direct = on_device(mean, (5, 15), 8180.0, 3.0, 1.1)
+    found = recorded(device, mean, sensor, seed=SEED, frame=4, origin=(3, 9))
+    assert_close(found, direct, atol=0)
+    first = recorded(device, mean, sensor, seed=SEED, origin=(3, 9))
+    assert_close(first, on_device(mean, (5, 15), 8180.0, 3.0, 1.1, frame=0), atol=0)
+
+
+def test_the_dispatch_is_as_the_header_says():
+    assert Kernel("sensor/noise").workgroup_size == (32, 2, 1)

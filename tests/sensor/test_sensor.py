@@ -1,0 +1,254 @@
+"""The sensor model: the preset's figures, regions, and a clear screen for each wrong field."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from gpusim.errors import UserError
+from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
+from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor, presets
+from gpusim.sensor.words import quads, words
+
+IMX477 = PRESETS / "imx477.yaml"
+
+
+@pytest.fixture
+def sensor() -> Sensor:
+    return load_sensor("imx477")
+
+
+def altered(tmp_path: Path, *path: str | int, value: object) -> Path:
+    """Return a copy of the preset's file with one value replaced."""
+    data = yaml.safe_load(IMX477.read_text())
+    place = data
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    file = tmp_path / "sensor.yaml"
+    file.write_text(yaml.safe_dump(data))
+    return file
+
+
+# --- presets ---
+
+
+def test_there_are_presets():
+    assert "imx477" in presets()
+
+
+@pytest.mark.parametrize("name", presets())
+def test_every_figure_of_a_preset_has_a_source(name: str):
+    sensor = load_sensor(name)
+    own = {"name", "serial_number", "first_row", "first_col", "sources"}
+    assert set(sensor.sources) == set(Sensor.model_fields) - own
+    assert all(sensor.sources.values())
+
+
+def test_the_imx477_is_the_published_one(sensor: Sensor):
+    assert (sensor.rows, sensor.cols, sensor.pixel_pitch_um) == (3040, 4056, 1.55)
+    assert (sensor.bit_depth, sensor.black_level_dn, sensor.max_dn) == (12, 256, 4095)
+    assert sensor.site_channels() == ("B", "G", "G", "R")
+    assert sensor.channels == ("R", "G", "B")
+    assert sensor.period == (2, 2)
+    # The full well fills the converter, and little more: 256 + 0.47 * 8180 = 4101
+    full = sensor.black_level_dn + sensor.system_gain_dn_per_e * sensor.full_well_e
+    assert 4095 <= full < 4110
+
+
+def test_the_white_balance_is_that_of_the_camera(sensor: Sensor):
+    """Grey under D50: R/G 0.342, B/G 0.687 (libcamera's calibration at 5000 K)."""
+    electrons = {
+        name: np.sum(curve * illuminant("D50") * WAVELENGTHS_NM)
+        for name, curve in sensor.qe.items()
+    }
+    # Peaks have 3 digits, 0.0005 / 0.256, and curves 4; below 400 and above 700 nm lies < 1e-3.
+    assert abs(electrons["R"] / electrons["G"] - 0.342) < 0.342 * 4e-3
+    assert abs(electrons["B"] / electrons["G"] - 0.687) < 0.687 * 4e-3
+
+
+def test_the_curves_are_the_measured_ones_per_photon(sensor: Sensor):
+    import colour  # here: it takes 1 s
+
+    measured = colour.MSDS_CAMERA_SENSITIVITIES["Nikon 5100 (NPL)"]
+    inside = np.isin(measured.wavelengths, WAVELENGTHS_NM)
+    for name, curve in zip("RGB", measured.values.T, strict=True):
+        per_photon = (curve / measured.wavelengths)[inside]
+        expected = per_photon / per_photon.max() * sensor.qe[name].max()
+        assert np.abs(sensor.qe[name] - expected).max() <= 0.51e-4  # four decimals in the file
+
+
+# --- derived values ---
+
+
+def test_quantum_efficiency_is_interpolated_onto_the_grid(tmp_path: Path):
+    grid = [390.0, 500.0, 710.0]
+    channels = {"R": [0.0, 0.5, 0.29], "G": [0.1, 0.1, 0.1], "B": [0.2, 0.0, 0.0]}
+    file = altered(
+        tmp_path, "quantum_efficiency", value={"wavelengths_nm": grid, "channels": channels}
+    )
+    qe = load_sensor(file).qe
+    assert qe["R"].shape == WAVELENGTHS_NM.shape
+    assert qe["R"][WAVELENGTHS_NM == 445.0] == pytest.approx(0.25, abs=1e-15)
+    assert qe["R"][WAVELENGTHS_NM == 700.0] == pytest.approx(0.30, abs=1e-15)
+    with pytest.raises(ValueError, match="read-only"):
+        qe["R"][0] = 1
+
+
+def test_a_monochrome_sensor_has_one_site(tmp_path: Path):
+    data = yaml.safe_load(IMX477.read_text())
+    data["cfa"] = {"pattern": [["W"]]}
+    data["quantum_efficiency"] = {"wavelengths_nm": [400, 700], "channels": {"W": [0.5, 0.5]}}
+    file = tmp_path / "mono.yaml"
+    file.write_text(yaml.safe_dump(data))
+    sensor = load_sensor(file)
+    assert (sensor.period, sensor.site_channels(), sensor.channels) == ((1, 1), ("W",), ("W",))
+
+
+def test_dark_current_doubles(sensor: Sensor):
+    assert sensor.dark_current_at(25) == 1.0
+    assert sensor.dark_current_at(25 + 5.9) == pytest.approx(2.0, rel=1e-12)
+    assert sensor.dark_current_at(25 - 11.8) == pytest.approx(0.25, rel=1e-12)
+
+
+@pytest.mark.parametrize("temperature_c", [-273.15, -300, float("nan"), float("inf")])
+def test_a_temperature_that_is_none_is_refused(sensor: Sensor, temperature_c: float):
+    with pytest.raises(UserError, match="not a temperature") as caught:
+        sensor.dark_current_at(temperature_c)
+    assert caught.value.field == "temperature_c"
+
+
+def test_a_region_is_central_and_keeps_the_phase(sensor: Sensor):
+    region = sensor.roi(1520, 2028)
+    assert (region.rows, region.cols, region.first_row, region.first_col) == (1520, 2028, 760, 1014)
+    odd = sensor.roi(1517, 2027)
+    assert (odd.first_row, odd.first_col) == (760, 1014)  # 761.5 and 1014.5, down to whole patterns
+    inner = region.roi(1000, 28)
+    assert (inner.first_row, inner.first_col) == (760 + 260, 1014 + 1000)
+    assert sensor.roi(3040, 4056) == sensor
+
+
+@pytest.mark.parametrize(
+    ("rows", "cols", "field"), [(0, 5, "rows"), (3041, 5, "rows"), (5, 4057, "cols")]
+)
+def test_a_region_that_does_not_fit_is_refused(sensor: Sensor, rows: int, cols: int, field: str):
+    with pytest.raises(UserError, match="does not fit") as caught:
+        sensor.roi(rows, cols)
+    assert caught.value.field == field
+
+
+def test_keys_are_split_into_words():
+    assert words(0x123456789ABCDEF0) == (0x9ABCDEF0, 0x12345678)
+
+
+@pytest.mark.parametrize(
+    ("col0", "cols", "count"), [(0, 1, 1), (0, 4, 1), (0, 5, 2), (3, 1, 1), (3, 2, 2), (6, 6, 2)]
+)
+def test_quads_touched(col0: int, cols: int, count: int):
+    assert quads(col0, cols) == count
+
+
+# --- wrong files ---
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field", "allowed"),
+    [
+        (("cfa", "pattern"), [["R", "G"], ["G", "X"]], "cfa.pattern", "R, G, B, C, M, Y, W"),
+        (("cfa", "pattern"), [["R", "G"], ["G"]], "cfa.pattern", "equal length"),
+        (("cfa", "pattern"), [], "cfa.pattern", "equal length"),
+        (("cfa", "pattern"), [["R", "G"], ["G", "W"]], None, "same letters"),
+        (("full_well_e",), 0, "full_well_e", "greater than 0"),
+        (("full_well_e",), 1e9, "full_well_e", "less than or equal to 10000000"),
+        (("bit_depth",), 0, "bit_depth", "greater than or equal to 1"),
+        (("bit_depth",), 40, "bit_depth", "less than or equal to 16"),
+        (("bit_depth",), 12.5, "bit_depth", "valid integer"),
+        (("system_gain_dn_per_e",), -1, "system_gain_dn_per_e", "greater than 0"),
+        (("system_gain_dn_per_e",), float("nan"), "system_gain_dn_per_e", "finite"),
+        (("pixel_pitch_um",), float("inf"), "pixel_pitch_um", "finite"),
+        (("prnu_percent",), float("nan"), "prnu_percent", "finite"),
+        (("fill_factor",), 1.2, "fill_factor", "less than or equal to 1"),
+        (("reference_temperature_c",), -300, "reference_temperature_c", "greater than -273.15"),
+        (("black_level_dn",), 4095, None, "below 4095"),
+        (("rows",), "many", "rows", "valid integer"),
+        (("serial_number",), 2**64, "serial_number", "less than"),
+        (
+            ("quantum_efficiency", "channels", "G", 3),
+            -0.1,
+            "quantum_efficiency.channels.G.3",
+            "greater than or equal to 0",
+        ),
+        (
+            ("quantum_efficiency", "channels", "G", 3),
+            float("nan"),
+            "quantum_efficiency.channels.G.3",
+            "finite",
+        ),
+        (
+            ("quantum_efficiency", "channels", "G"),
+            [0.1],
+            "quantum_efficiency",
+            "61, as wavelengths",
+        ),
+        (("quantum_efficiency", "wavelengths_nm", 0), 402, "quantum_efficiency", "400 to 700 nm"),
+        (("quantum_efficiency", "wavelengths_nm", 9), 440, "quantum_efficiency", "each more"),
+        (("gain",), 3, "gain", "system_gain_dn_per_e"),
+        (("cfa", "phase"), 3, "cfa.phase", "pattern"),
+        (("cfa",), "RGGB", "cfa", None),
+        (("sources", "gain"), "me", None, "fields of this file"),
+    ],
+)
+def test_a_wrong_field_is_named_with_what_is_allowed(tmp_path: Path, path, value, field, allowed):
+    file = altered(tmp_path, *path, value=value)
+    with pytest.raises(UserError) as caught:
+        load_sensor(file)
+    assert (caught.value.file, caught.value.field) == (file, field)
+    assert allowed is None or allowed in caught.value.allowed
+
+
+def test_the_value_is_shown(tmp_path: Path):
+    with pytest.raises(UserError) as caught:
+        load_sensor(altered(tmp_path, "bit_depth", value=40))
+    assert caught.value.value == 40
+
+
+def test_a_quantum_efficiency_over_one_warns_by_name(tmp_path: Path):
+    file = altered(tmp_path, "quantum_efficiency", "channels", "G", 3, value=1.2)
+    with pytest.warns(UserWarning, match="of G exceeds 1: 1.2"):
+        load_sensor(file)
+
+
+def test_a_missing_field_is_named(tmp_path: Path):
+    data = yaml.safe_load(IMX477.read_text())
+    del data["rows"]
+    file = tmp_path / "sensor.yaml"
+    file.write_text(yaml.safe_dump(data))
+    with pytest.raises(UserError, match="a field is missing") as caught:
+        load_sensor(file)
+    assert caught.value.field == "rows"
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"rows: [1", "not YAML"),
+        (b"\xff\xfe\x00", "cannot be read"),
+        (b"- 1", "not a list of fields"),
+        (b"", "not a list of fields"),
+        (None, "cannot be read"),
+    ],
+)
+def test_a_file_that_is_no_sensor_is_refused(tmp_path: Path, content: bytes | None, problem: str):
+    file = tmp_path / "sensor.yaml"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(UserError, match=problem) as caught:
+        load_sensor(file)
+    assert caught.value.file == file
+
+
+def test_an_unknown_preset_is_refused_with_the_known_ones():
+    with pytest.raises(UserError, match="no sensor of that name") as caught:
+        load_sensor("imx999")
+    assert "imx477" in caught.value.allowed

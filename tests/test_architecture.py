@@ -1,0 +1,134 @@
+"""The layers, read from the source: who may import whom, and one name for each stage everywhere.
+
+chain, plan, certify, report, batch, preview, cli -> domain packages -> gpu -> wgpu; reference/
+stands apart, so that it can judge. An import inside a function counts like one at the top.
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from harness import shader_names
+
+from gpusim.gpu.wgsl import load
+
+PROJECT = Path(__file__).resolve().parents[1]
+PACKAGE = PROJECT / "gpusim"
+DOMAIN = ("camera", "scene", "lens", "optics", "sensor", "isp", "metrics")
+TOP = ("chain", "plan", "certify", "report", "batch", "preview", "cli")
+HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")
+STAGES = shader_names()
+
+
+def modules() -> dict[str, Path]:
+    """Return every module of the package by its dotted name."""
+    found = {}
+    for file in sorted(PACKAGE.rglob("*.py")):
+        parts = file.relative_to(PROJECT).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+MODULES = modules()
+
+
+def imports(module: str, text: str, is_package: bool) -> Iterator[str]:
+    """Yield the dotted names that a module's text imports; ``from a import b`` yields ``a.b``."""
+    package = module.split(".") if is_package else module.split(".")[:-1]
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*start, *([node.module] if node.module else [])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+IMPORTS = {
+    name: sorted(set(imports(name, file.read_text(), file.name == "__init__.py")))
+    for name, file in MODULES.items()
+}
+
+
+def inside(name: str, package: str) -> bool:
+    return name == package or name.startswith(package + ".")
+
+
+def offences(importers: str | tuple[str, ...], forbidden: tuple[str, ...]) -> list[str]:
+    """List the imports of ``forbidden`` names by modules inside ``importers``."""
+    importers = (importers,) if isinstance(importers, str) else importers
+    return [
+        f"{module} imports {name}"
+        for module, names in IMPORTS.items()
+        if any(inside(module, f"gpusim.{importer}") for importer in importers)
+        for name in names
+        if any(inside(name, one) for one in forbidden)
+    ]
+
+
+def test_the_reader_resolves_every_form_of_import():
+    text = "import a.b\nfrom . import c\nfrom .d import e\ndef f():\n    from ..g import h as i\n"
+    assert list(imports("gpusim.x.y", text, False)) == [
+        "a.b",
+        "gpusim.x.c",
+        "gpusim.x.d.e",
+        "gpusim.g.h",
+    ]
+    assert "gpusim.x.y.c" in imports("gpusim.x.y", text, True)
+
+
+def test_the_reader_finds_what_is_there():
+    assert {"gpusim", "gpusim.errors", "gpusim.gpu", "gpusim.gpu.kernel"} <= MODULES.keys()
+    assert "wgpu" in IMPORTS["gpusim.gpu.device"]
+    assert "gpusim.gpu.layout.ShaderError" in IMPORTS["gpusim.gpu.kernel"]
+    assert offences("gpu", ("wgpu",))
+
+
+def test_only_the_gpu_layer_knows_wgpu():
+    others = tuple({name.split(".")[1] for name in MODULES if "." in name} - {"gpu"})
+    assert offences(others, ("wgpu",)) == []
+
+
+def test_the_gpu_layer_knows_no_domain():
+    names = [name for module in MODULES if inside(module, "gpusim.gpu") for name in IMPORTS[module]]
+    ours = {name for name in names if inside(name, "gpusim")}
+    allowed = ("gpusim.gpu", "gpusim.errors")
+    assert [name for name in ours if not any(inside(name, one) for one in allowed)] == []
+
+
+def test_the_domain_does_not_know_what_is_built_on_it():
+    assert offences(DOMAIN, tuple(f"gpusim.{name}" for name in TOP)) == []
+
+
+def test_the_reference_shares_nothing_with_what_it_judges():
+    hosts = tuple(f"gpusim.{stage.replace('/', '.')}" for stage in STAGES)
+    forbidden = ("gpusim.gpu", *hosts, *(f"gpusim.{name}" for name in TOP))
+    assert offences("reference", forbidden) == []
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_has_its_name_everywhere(stage: str):
+    name = stage.rpartition("/")[2]
+    assert f"gpusim.reference.{name}" in MODULES
+    assert list((PROJECT / "tests").rglob(f"test_{name}.py"))
+
+
+@pytest.mark.parametrize("include", shader_names(includes=True))
+def test_an_include_is_used_by_a_stage(include: str):
+    users = [stage for stage in STAGES if f"{include}.wgsl" in dict(load(stage).origins)]
+    assert users
+
+
+def test_the_command_line_starts_without_the_heavy_libraries():
+    code = "import sys, gpusim.cli; print(*sorted(m.partition('.')[0] for m in sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    loaded = set(done.stdout.split())
+    assert "gpusim" in loaded
+    assert loaded & set(HEAVY) == set()
