@@ -7,8 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from gpusim.camera import load_camera
+from gpusim.certify import Certificate, Probe
+from gpusim.chain import Capture
 from gpusim.optics.grid import SimGrid
-from gpusim.plan import PlanStage
+from gpusim.plan import Accuracy, PlanStage
 from gpusim.scene import make_scene
 
 ROWS, COLS = 48, 64
@@ -18,4 +20,52 @@ STAGES = (
     PlanStage("rows", True, "2 blocks", 2e-4, 1.0),
     PlanStage("adc", True, "12 bit", None, 0.01),
 )
-TIMES_S = {"paint": 0.25, "rows": 1.5, "adc": 0.004, "download": 0.1}
+POINTS = (
+    Probe(row=3, col=5, truth=100.0, render=100.01, relative=1e-4, sigma=1e-3),
+    Probe(row=40, col=60, truth=50.0, render=50.1, relative=2e-3, sigma=1.4e-2),
+)
+
+
+def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
+    """Return a capture of 48 x 64 pixels with numbers that are easy to find again."""
+    rng = np.random.default_rng(1)
+    # A 2 x 2 filter pattern of a grey scene between black level and white level, 12 bit.
+    raw = rng.integers(300, 4000, (ROWS, COLS)).astype(np.uint16)
+    plane = raw.astype(np.float32)
+    certificate = Certificate(
+        probes=len(POINTS),
+        rms_relative=1.42e-3,
+        worst_relative=2e-3,
+        rms_sigma=1e-2,
+        worst_sigma=1.4e-2,
+        worst_position=(40, 60),
+        met=False,
+        confidence="a word on confidence",
+        seconds=0.5,
+        points=POINTS,
+    )
+    scale = SimpleNamespace(
+        name="whole",
+        grid=SimGrid(ROWS, COLS, 4, 2, 256, 16, (3, 3)),
+        pitch_um=0.775,
+        sigma=0.8,
+    )
+    basis = SimpleNamespace(coefficients=np.eye(3))
+    return Capture(
+        raw=raw,
+        rate=plane if "rate" in keep else None,
+        electrons=plane if "electrons" in keep else None,
+        white_e={"R": 900.0, "G": 1800.0, "B": 1000.0},
+        plan=SimpleNamespace(basis=basis, scales=(scale,), stages=STAGES),
+        times_s={"paint": 0.25, "rows": 1.5, "adc": 0.004},
+        wall_s=2.25,
+        prepare_s={"lens": 0.125},
+        device={"adapter": "a GPU", "driver": "a driver", "backend": "Vulkan"},
+        certificate=certificate if certified else None,
+        camera=load_camera("demo"),
+        scene=make_scene("demo"),
+        seed=7,
+        frame=3,
+        exposure_s=1 / 60,
+        accuracy=Accuracy(tolerance=1e-3, probes=2),
+    )

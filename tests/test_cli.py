@@ -6,90 +6,46 @@ import errno
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import ROOT, assert_refused, gpusim, process
 from PIL import Image
 
-from gpusim.cli import files, main
+from gpusim.cli import devices as cli_devices
+from gpusim.cli import files
 from gpusim.errors import UserError
 from gpusim.scene.colorimetry import encode_srgb
 from gpusim.scene.exr import read_exr
 
-
-@dataclass
-class Ran:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
+COMMANDS = ("render", "chart", "lens", "develop", "devices")
 
 
-@pytest.fixture
-def gpusim(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> Callable[..., Ran]:
-    """Return a function that runs the command line in this process."""
-    monkeypatch.setenv("COLUMNS", "200")
-
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["gpusim", *map(str, arguments)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        captured = capsys.readouterr()
-        return Ran(left.value.code, captured.out, captured.err)
-
-    return run
-
-
-def assert_refused(ran: Ran, *words: str) -> None:
-    """Check that the command ended with one screen that has all `words`, and no traceback."""
-    assert ran.code == 2, ran
-    assert ran.out == ""
-    assert "Traceback" not in ran.err
-    assert len(ran.err.strip().splitlines()) <= 8, "more than a screen"
-    for word in words:
-        assert word in ran.err
-
-
-def process(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run the command line as a user does."""
-    command = [sys.executable, "-m", "gpusim.cli", *arguments]
-    environment = {"PYTHONPATH": str(Path(__file__).parent.parent), "PATH": "/usr/bin:/bin"}
-    return subprocess.run(
-        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
-    )
-
-
-def test_help_answers_within_half_a_second(tmp_path: Path):
+def test_help_answers_within_half_a_second():
     times_s = []
     for _ in range(3):
         begin = time.perf_counter()
-        ran = process("--help", cwd=tmp_path)
+        ran = process("--help")
         times_s.append(time.perf_counter() - begin)
-        assert ran.returncode == 0, ran.stderr
-        for command in ("render", "chart", "lens", "develop", "devices"):
-            assert command in ran.stdout
+        assert ran.code == 0, ran.err
+        for command in COMMANDS:
+            assert command in ran.out
     assert min(times_s) < 0.5  # 0.14 s on an idle machine
 
 
-def test_help_imports_none_of_the_heavy_packages(tmp_path: Path):
+def test_help_imports_none_of_the_heavy_packages():
     look = "import sys; import gpusim.cli; print(*sys.modules)"
-    environment = {"PYTHONPATH": str(Path(__file__).parent.parent)}
     ran = subprocess.run(
-        [sys.executable, "-c", look], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", look], cwd=ROOT, capture_output=True, text=True, check=True
     )
     loaded = set(ran.stdout.split())
     assert "typer" in loaded
     assert not loaded & {"numpy", "scipy", "wgpu", "pydantic", "xarray", "matplotlib"}
 
 
-@pytest.mark.parametrize("command", ["render", "chart", "lens", "develop", "devices"])
-def test_each_command_has_help(gpusim, command: str):
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_has_help(command: str):
     ran = gpusim(command, "--help")
     assert ran.code == 0
     assert "Usage" in ran.out
@@ -107,22 +63,22 @@ def test_each_command_has_help(gpusim, command: str):
         ("paint", "demo"),
     ],
 )
-def test_wrong_usage_exits_with_2_and_without_a_traceback(gpusim, arguments: tuple[str, ...]):
+def test_wrong_usage_exits_with_2_and_without_a_traceback(arguments: tuple[str, ...]):
     ran = gpusim(*arguments)
     assert ran.code == 2
     assert "Usage" in ran.err
     assert "Traceback" not in ran.err
 
 
-def test_no_command_shows_the_help(gpusim):
+def test_no_command_shows_the_help():
     assert "Usage" in gpusim().out
 
 
-def test_an_interrupt_exits_with_130_and_without_a_traceback(gpusim, monkeypatch):
+def test_an_interrupt_exits_with_130_and_without_a_traceback(monkeypatch: pytest.MonkeyPatch):
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("gpusim.cli.devices.devices", interrupted)
+    monkeypatch.setattr(cli_devices, "devices", interrupted)
     ran = gpusim("devices")
     assert ran.code == 130
     assert "Traceback" not in ran.err
@@ -131,30 +87,24 @@ def test_an_interrupt_exits_with_130_and_without_a_traceback(gpusim, monkeypatch
 # devices
 
 
-def test_devices_names_the_adapter_and_its_limits(gpusim, device):
+def test_devices_names_the_adapter_and_its_limits(device):
     ran = gpusim("devices")
     assert ran.code == 0
-    report = device.report()
-    assert report["adapter"] in ran.out
+    assert device.report()["adapter"] in ran.out
     assert "max-buffer-size" in ran.out
 
 
 def test_no_adapter_is_one_screen_that_says_what_to_install(tmp_path: Path):
     # With no driver on its list the Vulkan loader finds no adapter.
-    command = [sys.executable, "-m", "gpusim.cli", "devices"]
-    environment = {
-        "PYTHONPATH": str(Path(__file__).parent.parent),
-        "VK_DRIVER_FILES": str(tmp_path / "none.json"),
-        "VK_ICD_FILENAMES": str(tmp_path / "none.json"),
-    }
-    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert_refused(Ran(ran.returncode, ran.stdout, ran.stderr), "adapter", "mesa-vulkan-drivers")
+    no_drivers = tmp_path / "none.json"
+    ran = process("devices", VK_DRIVER_FILES=no_drivers, VK_ICD_FILENAMES=no_drivers)
+    assert_refused(ran, "adapter", "mesa-vulkan-drivers")
 
 
 # chart
 
 
-def test_chart_draws_the_same_scene_as_picture_and_as_radiance(gpusim, tmp_path: Path):
+def test_chart_draws_the_same_scene_as_picture_and_as_radiance(tmp_path: Path):
     for name in ("c.png", "c.exr"):
         assert gpusim("chart", "dots", "--out", tmp_path / name).code == 0
     picture = np.asarray(Image.open(tmp_path / "c.png"))
@@ -164,14 +114,46 @@ def test_chart_draws_the_same_scene_as_picture_and_as_radiance(gpusim, tmp_path:
     assert np.unique(picture).size > 2
 
 
-def test_an_unknown_chart_is_refused(gpusim, tmp_path: Path):
+def test_an_unknown_chart_is_refused(tmp_path: Path):
     ran = gpusim("chart", "gray", "--out", tmp_path / "c.png")
     assert_refused(ran, "NAME", "gray", "demo", "colorchecker")
     assert not list(tmp_path.iterdir())
 
 
-def test_an_output_file_of_another_kind_is_refused(gpusim, tmp_path: Path):
+def test_an_output_file_of_another_kind_is_refused(tmp_path: Path):
     assert_refused(gpusim("chart", "grey", "--out", tmp_path / "c.jpg"), "--out", "c.jpg", ".png")
+
+
+# lens
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("no-such-lens",), ("lens", "no-such-lens", "double-gauss")),
+        (("missing.zmx",), ("missing.zmx",)),
+        (("double-gauss", "--focal-length", "-8"), ("efl_mm", "-8", "> 0")),
+        (("double-gauss", "--f-number", "0.5"), ("f_number", "0.5", ">=")),
+        (("double-gauss", "--out", "bank.csv"), ("--out", "bank.csv", ".nc or .png")),
+    ],
+)
+def test_a_wrong_lens_is_refused(arguments: tuple[str, ...], words: tuple[str, ...]):
+    assert_refused(gpusim("lens", *arguments), *words)
+
+
+# develop
+
+
+def test_what_is_no_raw_file_is_refused(tmp_path: Path):
+    picture = tmp_path / "picture.png"
+    assert_refused(
+        gpusim("develop", tmp_path / "none.dng", "--out", picture), tmp_path / "none.dng"
+    )
+    (tmp_path / "text.dng").write_text("no raw file")
+    assert_refused(
+        gpusim("develop", tmp_path / "text.dng", "--out", picture), tmp_path / "text.dng"
+    )
+    assert not picture.exists()
 
 
 # files

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
+import sys
 import time
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -220,3 +225,47 @@ def test_a_failed_installation_shows_pip_s_words(machine: Machine):
     assert run.returncode == 1
     assert "pip says this" in run.stderr
     assert not os.path.exists(machine.repo / ".venv/.setup")
+
+
+def imported(*folders: str) -> set[str]:
+    """Return the packages whose modules the files of some folders import."""
+    files = [file for folder in folders for file in (ROOT / folder).rglob("*.py")]
+    names = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                names.add(node.module.split(".")[0])
+    own = {file.stem for file in files} | {file.parent.name for file in files}
+    packages = metadata.packages_distributions()
+    # OpenEXR's wheel does not say which module it holds: the one of its name.
+    found = (packages.get(name, [name]) for name in names - own - sys.stdlib_module_names)
+    # pydantic pins its own core.
+    return {normal(package) for some in found for package in some} - {"pydantic-core"}
+
+
+def normal(requirement: str) -> str:
+    """Return the name of a package as it is compared."""
+    return re.split(r"[=<>]", requirement)[0].lower().replace("_", "-")
+
+
+def test_every_package_that_is_imported_is_pinned_and_no_other():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    tools = project["optional-dependencies"]["test"]
+    assert all("==" in requirement for requirement in project["dependencies"] + tools)
+    pinned = {normal(requirement) for requirement in project["dependencies"]}
+    # xarray reads and writes NetCDF through h5netcdf, and that through h5py; nobody imports them.
+    assert imported("gpusim") | {"h5netcdf", "h5py"} == pinned
+    assert imported("tests", "tools") - {"gpusim"} <= pinned | {normal(tool) for tool in tools}
+
+
+def test_constraints_name_only_what_pyproject_does_not():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pinned = {
+        normal(requirement)
+        for requirement in project["dependencies"] + project["optional-dependencies"]["test"]
+    }
+    lines = (ROOT / "tools/constraints.txt").read_text().splitlines()
+    constrained = {normal(line) for line in lines if not line.startswith("#")}
+    assert not constrained & pinned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -9,9 +10,17 @@ import sysconfig
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
+import rawpy
 
 ROOT = Path(__file__).parent.parent
+# The lens of the demonstration camera, whose PSFs other tests have put into the cache on disk.
+CAMERA = """
+title: a small camera
+lens: {prescription: double-gauss, focal_length_mm: 8.3, f_number: 2.8}
+sensor: {preset: imx477, rows: 32, cols: 48}
+"""
 
 
 def run(*command: str | Path, cwd: Path) -> str:
@@ -74,6 +83,19 @@ def test_package_and_shaders_come_from_the_wheel(installed: Path, tmp_path: Path
     )
     for place in run(installed / "bin/python", "-c", where, cwd=tmp_path).split():
         assert Path(place).is_relative_to(installed)
+
+
+def test_it_renders_outside_the_checkout(installed: Path, tmp_path: Path):
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    render = ("render", "camera.yaml", "demo", "--out", "out", "--certify", "0")
+    shown = run(installed / "bin/gpusim", *render, cwd=tmp_path)
+    assert "raw.dng" in shown
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert (report["capture"]["rows"], report["capture"]["cols"]) == (32, 48)
+    with rawpy.imread(str(tmp_path / "out/raw.dng")) as raw:
+        samples = raw.raw_image
+        # Of a scene with a white of 300 cd/m^2, neither all black nor all white.
+        assert raw.black_level_per_channel[0] + 10 < np.median(samples) < raw.white_level - 10
 
 
 def test_the_licence_is_in_the_wheel(wheel: Path):

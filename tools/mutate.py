@@ -39,7 +39,7 @@ import pytest
 import wgpu
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
+from rich.table import Column, Table
 
 from gpusim.gpu import ShaderError, default_device, device
 from gpusim.gpu.wgsl import load, shaders_root
@@ -458,7 +458,7 @@ def _run(
                 results.append((one, verdict))
                 progress.advance(bar)
                 if verdict == "survived":
-                    progress.console.print(f"survived  {one}", markup=False, highlight=False)
+                    progress.console.print(f"survived  {one}", markup=False, soft_wrap=True)
             time.sleep(0.01)
     return results
 
@@ -473,13 +473,13 @@ def _sound(root: Path, tests: list[Path], shader: str, console: Console) -> floa
             raise SystemExit(f"{shader}: its tests are {verdict} without a mutant: {child.said()}")
     took = time.monotonic() - child.started
     names = ", ".join(str(file.relative_to(PROJECT)) for file in tests)
-    console.print(f"{shader}: {took:.1f} s for {names}", markup=False, highlight=False)
+    console.print(f"{shader}: {took:.1f} s for {names}", markup=False, soft_wrap=True)
     return max(TIMEOUT_LEAST_S, TIMEOUT_FACTOR * took)
 
 
 def _summary(console: Console, results: list[tuple[Mutant, str]], known: dict[Mutant, str]) -> None:
     verdicts = ("killed", "timeout", "invalid", "survived")
-    table = Table("shader", "mutants", *verdicts, "equivalent")
+    table = Table(Column("shader", no_wrap=True), "mutants", *verdicts, "equivalent")
     counts = Counter((one.shader, verdict) for one, verdict in results)
     declared = Counter(one.shader for one in known)
     shaders = sorted({one.shader for one, _ in results})

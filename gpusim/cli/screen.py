@@ -61,9 +61,11 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
     if certificate is None:
         console.print("certificate: none, no probes were asked for")
     else:
+        met = "within" if certificate["met"] else "BEYOND"
+        rms, worst = (error(certificate[f"{which}_relative"]) for which in ("rms", "worst"))
         console.print(
-            f"certificate: RMS error {error(certificate['rms_relative'])} of the local signal, "
-            f"worst of {certificate['probes']} probes {error(certificate['worst_relative'])}. "
+            f"certificate: RMS error {rms} of the local signal, worst of {certificate['probes']} "
+            f"probes {worst}: {met} the tolerance of {facts['capture']['tolerance']:g}. "
             f"{certificate['confidence']}",
             markup=False,
             highlight=False,

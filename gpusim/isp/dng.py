@@ -166,6 +166,9 @@ def write_dng(
 
 
 def _exposure(exposure_s: float) -> list[int]:
-    """Return the exposure time as a rational, 1/60 as 1 and 60."""
-    fraction = Fraction(exposure_s).limit_denominator(DENOMINATOR)
+    """Return the exposure time as a rational, short ones by their inverse: 1/60 as 1 and 60."""
+    if exposure_s < 1:
+        fraction = 1 / Fraction(1 / exposure_s).limit_denominator(1000)
+    else:
+        fraction = Fraction(exposure_s).limit_denominator(1000)
     return [fraction.numerator, fraction.denominator]

@@ -75,7 +75,8 @@ def resolve(
     places = (prefix.upper(),) if slash else tuple(c for c in catalogues if c in BOOKS)
     found = [c for c in places or BOOKS if name in catalogue(c)]
     if not found:
-        everything = {n: f"{c}/{p}" for c in BOOKS for n, p in catalogue(c).items()}
+        first = [*BOOKS, *reversed(places)]  # of equal names, that of a preferred catalogue
+        everything = {n: f"{c}/{p}" for c in first for n, p in catalogue(c).items()}
         near = difflib.get_close_matches(name, everything, n=5, cutoff=0.5)
         elsewhere = [f"{c}/{catalogue(c)[name]}" for c in BOOKS if name in catalogue(c)]
         raise UserError(

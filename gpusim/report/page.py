@@ -68,21 +68,26 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
 
 def _cards(facts: Mapping[str, Any]) -> str:
     """Return the four figures that matter most."""
-    certificate = facts["certificate"]
+    capture, certificate = facts["capture"], facts["certificate"]
     if certificate is None:
-        cards = {"no probes were asked for": "not certified"}
+        cards = [("", "not certified", "no probes were asked for")]
     else:
-        met = "within" if certificate["met"] else "beyond"
-        cards = {
-            f"RMS error of the local signal, {met} the tolerance of "
-            f"{facts['capture']['tolerance']:g}": error(certificate["rms_relative"]),
-            f"worst of {certificate['probes']} probes": error(certificate["worst_relative"]),
-        }
-    cards["for the render, wall clock"] = duration(facts["capture"]["wall_s"])
-    cards["adapter"] = facts["device"]["adapter"]
+        style, met = ("good", "within") if certificate["met"] else ("bad", "beyond")
+        tolerance = (
+            f"RMS error of the local signal, {met} the tolerance of {capture['tolerance']:g}"
+        )
+        probes = f"worst of {certificate['probes']} probes"
+        cards = [
+            (style, error(certificate["rms_relative"]), tolerance),
+            (style, error(certificate["worst_relative"]), probes),
+        ]
+    cards += [
+        ("", duration(capture["wall_s"]), "for the render, wall clock"),
+        ("", facts["device"]["adapter"], "adapter"),
+    ]
     shown = (
-        f'<div class="card"><b>{escape(value)}</b><span>{escape(text)}</span></div>'
-        for text, value in cards.items()
+        f'<div class="card"><b class="{style}">{escape(value)}</b><span>{escape(text)}</span></div>'
+        for style, value, text in cards
     )
     return f'<section class="cards">{"".join(shown)}</section>'
 
@@ -103,8 +108,8 @@ def _pictures(developed: np.ndarray) -> str:
     height, width = min(rows, _CROP_PX), min(cols, _CROP_PX)
     frames, crops = "", ""
     for name, way in _CROPS.items():
-        top = round((rows - height) / 2 * (1 - way))
-        left = round((cols - width) / 2 * (1 + way))
+        top = max(0, round(rows / 2 * (1 - way) - height / 2))
+        left = min(cols - width, round(cols / 2 * (1 + way) - width / 2))
         crop = Image.fromarray(developed[top : top + height, left : left + width])
         label = f"{name}: from row {top}, column {left}"
         frames += f'<rect x="{left}" y="{top}" width="{width}" height="{height}"/>'
@@ -118,7 +123,7 @@ def _pictures(developed: np.ndarray) -> str:
 <svg viewBox="0 0 {cols} {rows}" fill="none">
 <g stroke="#000" stroke-opacity=".6" stroke-width="{cols / 280:.1f}">{frames}</g>
 <g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
-<figcaption>The developed raw, reduced to {size[0]} x {size[1]} px. The frames are the crops below,
+<figcaption>The developed raw, at {size[0]} x {size[1]} px. The frames are the crops below,
 which show each pixel as it is.</figcaption></figure>
 <div class="crops">{crops}</div>"""
 
@@ -146,7 +151,7 @@ def _stages(facts: Mapping[str, Any]) -> str:
 <tfoot><tr><td colspan="4">Render, wall clock</td>
 <td class="number">{duration(facts["capture"]["wall_s"])}</td><td></td></tr></tfoot>
 </table></div>
-<p class="soft">Before, and once only for further frames of the same scene: {escape(prepared)}.</p>"""
+<p class="soft">Before, and not again for further frames of this scene: {escape(prepared)}.</p>"""
 
 
 def _certificate(facts: Mapping[str, Any]) -> str:

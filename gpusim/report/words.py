@@ -15,10 +15,13 @@ def exposure(seconds: float) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a run time with three digits: 12.3 s, 45.6 ms; a dash where there is none."""
+    """Return a run time with three digits: 12.3 s, 45.6 ms, 7.89 us; a dash where there is none."""
     if seconds is None:
         return NOTHING
-    return f"{seconds:.3g} s" if seconds >= 1 else f"{1e3 * seconds:.3g} ms"
+    for factor, unit in ((1, "s"), (1e3, "ms")):
+        if seconds * factor >= 1:
+            return f"{seconds * factor:.3g} {unit}"
+    return f"{seconds * 1e6:.3g} us"
 
 
 def error(value: float | None) -> str:

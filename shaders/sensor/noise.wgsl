@@ -10,7 +10,7 @@
 #include "gaussian"
 #include "poisson"
 
-const MEAN_LIMIT = 1e9;   // e-; the count must fit i32; full wells end far below
+const MEAN_LIMIT = 1.6e7;   // e-; the count must fit i32; the largest full well, 1e7, lies 1500 sigmas below
 
 struct Params {
     seed: vec2u,     // low and high word

@@ -8,7 +8,7 @@ from harness import assert_close
 
 from gpusim.errors import UserError
 from gpusim.isp.colour import colour_matrix, response
-from gpusim.isp.develop import develop
+from gpusim.isp.develop import _baseline_exposure_ev, develop
 from gpusim.isp.dng import TAGS, write_dng
 from gpusim.scene.colorimetry import (
     REC709_CHROMATICITIES,
@@ -119,6 +119,12 @@ def test_a_dng_without_baseline_exposure_is_developed_to_saturation(tmp_path, sh
     ratio = decoded(darker / 255)[20:23] / decoded(reference / 255)[20:23]
     # White was at 0.6 of saturation; a level of 8 bits is up to 2 % of the darkest of these.
     assert_close(ratio, np.full((3, 3), 0.6), rtol=0.05)
+
+
+def test_a_raw_that_is_no_tiff_has_no_baseline_exposure(tmp_path):
+    path = tmp_path / "raw.raf"
+    path.write_bytes(b"FUJIFILMCCD-RAW 0201" + bytes(1000))
+    assert _baseline_exposure_ev(path) == 0.0
 
 
 def test_a_missing_raw_is_a_clear_error(tmp_path):

@@ -176,6 +176,16 @@ def test_the_lens_is_part_of_the_colour_matrix(tmp_path):
     assert np.abs(expected - clear).max() > 0.01
 
 
+@pytest.mark.parametrize(
+    ("exposure_s", "rational"),
+    [(1 / 60, (1, 60)), (0.4, (2, 5)), (1e-7, (1, 10**7)), (1.0, (1, 1)), (3600.5, (7201, 2))],
+)
+def test_exposure_times_short_and_long(tmp_path, exposure_s, rational):
+    path = write(tmp_path / "a.dng", frame(), sensor(), exposure_s=exposure_s)
+    with tifffile.TiffFile(path) as file:
+        assert file.pages.first.tags.valueof(TAGS["ExposureTime"]) == rational
+
+
 @pytest.mark.parametrize("white_e", [1e-12, 1e12])
 def test_an_extreme_exposure_stays_in_range(tmp_path, white_e):
     tags = values(

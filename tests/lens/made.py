@@ -9,7 +9,7 @@ from gpusim.lens.wavefront import Samples
 
 
 def lens(surfaces, **fields):
-    """A prescription from rows of surface fields; f/5 over 5 deg unless told otherwise."""
+    """Return a prescription from rows of surface fields; f/5 over 5 deg unless told otherwise."""
     data = {
         "title": "test lens",
         "patent": None,
@@ -27,12 +27,12 @@ def lens(surfaces, **fields):
 
 
 def model(nd):
-    """A glass that does not disperse: an Abbe number as large as the model allows."""
+    """Return a glass that hardly disperses: the largest Abbe number that the model allows."""
     return {"glass": "model", "nd": nd, "vd": 149.0}
 
 
 def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
-    """Rays of a synthetic pupil: a disc in direction cosines, W a function of (alpha, beta) in mm."""
+    """Return rays of a synthetic pupil: a disc in direction cosines, W(alpha, beta) in mm."""
     u, v = np.meshgrid(np.linspace(0, 1.12, 21), np.linspace(-1.12, 1.12, 41))
     keep = u * u + v * v <= 1.12**2
     u, v = u[keep], v[keep]

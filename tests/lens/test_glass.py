@@ -74,9 +74,7 @@ def test_unknown_catalogue_is_refused():
 
 def test_wavelength_outside_the_data_is_refused():
     with pytest.raises(UserError) as caught:
-        glass.catalogue_index(
-            "HIKARI", "SK16", np.array([550.0, 350.0]), surface=4, file=FILE
-        )
+        glass.catalogue_index("HIKARI", "SK16", np.array([550.0, 350.0]), surface=4, file=FILE)
     text = caught.value.screen()
     for part in ("HIKARI/SK16", "surface 4", "350 nm", "400 to 700 nm"):
         assert part in text

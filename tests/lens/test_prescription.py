@@ -26,7 +26,7 @@ def test_a_wrong_digit_fails_the_check(double_gauss):
 
 
 def test_stop_of_the_double_gauss_agrees_with_the_book(double_gauss):
-    # Smith (1992, p. 312) gives a stop diameter of 34.2, printed to 0.1, at f = 100, f/2. Ours comes
+    # Smith (1992, p. 312) gives a stop diameter of 34.2, printed to 0.1, at f = 100, f/2. Ours is
     # from a real ray through the patent's surfaces; half the last digit, and the catalogue glasses
     # make the focal length 0.5 % longer: 0.05 + 0.17.
     assert 2 * build(double_gauss).stop_radius_mm == pytest.approx(34.2, abs=0.22)
@@ -96,7 +96,9 @@ def test_missing_clear_apertures_pass_the_full_beam_and_are_said_to_be_computed(
     assert filled.surfaces[5].semi_diameter is None  # the diaphragm is its own aperture
     # Rim of the first surface at f/2 and 10 deg: the lower rim ray of test_trace's kind, 30.0 mm.
     assert filled.surfaces[0].semi_diameter == pytest.approx(30.0, abs=0.1)
-    assert "clear apertures of surfaces 1, 2, 3, 4, 5, 7, 8, 9, 10, 11 computed" in filled.history[-1]
+    assert (
+        "clear apertures of surfaces 1, 2, 3, 4, 5, 7, 8, 9, 10, 11 computed" in filled.history[-1]
+    )
     # Stopping down later must not shrink the glass.
     assert bare.stopped(4).surfaces[0].semi_diameter == filled.surfaces[0].semi_diameter
 

@@ -115,9 +115,7 @@ def test_an_even_asphere_and_the_conic_that_it_equals_trace_alike():
     assert even.image_z_mm == pytest.approx(conic.image_z_mm, rel=1e-14)  # r^2 carries power
     y = np.linspace(-9, 9, 13)[None]
     x = np.linspace(0, 4, 13)[None]
-    one, two = (
-        trace(s.geometry, s.index(D_LINE), np.radians(12), x, y) for s in (conic, even)
-    )
+    one, two = (trace(s.geometry, s.index(D_LINE), np.radians(12), x, y) for s in (conic, even))
     assert one.ok.all()
     assert two.ok.all()
     # Newton ends where its step is 1e-14 of the distance; 5 mm paths: 1e-13 mm.
@@ -195,12 +193,17 @@ def test_cooke_triplet_has_the_focal_length_that_another_program_gives():
 
 
 def test_chief_rays_of_the_double_gauss_agree_with_rayoptics(double_gauss):
-    # rayoptics 0.9.8 with the same indices at 550 nm, f = 8.3 mm, f/2.8, image at the paraxial focus
-    # of the d line: focal length 8.297371280406264 mm, heights in mm to the nine digits printed.
+    # rayoptics 0.9.8 with the same indices at 550 nm, f = 8.3 mm, f/2.8, image at the paraxial
+    # focus of the d line: focal length and heights in mm, to the digits printed.
     lens_8mm = double_gauss.scaled(8.3).stopped(2.8).model_copy(update={"focus": "paraxial"})
     assert first_order(lens_8mm, 550.0).efl_mm == pytest.approx(8.297371280406264, rel=1e-13)
     system = build(lens_8mm)
     index = indices(lens_8mm, np.array([550.0]))
-    for field, height in ((7, 1.018053065), (10, 1.460281325), (14, 2.059861002), (20, 2.988375866)):
+    for field, height in (
+        (7, 1.018053065),
+        (10, 1.460281325),
+        (14, 2.059861002),
+        (20, 2.988375866),
+    ):
         samples = sample_rays(system, index, np.radians(field), np.zeros(1), np.zeros(1))
         assert samples.chief_y_mm[0] == pytest.approx(height, abs=2e-9)

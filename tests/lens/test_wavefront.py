@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from lens.made import disc_samples, lens, model
+from scipy.interpolate import RegularGridInterpolator
 
 from gpusim.errors import UserError
 from gpusim.lens.prescription import load_prescription, presets
@@ -55,8 +56,8 @@ def test_opd_agrees_with_rayoptics(double_gauss, field):
     along = rays.landing_x_mm * rays.alpha + rays.landing_y_mm * rays.beta
     opd = rays.opd_mm + radius - np.sqrt(radius**2 - p2 + along**2)
     # On axis the radius is the same; at 14 deg the other program ends its sphere at the real exit
-    # pupil: 1 % of R changes the correction, 0.02 waves, by 2e-4.
-    np.testing.assert_allclose(opd[0] / 550e-6, expected, rtol=0, atol=2e-5 if not field else 5e-4)
+    # pupil: 3 % of R changes the correction, 0.03 waves, by 1e-3.
+    np.testing.assert_allclose(opd[0] / 550e-6, expected, rtol=0, atol=1e-3 if field else 2e-5)
 
 
 @pytest.mark.parametrize("name", presets())
@@ -74,22 +75,23 @@ def test_fitted_wavefront_meets_rays_that_took_no_part_in_the_fit(name):
         for line, pupil in enumerate(grids):
             clear = rays.inside[line]
             assert clear.sum() > 20
-            # Bilinear interpolation would add its own error: evaluate at the nearest node and
-            # follow the slope, W(node) - landing . (difference), to second order.
             i = np.rint(rays.alpha[line] / (pupil.alpha[1] - pupil.alpha[0]) - 0.5).astype(int)
             i = np.clip(i, 0, len(pupil.alpha) - 1)
             step_b = pupil.beta[1] - pupil.beta[0]
             j = np.rint((rays.beta[line] - pupil.beta[0]) / step_b).astype(int)
-            inner = clear & (pupil.coverage[i, np.clip(j, 0, len(pupil.beta) - 1)] == 1)
-            i, j = i[inner], j[inner]
-            da = rays.alpha[line][inner] - pupil.alpha[i]
-            db = rays.beta[line][inner] - pupil.beta[j]
-            x, y = rays.landing_x_mm[line][inner], rays.landing_y_mm[line][inner]
-            at_node = rays.opd_mm[line][inner] + x * da + y * db
+            i, j = i[clear], j[clear]
+            # From the ray to the nearest node by the mean of the slopes at both: what is left is
+            # of third order in half a step.
+            slope_a, slope_b = np.gradient(pupil.opd_mm, pupil.alpha, pupil.beta)
+            da = pupil.alpha[i] - rays.alpha[line][clear]
+            db = pupil.beta[j] - rays.beta[line][clear]
+            at_node = (
+                rays.opd_mm[line][clear]
+                + 0.5 * (slope_a[i, j] - rays.landing_x_mm[line][clear]) * da
+                + 0.5 * (slope_b[i, j] - rays.landing_y_mm[line][clear]) * db
+            )
             waves = (pupil.opd_mm[i, j] - at_node) / (wavelengths[line] * 1e-6)
-            # The requirement is 1e-3 waves RMS. What is left out of second order is half a step
-            # squared times d2W: (4e-4)^2 / 8 * 40 mm = 1e-6 mm = 2e-3 waves on the steepest lens
-            # (f = 100 mm), 2e-4 RMS; the piston is no error.
+            # The requirement; the piston is no error.
             assert np.std(waves) < 1e-3
 
 
@@ -99,7 +101,7 @@ def test_the_grid_reaches_beyond_the_pupil_and_the_fit_is_good(name):
     index = system.index(GREEN)
     for field in np.linspace(0, system.prescription.max_field_deg, 4):
         (pupil,) = pupils(sample_field(system, index, np.radians(field)), GREEN, 64.0, 128)
-        assert pupil.coverage.max() == 1
+        assert pupil.coverage.max() == pytest.approx(1, abs=1e-12)
         assert not pupil.coverage[-1].any()
         assert not pupil.coverage[:, [0, -1]].any()
         assert pupil.fit_residual_mm < 1e-4 * 550e-6
@@ -109,16 +111,17 @@ def test_rays_land_where_the_slope_of_the_wavefront_says(demo_lens):
     system = build(demo_lens)
     index = system.index(GREEN)
     theta = np.radians(14.0)
-    (pupil,) = pupils(sample_field(system, index, theta), GREEN, 64.0, 512)
-    slope_a, slope_b = np.gradient(pupil.opd_mm, pupil.alpha, pupil.beta)
     samples = sample_field(system, index, theta)
-    inside = samples.inside[0] & (samples.margin[:, 0] < -0.1).all(axis=0)
-    i = np.searchsorted(pupil.alpha, samples.alpha[0][inside])
-    j = np.searchsorted(pupil.beta, samples.beta[0][inside])
-    # Nearest node below: one step (3e-4) of the second derivative of W (0.1 mm) is 3e-5 mm.
-    np.testing.assert_allclose(slope_a[i, j], -samples.landing_x_mm[0][inside], rtol=0, atol=6e-5)
-    np.testing.assert_allclose(slope_b[i, j], -samples.landing_y_mm[0][inside], rtol=0, atol=6e-5)
-    assert np.ptp(samples.landing_y_mm[0][inside]) > 5e-3
+    (pupil,) = pupils(samples, GREEN, 64.0, 1024)
+    inside = samples.inside[0] & (samples.alpha[0] > pupil.alpha[1])
+    at = np.column_stack([samples.alpha[0][inside], samples.beta[0][inside]])
+    slopes = np.gradient(pupil.opd_mm, pupil.alpha, pupil.beta)
+    for slope, landing in zip(slopes, (samples.landing_x_mm, samples.landing_y_mm), strict=True):
+        found = RegularGridInterpolator((pupil.alpha, pupil.beta), slope)(at)
+        # Central differences and bilinear interpolation: 0.3 step^2 of the third derivative of W,
+        # which is below 15 mm: 0.3 (4e-4)^2 15 mm = 7e-7 mm.
+        np.testing.assert_allclose(found, -landing[0][inside], rtol=0, atol=1e-6)
+        assert np.ptp(landing[0][inside]) > 5e-3
 
 
 def test_half_plane_share_is_the_area():
@@ -187,9 +190,7 @@ def test_clear_apertures_vignette(demo_lens):
 
     def resized(factor):
         surfaces = tuple(
-            s.model_copy(
-                update={"semi_diameter": s.semi_diameter and s.semi_diameter * factor}
-            )
+            s.model_copy(update={"semi_diameter": s.semi_diameter and s.semi_diameter * factor})
             for s in demo_lens.surfaces
         )
         return demo_lens.model_copy(update={"surfaces": surfaces})
@@ -232,17 +233,20 @@ def test_best_focus_is_stationary_and_lies_between_paraxial_and_marginal_focus()
     assert float(marginal_z[0, 0]) < best.image_z_mm < paraxial.image_z_mm
     # Linear in the shift, so a second step from the best focus is nothing but rounding.
     assert abs(best_focus_shift(best, lines)) < 1e-10
-    spread = {}
-    for name, system in (("paraxial", paraxial), ("best", best)):
-        samples = sample_field(system, system.index(lines), 0.0)
-        spread[name] = np.std(samples.opd_mm[samples.inside])
-    # Third-order spherical aberration: defocus W20 = -W40 cuts the RMS to a quarter (Mahajan).
-    assert spread["best"] == pytest.approx(spread["paraxial"] / 4, rel=0.1)
+    spread = []
+    for system in (paraxial, best):
+        (pupil,) = pupils(sample_field(system, system.index(lines[1:2]), 0.0), lines[1:2], 1.0, 256)
+        mean = np.average(pupil.opd_mm, weights=pupil.coverage)
+        spread.append(np.average((pupil.opd_mm - mean) ** 2, weights=pupil.coverage) ** 0.5)
+    # Third-order spherical aberration: W20 = -W40 cuts the RMS to a quarter (Mahajan 1982). Here
+    # the fifth order is 3 % of the third and the glass disperses a little.
+    assert spread[1] == pytest.approx(spread[0] / 4, rel=0.05)
 
 
 def test_a_field_that_is_wholly_vignetted_is_an_error(demo_lens):
     surfaces = list(demo_lens.surfaces)
-    surfaces[0] = surfaces[0].model_copy(update={"semi_diameter": 0.2})
+    for i in (0, -1):
+        surfaces[i] = surfaces[i].model_copy(update={"semi_diameter": 0.2})
     system = build(demo_lens.model_copy(update={"surfaces": tuple(surfaces)}))
     with pytest.raises(UserError, match="no light passes"):
         sample_field(system, system.index(GREEN), np.radians(14.0))

@@ -181,6 +181,13 @@ def test_a_file_without_picture_channels_is_refused(tmp_path):
     assert caught.value.value == "left.R"
 
 
+def test_luminance_with_chroma_is_refused(tmp_path):
+    plane = picture()[..., 0].copy()
+    path = write(tmp_path / "a.exr", {"Y": plane, "RY": plane, "BY": plane})
+    with pytest.raises(UserError, match="no picture channels"):
+        read_exr(path)
+
+
 def test_oblong_pixels_are_refused(tmp_path):
     path = write(tmp_path / "a.exr", {"RGB": picture()}, pixelAspectRatio=2.0)
     with pytest.raises(UserError, match="oblong") as caught:

@@ -59,6 +59,8 @@ def test_areas_are_averaged():
     # Counting sub-samples misplaces a border by less than one of them; 36 sides at random.
     allowed = (white - black) * perimeter / (2 / rows) / SUBSAMPLES / np.sqrt(36)
     assert rgb[..., 1].sum(dtype=np.float64) == pytest.approx(expected, abs=allowed)
+    # The layout is the same when turned by 180 degrees: nothing is shifted.
+    assert_close(rgb, rgb[::-1, ::-1].copy(), atol=1e-6)
     between = (rgb[..., 1] > black + 0.05) & (rgb[..., 1] < white - 0.05)
     assert between.sum() > 0.5 * perimeter / (2 / rows)  # edges are not jagged
 

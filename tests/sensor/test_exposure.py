@@ -64,7 +64,7 @@ def test_means_are_those_of_the_reference():
         assert_close(found, expected, rtol=6 * 2.0**-24 + 5e-6 * prnu)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 127), (5, 129), (3, 256)])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 125), (5, 129), (3, 256)])
 @pytest.mark.parametrize("col0", [0, 1, 2, 3, 127])
 def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: int):
     whole = on_device(rates((12, 400))).reshape(12, 400)

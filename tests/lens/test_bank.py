@@ -1,0 +1,206 @@
+"""The bank keeps its contract, its file keeps the bank, and the cache keeps the file."""
+
+import itertools
+
+import numpy as np
+import pytest
+import xarray
+
+from gpusim.errors import UserError
+from gpusim.lens import bank as bank_module
+from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
+from gpusim.lens.system import build, first_order
+from gpusim.lens.wavefront import sample_rays
+
+SMALL = {"wavelengths_nm": [450.0, 550.0, 650.0], "size": 64}
+
+
+@pytest.fixture(scope="module")
+def bank(demo_lens):
+    return compute_bank(demo_lens, field_deg=default_fields_deg(demo_lens, 5), **SMALL)
+
+
+def test_the_demonstration_bank_covers_its_sensor(demo_lens):
+    # 2028 x 1520 pixels of 1.55 um have a half diagonal of 1964 um.
+    edge = compute_bank(demo_lens, [550.0], [0.0, demo_lens.max_field_deg], size=32)
+    assert edge.image_circle_um > 2050
+
+
+def test_shapes_units_and_signs_are_those_of_the_contract(bank, demo_lens):
+    assert bank.psf.shape == (5, 3, 64, 64)
+    assert bank.psf.dtype == np.float32
+    assert bank.field_deg[0] == 0
+    assert bank.field_deg[-1] == demo_lens.max_field_deg
+    # Evenly spaced in f tan(theta).
+    np.testing.assert_allclose(np.diff(bank.ideal_height_um, 2), 0, atol=1e-9)
+    assert bank.efl_mm == first_order(demo_lens, 550.0).efl_mm
+    # float32 samples, 4096 of them: each rounded by 6e-8 of itself.
+    np.testing.assert_allclose(bank.psf.sum(axis=(2, 3), dtype=float), 1, rtol=0, atol=1e-7)
+    assert (bank.psf >= 0).all()
+    assert (np.diff(bank.real_height_um, axis=0) > 0).all()
+    np.testing.assert_array_equal(bank.real_height_um[0], 0)
+    np.testing.assert_array_equal(bank.relative_illumination[0], 1)
+    assert (np.diff(bank.relative_illumination, axis=0) < 0).all()
+    # f/2.8, corrected for the sine condition: pi / (2 N)^2, within the 1.5 % that the lens misses.
+    np.testing.assert_allclose(bank.projected_solid_angle_sr, np.pi / (2 * 2.8) ** 2, rtol=0.015)
+    assert bank.fit_residual_waves.max() < 1e-3
+    assert bank.failed_rays.max() == 0
+    assert bank.folded_energy.max() == 0
+    # Airy's pattern leaves 2 / (pi^2 16 um / (lambda N)) of its light outside 16 um.
+    assert 0.01 < bank.outside_energy[0, 1] < 0.025
+
+
+def test_transmission_is_fresnels_for_uncoated_surfaces(bank, demo_lens):
+    index = build(demo_lens).index(np.array([550.0]))[:, 0]
+    expected = 1.0
+    for n1, n2 in itertools.pairwise(index):
+        expected *= 4 * n1 * n2 / (n1 + n2) ** 2
+    assert bank.transmission[1] == pytest.approx(expected, rel=1e-13)
+    assert 0.55 < expected < 0.62  # eight glass-air surfaces of 5 to 7 % each
+
+
+def test_chief_ray_map_meets_real_chief_rays_between_the_nodes(demo_lens):
+    fields = default_fields_deg(demo_lens)
+    bank = compute_bank(demo_lens, [550.0], fields, size=32)
+    system = build(demo_lens)
+    index = system.index(np.array([550.0]))
+    for angle in (0.7, 4.4, 9.9, 14.0):
+        theta = np.radians(angle)
+        ray = sample_rays(system, index, theta, np.zeros(1), np.zeros(1))
+        ideal = 1e3 * bank.efl_mm * np.tan(theta)
+        real, inside = bank.real_from_ideal(ideal)
+        assert inside
+        # Error of a cubic spline: 5/384 h^4 of the fourth derivative; the distortion is 10 um over
+        # 2 mm, a fifth-order term of it 1 um, h = 150 um: 1e-5 um; measured 1e-4 at the edge.
+        assert real == pytest.approx(1e3 * ray.chief_y_mm[0], abs=1e-3)
+
+
+def test_ideal_and_real_heights_are_inverse_and_flag_the_image_circle(bank):
+    r = np.linspace(0, 1.2 * bank.ideal_height_um[-1], 101)
+    real, inside = bank.real_from_ideal(r)
+    back, inside_too = bank.ideal_from_real(real)
+    np.testing.assert_allclose(back, r, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(inside, r <= bank.ideal_height_um[-1])
+    np.testing.assert_array_equal(inside, inside_too)
+    assert (np.diff(real) > 0).all()
+    np.testing.assert_allclose(
+        bank.real_from_ideal(bank.ideal_height_um)[0],
+        bank.real_height_um[:, bank.reference],
+        rtol=0,
+        atol=1e-9,
+    )
+
+
+def test_psf_of_the_axis_is_symmetric_and_that_of_the_corner_is_not(bank):
+    axis, corner = bank.psf[0, 1], bank.psf[-1, 1]
+    np.testing.assert_allclose(axis, axis.T, rtol=0, atol=1e-6)
+    assert np.abs(corner[1:, 1:] - corner[1:, :0:-1]).max() > 1e-3
+    np.testing.assert_allclose(corner[1:], corner[:0:-1], rtol=0, atol=1e-9)
+
+
+def test_a_bank_survives_its_file(bank, tmp_path):
+    path = tmp_path / "bank.nc"
+    bank.save(path)
+    again = Bank.load(path)
+    for name in (*bank_module._VARIABLES, *bank_module._SCALARS):
+        np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
+        assert np.asarray(getattr(again, name)).dtype == np.asarray(getattr(bank, name)).dtype
+    assert again.provenance == bank.provenance
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_every_variable_in_the_file_has_units_and_provenance(bank, tmp_path):
+    bank.save(tmp_path / "bank.nc")
+    with xarray.open_dataset(tmp_path / "bank.nc", engine="h5netcdf") as data:
+        for name in data.variables:
+            assert data[name].attrs["units"], name
+            assert "Double Gauss" in data[name].attrs["provenance"], name
+        assert data.attrs["patent"] == "US 2,673,491"
+        assert "stop closed to f/2.8" in data.attrs["history"]
+        np.testing.assert_allclose(data["xi"][32], 0)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """Give an empty cache, and a count of the banks computed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    computed = []
+
+    def counted(*args, **kwargs):
+        computed.append(args)
+        return compute_bank(*args, **kwargs)
+
+    monkeypatch.setattr(bank_module, "compute_bank", counted)
+    return tmp_path / "gpusim" / "banks", computed
+
+
+TINY = {"wavelengths_nm": [550.0], "field_deg": [0.0, 10.0], "size": 32}
+
+
+def test_the_second_call_finds_the_bank_in_the_cache(cache, demo_lens):
+    folder, computed = cache
+    first = cached_bank(demo_lens, **TINY)
+    second = cached_bank(demo_lens, **TINY)
+    assert len(computed) == 1
+    np.testing.assert_array_equal(first.psf, second.psf)
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_another_lens_or_setting_is_another_bank(cache, demo_lens):
+    folder, computed = cache
+    cached_bank(demo_lens, **TINY)
+    cached_bank(demo_lens, **TINY | {"size": 34})
+    cached_bank(demo_lens.stopped(4.0), **TINY)
+    surfaces = list(demo_lens.surfaces)
+    surfaces[3] = surfaces[3].model_copy(update={"glass": "SCHOTT/N-SF15"})
+    cached_bank(demo_lens.model_copy(update={"surfaces": tuple(surfaces)}), **TINY)
+    assert len(computed) == 4
+    assert len(list(folder.iterdir())) == 4
+
+
+@pytest.mark.parametrize("damage", ["garbage", "truncated", "empty", "foreign"])
+def test_a_corrupt_cache_file_is_computed_again(cache, demo_lens, damage):
+    folder, computed = cache
+    cached_bank(demo_lens, **TINY)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    if damage == "foreign":
+        xarray.Dataset({"other": 1}).to_netcdf(file, engine="h5netcdf")
+    else:
+        file.write_bytes({"garbage": b"x" * 5000, "truncated": whole[:9000], "empty": b""}[damage])
+    again = cached_bank(demo_lens, **TINY)
+    assert len(computed) == 2
+    np.testing.assert_array_equal(again.psf, Bank.load(file).psf)
+
+
+def test_a_cache_that_cannot_be_written_is_said_and_does_no_harm(cache, demo_lens):
+    folder, _ = cache
+    folder.parent.write_text("a file where the folder should be")
+    bank = cached_bank(demo_lens, **TINY)
+    assert bank.provenance["cache"].startswith("not written")
+
+
+def test_progress_counts_up_to_the_number_of_fields(demo_lens):
+    calls = []
+    compute_bank(demo_lens, **TINY, progress=lambda done, total: calls.append((done, total)))
+    assert calls == [(1, 2), (2, 2)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"reference_nm": 555.0}, ["reference_nm", "555"]),
+        ({"field_deg": [0.0, 20.0]}, ["beyond the lens", "0 to 14.3"]),
+        ({"field_deg": [5.0, 10.0]}, ["rise from 0"]),
+        ({"field_deg": [0.0]}, ["rise from 0"]),
+        ({"wavelengths_nm": [550.0, 450.0]}, ["wavelengths must rise"]),
+        ({"wavelengths_nm": [300.0, 550.0]}, ["300 nm", "outside the data", "N-BAF10"]),
+        ({"pitch_um": 1.5}, ["too coarse", "1.5", "<= "]),
+        ({"size": 33}, ["even", "33"]),
+    ],
+)
+def test_settings_that_make_no_bank_are_refused(demo_lens, settings, words):
+    with pytest.raises(UserError) as caught:
+        compute_bank(demo_lens, **TINY | settings)
+    for word in words:
+        assert word in caught.value.screen()

@@ -1,0 +1,207 @@
+"""gpusim render: what it writes and shows, and how it refuses bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+import rawpy
+from command_line import Ran, assert_refused, gpusim, process
+from fake_capture import fake_capture
+from PIL import Image
+
+from gpusim.cli import render
+from gpusim.errors import UserError
+from gpusim.isp.develop import develop
+from gpusim.scene.exr import write_exr
+
+FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
+
+CAMERA = """
+title: a camera
+lens: {prescription: double-gauss, focal_length_mm: 8.3, f_number: 2.8}
+sensor: {preset: imx477, rows: 96, cols: 128}
+"""
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """Put a capture made by hand in place of the render; return what it was asked for."""
+    options: dict[str, Any] = {}
+
+    def take(camera: object, scene: object, **given: Any) -> object:
+        options.update(given)
+        return fake_capture(keep=given["keep"])
+
+    monkeypatch.setattr(render, "take", take)
+    return options
+
+
+def shot(out: Path, *arguments: object) -> Ran:
+    return gpusim("render", "demo", "demo", "--out", out, *arguments)
+
+
+# what it writes
+
+
+def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
+    capture = fake_capture(keep=("electrons", "rate"))
+    ran = shot(tmp_path / "new" / "out", "--keep", "electrons, rate")
+    assert ran.code == 0, ran.err
+    out = tmp_path / "new" / "out"
+    assert {file.name for file in out.iterdir()} == {*FILES, "electrons.exr", "rate.exr"}
+    with rawpy.imread(str(out / "raw.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image, capture.raw)
+    picture = np.asarray(Image.open(out / "developed.png"))
+    np.testing.assert_array_equal(picture, develop(out / "raw.dng"))
+    for name in ("electrons", "rate"):
+        plane = OpenEXR.File(str(out / f"{name}.exr")).channels()["Y"].pixels
+        assert plane.dtype == np.float32
+        np.testing.assert_array_equal(plane, getattr(capture, name))
+    report = json.loads((out / "report.json").read_text())
+    assert report["files"] == [*FILES, "electrons.exr", "rate.exr"]
+    assert report["command"][:4] == ["gpusim", "render", "demo", "demo"]
+    assert "</html>" in (out / "report.html").read_text()
+
+
+def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
+    given = ("--exposure", "1/250", "--seed", 11, "--frame", 2, "--tile-size", 512)
+    ran = shot(tmp_path, *given, "--tolerance", 1e-2, "--certify", 5, "--keep", "rate")
+    assert ran.code == 0, ran.err
+    assert (asked["exposure_s"], asked["seed"], asked["frame"]) == (1 / 250, 11, 2)
+    assert (asked["tile_px"], asked["keep"]) == (512, ("rate",))
+    assert (asked["accuracy"].tolerance, asked["accuracy"].probes) == (1e-2, 5)
+
+
+def test_the_screen_shows_adapter_stages_certificate_and_files(
+    asked: dict[str, Any], tmp_path: Path
+):
+    out = shot(tmp_path).out
+    for words in (
+        "a GPU, a driver, Vulkan",
+        "250 ms",
+        "left out  the scene is a <chart> & needs none",
+        "RMS error 1.4e-03",
+        "BEYOND the tolerance of 0.001",
+        *(str(tmp_path / name) for name in FILES),
+    ):
+        assert words in out, words
+
+
+def test_a_failure_leaves_earlier_files_as_they_were(
+    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    assert shot(tmp_path).code == 0
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+
+    def fails(*_: object) -> None:
+        raise UserError("it failed half way")
+
+    # The report comes last: the DNG and the picture are written by then.
+    monkeypatch.setattr(render.report, "page", fails)
+    assert_refused(shot(tmp_path, "--seed", 8), "it failed half way")
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+# how it refuses
+
+
+@pytest.mark.parametrize(
+    "text", ["1/0", "abc", "0", "-1", "-1/60", "nan", "inf", "1/inf", "", "1/60 s", "1//2"]
+)
+def test_a_wrong_exposure_is_refused(tmp_path: Path, text: str):
+    assert_refused(shot(tmp_path, f"--exposure={text}"), "--exposure", text, "1/60")
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("1/60", 1 / 60), ("0.01", 0.01), ("2", 2.0), ("1e-4", 1e-4)]
+)
+def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
+    assert render.exposure_seconds(text) == seconds
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--tolerance", "-0.001", ("tolerance", "-0.001")),
+        ("--tolerance", "nan", ("tolerance", "nan")),
+        ("--luminance", "0", ("luminance", "0", "above 0")),
+        ("--luminance", "-5", ("luminance", "-5", "above 0")),
+        ("--keep", "electrons,volts", ("--keep", "volts", "electrons, rate")),
+    ],
+)
+def test_a_wrong_option_is_refused(tmp_path: Path, option: str, value: str, words: tuple[str, ...]):
+    assert_refused(shot(tmp_path, f"{option}={value}"), *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
+    asked: dict[str, Any], tmp_path: Path
+):
+    file = tmp_path / "file"
+    file.write_text("")
+    for folder in (file, file / "below", Path("/proc/gpusim")):
+        assert_refused(shot(folder), "--out", folder, "a folder that you may write to")
+    assert not asked
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("title: a camera", "title: [x"), ("YAML",)),
+        (("f_number: 2.8", "f_nummer: 2.8"), ("lens.f_nummer",)),
+        (("rows: 96", "rows: -96"), ("sensor.rows", "-96")),
+        (("rows: 96", "rows: 96000"), ("rows", "96000")),
+        (("imx477", "imx4711"), ("imx4711", "imx477")),
+        (("double-gauss", "triple-gauss"), ("triple-gauss", "double-gauss")),
+        (("f_number: 2.8", "f_number: 0.7"), ("f_number", "0.7")),
+    ],
+)
+def test_a_wrong_camera_file_is_refused(
+    tmp_path: Path, change: tuple[str, str], words: tuple[str, ...]
+):
+    file = tmp_path / "camera.yaml"
+    assert change[0] in CAMERA
+    file.write_text(CAMERA.replace(*change))
+    assert_refused(gpusim("render", file, "demo", "--out", tmp_path / "out"), *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_or_missing_camera_is_refused(tmp_path: Path):
+    out = tmp_path / "out"
+    assert_refused(gpusim("render", "kodak", "demo", "--out", out), "CAMERA", "kodak", "demo")
+    missing = tmp_path / "none.yaml"
+    assert_refused(gpusim("render", missing, "demo", "--out", out), missing)
+
+
+def test_a_wrong_scene_is_refused(tmp_path: Path):
+    def refused(scene: object, *words: object) -> None:
+        assert_refused(gpusim("render", "demo", scene, "--out", tmp_path / "out"), *words)
+
+    refused("chessboard", "scene", "chessboard", "colorchecker")
+    refused(tmp_path / "none.exr", tmp_path / "none.exr")
+    corrupt = tmp_path / "corrupt.exr"
+    corrupt.write_bytes(b"no picture")
+    refused(corrupt, corrupt)
+    for name, value in (("nan.exr", np.nan), ("infinite.exr", np.inf), ("negative.exr", -1.0)):
+        picture = np.ones((4, 5, 3), np.float32)
+        picture[1, 2, 0] = value
+        write_exr(tmp_path / name, {"RGB": picture})
+        refused(tmp_path / name, tmp_path / name, "channel R", "row 1, column 2")
+
+
+def test_a_sensor_beyond_the_image_circle_is_refused(tmp_path: Path):
+    # The whole sensor: its corner lies 3.93 mm from the axis, the lens's circle has 3.30 mm.
+    file = tmp_path / "camera.yaml"
+    file.write_text(CAMERA.replace(", rows: 96, cols: 128", ""))
+    ran = gpusim("render", file, "demo", "--out", tmp_path / "out")
+    assert_refused(ran, "image circle", "focal_length_mm")
+
+
+def test_an_unknown_adapter_is_refused(tmp_path: Path):
+    ran = process("render", "demo", "demo", "--out", tmp_path, "--adapter", "abacus")
+    assert_refused(ran, "adapter", "abacus")
