@@ -136,13 +136,10 @@ def certify(
     period = sensor.period
     pixels = choose_probes(rate, period[0], accuracy.probes)
     truth = Truth(bank, sensor, scene.spectra, WAVELENGTHS_NM)
+    evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
     points = []
     for number, (row, col) in enumerate(pixels, start=1):
-        one = pixels[number - 1 : number]
-        if isinstance(placed, Chart):
-            value = truth.chart(placed, one)[0]
-        else:
-            value = truth.raster(placed, one)[0]
+        value = evaluate(placed, pixels[number - 1 : number])[0]
         value += glare[row % period[0] * period[1] + col % period[1]]
         true_e, render_e = value * exposure_s, float(rate[row, col]) * exposure_s
         noise_e = np.sqrt(max(true_e, 0.0) + sensor.temporal_dark_noise_e**2)

@@ -137,11 +137,22 @@ class Renderer:
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.convolutions = [
             Convolve(
-                self.device, scale, aperture_um, sites, lambda: report("kernels", next(done), int(total))
+                self.device,
+                scale,
+                source.needed,
+                aperture_um,
+                sites,
+                lambda: report("kernels", next(done), int(total)),
             )
-            for scale in self.plan.scales
+            for scale, source in zip(self.plan.scales, self.sources, strict=True)
         ]
         self._spent("kernels", started)
+
+    def release(self) -> None:
+        """Give the device's memory back; the renderer cannot be used any more."""
+        for part in (*self.sources, *self.convolutions):
+            part.release()
+        self.resident_glare.destroy()
 
     def _spent(self, what: str, started: float) -> float:
         now = time.perf_counter()
@@ -329,6 +340,9 @@ def capture(
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
     renderer = Renderer(camera, scene, accuracy, progress=progress)
-    return renderer.capture(
-        exposure_s, seed=seed, frame=frame, tile_px=tile_px, keep=keep, progress=progress
-    )
+    try:
+        return renderer.capture(
+            exposure_s, seed=seed, frame=frame, tile_px=tile_px, keep=keep, progress=progress
+        )
+    finally:
+        renderer.release()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import Bank
+from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.fold import Basis, edge_responses, reduce_spectra, spectral_weights
 from gpusim.optics.grid import SimGrid
@@ -21,13 +23,17 @@ from gpusim.optics.kernels import (
     low_pass,
     sampled_kernels,
 )
-from gpusim.optics.paint import SIGMA
+from gpusim.optics.paint import SIGMA, primitives_by_block
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 # The planes' error is that of the worst spectrum in its weakest channel; the rest is well below it.
 WORST_TO_RMS = 5.0
+# What least-squares nodes gain over interpolation between samples: see gpusim.optics.kernels.node_kernels.
+NODE_GAIN = 2.45
+# Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark side.
+CONTRAST = 20.0
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 KERNEL_BYTES = 640 << 20  # of the 1 GiB that the device may use; the rest is for planes, frames and scratch
@@ -170,13 +176,13 @@ def node_error(kernels: FieldKernels, pitch_um: float, half_um: tuple[float, flo
         x, y = (max(fraction * half - spacing_um / 2, 0.0) for half in half_um)
         shifts = (-spacing_um / 2, spacing_um / 2)
         corners = [
-            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size)[0, 0] for dx in shifts for dy in shifts
+            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0] for dx in shifts for dy in shifts
         ]
-        kernel = sampled_kernels(kernels, x, y, pitch_um, half_size)[0, 0]
+        kernel = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0, 0]
         for axis in (0, 1):
             response = np.cumsum((sum(corners) / 4 - kernel).sum(axis=axis)) / kernel.sum()
             squares.append(np.abs(response).max() ** 2)
-    return float(np.sqrt(np.mean(squares)))
+    return float(np.sqrt(np.mean(squares))) / NODE_GAIN
 
 
 def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
@@ -205,9 +211,17 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     images, radius_um = field_images(bank, basis.weights, float(np.hypot(*half_um)))
     everything = np.ones(images.shape[-2:])
 
+    if is_chart:
+        chief_ray, placed = chief_ray_map(bank), scene.source.placed(half_um[1])
+
+    def needed(grid: SimGrid, pitch_um: float) -> dict[tuple[int, int], int]:
+        if is_chart:
+            return primitives_by_block(placed, basis.coefficients, grid, pitch_um, chief_ray)[1]
+        return dict.fromkeys(np.ndindex(grid.blocks), basis.coefficients.shape[1])
+
     for oversampling in (2, 4):
         alias = alias_error(bank, oversampling, sensor, sigma) if is_chart else 0.0
-        if alias <= worst or oversampling * period == 8:
+        if alias <= accuracy.tolerance or oversampling * period == 8:
             break
     pitch_um = sensor.pixel_pitch_um / oversampling
     reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + np.ptp(bank.real_height_um, axis=1).max()
@@ -217,7 +231,7 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     cut = None
     for cut_um in CUTS_UM:
         lost = cut_error(images, bank.pitch_um, coarse_pitch_um, sensor, cut_um)
-        if lost <= accuracy.tolerance / 2 and cut_um < reach_um / 2:
+        if lost <= accuracy.tolerance / CONTRAST and cut_um < reach_um / 2:
             cut = cut_um
             break
     core = everything if cut is None else core_window(distances_um(len(everything), bank.pitch_um), cut)
@@ -227,16 +241,16 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     middle = len(sensor.channels) // 2
     first = FieldKernels(kernels.splines[:, :1, middle : middle + 1], radius_um, bank.pitch_um)
     trial = node_error(first, pitch_um, half_um, trial_um)
-    spacing_um = trial_um * np.sqrt(worst / max(trial, 1e-12))
+    spacing_um = trial_um * np.sqrt(accuracy.tolerance / max(trial, 1e-12))
     cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
     nodes = trial * max(2 * half / count / trial_um for half, count in zip(half_um, cells, strict=True)) ** 2
 
-    grid = _cheapest(sensor, oversampling * period, period, (cut or reach_um) / pitch_um, cells, kernels)
+    grid = _cheapest(sensor, oversampling * period, period, (cut or reach_um) / pitch_um, cells, lambda g: needed(g, pitch_um))
     scales = [Scale("core" if cut else "whole", grid, pitch_um, sigma, kernels)]
     if cut is not None:
         tail = field_kernels(images, radius_um, bank.pitch_um, coarse_pitch_um, everything - core)
         few = tuple(-(-count // 3) for count in cells)  # the tail holds some per cent of the energy
-        coarse = _cheapest(sensor, coarse_stride, period, reach_um / coarse_pitch_um, few, tail)
+        coarse = _cheapest(sensor, coarse_stride, period, reach_um / coarse_pitch_um, few, lambda g: needed(g, coarse_pitch_um))
         scales.append(Scale("tail", coarse, coarse_pitch_um, sigma, tail))
     predicted = {"planes": basis.residual, "alias": alias, "nodes": nodes, "cut": lost}
     return Plan(basis, tuple(scales), _stages(scales, basis, sensor, scene, predicted))
@@ -252,31 +266,41 @@ def _commonest_first(scene: Scene) -> np.ndarray:
 
 
 def _cheapest(
-    sensor: Sensor, stride: int, period: int, reach: float, cells: tuple[int, int], kernels: FieldKernels
+    sensor: Sensor,
+    stride: int,
+    period: int,
+    reach: float,
+    cells: tuple[int, int],
+    needed: Callable[[SimGrid], dict[tuple[int, int], int]],
 ) -> SimGrid:
-    """Return the grid whose transforms touch the fewest samples, among those whose kernels fit the memory.
+    """Return the grid that takes the least work, among those whose kernels fit the memory.
 
-    `reach` of the kernels in sim samples; `cells` are the fewest that the tolerance allows.
+    `reach` of the kernels in sim samples; `cells` are the fewest that the tolerance allows; `needed` returns the planes that
+    each block of a grid needs.
     """
     # 8 samples: half an aperture, half a sample to the pixel's centre, and the ringing of the band's end.
     half_size = int(np.ceil((reach + 8) / stride)) * stride
-    outputs = kernels.splines.shape[1] * kernels.splines.shape[2]
-    if stride % period:  # each site has a kernel of its own
-        outputs = kernels.splines.shape[1] * period**2
-    grids = []
+    channels = len(sensor.channels) if stride % period == 0 else period**2
+    best = None
     for length in TRANSFORMS:
         largest = (length - 2 * half_size) // stride * stride
         if largest < 8 * stride:
             continue
-        for blocks in range(1, 9):
+        for blocks in range(1, 5):
             extent = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, cells).extent
-            finest = tuple(
+            finer = tuple(
                 max(count, -(-size // (blocks * largest))) for count, size in zip(cells, extent, strict=True)
             )
-            grid = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, finest)
-            if _kernel_bytes(grid, outputs) <= KERNEL_BYTES:
-                grids.append(grid)
-    if not grids:
+            grid = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, finer)
+            planes = needed(grid)
+            at_nodes = sum(grid.planes_at(node, planes) for node in np.ndindex(grid.nodes))
+            if at_nodes * channels * (length // 2 + 1) * length * 8 > KERNEL_BYTES:
+                continue
+            # The inverse transforms and the products of a block cost about as much as the forward ones of a plane.
+            work = sum(1 + count for count in planes.values() if count) * length**2 * np.log2(length)
+            if best is None or work < best[0]:
+                best = (work, grid)
+    if best is None:
         raise UserError(
             "The kernels of this lens do not fit: its PSF is too wide, or changes too fast over the field.",
             field="tolerance",
@@ -284,12 +308,7 @@ def _cheapest(
             allowed=f"at most {TRANSFORMS[-1] - 8 * stride} samples, and {KERNEL_BYTES >> 20} MiB of kernels: "
             "a looser tolerance, or a smaller region of the sensor",
         )
-    return min(grids, key=lambda g: g.blocks[0] * g.blocks[1] * g.length**2 * np.log2(g.length))
-
-
-def _kernel_bytes(grid: SimGrid, outputs: int) -> int:
-    """Return the memory of the kernels of all nodes."""
-    return grid.nodes[0] * grid.nodes[1] * outputs * (grid.length // 2 + 1) * grid.length * 8
+    return best[1]
 
 
 def _stages(

@@ -13,7 +13,7 @@ import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
+from gpusim.optics.kernels import FieldKernels, kernel_spectra, node_kernels, sampled_kernels
 
 FIRST_RADIX = {256: 4, 512: 8, 1024: 2}  # T = FIRST_RADIX 8^k
 
@@ -59,6 +59,9 @@ class Convolve:
     ----------
     device : Device
     scale : Scale
+    needed : dict
+        Coefficient planes that each block needs; where none of the blocks around a node needs a plane, its
+        kernels are left out.
     aperture_um : float
         Side of the pixel aperture.
     site_channels : list of int
@@ -71,13 +74,13 @@ class Convolve:
         self,
         device: Device,
         scale: Scale,
+        needed: dict[tuple[int, int], int],
         aperture_um: float,
         site_channels: list[int],
         progress: Callable[[], None] | None = None,
     ) -> None:
         self.grid = grid = scale.grid
         outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
-        self.planes = scale.kernels.splines.shape[1]
         line = {"T": grid.length, "LANES": grid.length // 8}
         radix = FIRST_RADIX[grid.length]
         scratch = max(grid.length, 2 * grid.window)
@@ -89,7 +92,6 @@ class Convolve:
             **line,
             FIRST_RADIX=radix,
             BY=grid.block[1],
-            J=self.planes,
             C=len(outputs),
             D=grid.stride,
             M=grid.window,
@@ -101,15 +103,40 @@ class Convolve:
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
         self.nodes = {}
-        for index in np.ndindex(grid.nodes):
-            x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
-            sampled = sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, grid.half_size)
-            spectra = kernel_spectra(
-                sampled, grid.length, aperture_um / scale.pitch_um, scale.sigma, outputs
-            )
-            self.nodes[index] = device.resident(f"node {index}", spectra.view(np.float32))
-            if progress is not None:
-                progress()
+        points: dict[tuple[int, int], np.ndarray] = {}
+        for y in range(grid.nodes[1]):
+            # A node needs its neighbours' kernels: those of three rows are at hand at a time.
+            points = {index: kernel for index, kernel in points.items() if index[1] >= y - 1}
+            for x in range(grid.nodes[0]):
+                planes = grid.planes_at((x, y), needed)
+                if planes:
+                    kernels = self._node(scale, (x, y), planes, points)
+                    spectra = kernel_spectra(
+                        kernels, grid.length, aperture_um / scale.pitch_um, scale.sigma, outputs
+                    )
+                    self.nodes[x, y] = device.resident(f"node {x},{y}", spectra.view(np.float32))
+                if progress is not None:
+                    progress()
+
+    def _node(
+        self,
+        scale: Scale,
+        node: tuple[int, int],
+        planes: int,
+        points: dict[tuple[int, int], np.ndarray],
+    ) -> np.ndarray:
+        """Return the kernels of a node, from those of the field points around it."""
+
+        def sample(dx: int, dy: int) -> np.ndarray:
+            index = (node[0] + dx, node[1] + dy)
+            if index not in points or len(points[index]) < planes:
+                x_um, y_um = (np.array(self.grid.node_position(index)) - self.grid.centre) * scale.pitch_um
+                points[index] = sampled_kernels(
+                    scale.kernels, x_um, y_um, scale.pitch_um, self.grid.half_size, planes
+                )
+            return points[index][:planes]
+
+        return node_kernels(sample)
 
     def _outputs(
         self, site_channels: list[int], channels: int
@@ -133,6 +160,11 @@ class Convolve:
             for site, channel in enumerate(site_channels)
         ]
         return places, 0
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for resident in (self.twiddle, *self.nodes.values()):
+            resident.destroy()
 
     def record(
         self,

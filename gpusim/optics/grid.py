@@ -113,6 +113,13 @@ class SimGrid:
         """Return the cell in which a block lies; its upper left node has the same index."""
         return tuple(i // blocks for i, blocks in zip(index, self.blocks_per_cell, strict=True))
 
+    def planes_at(self, node: tuple[int, int], needed: dict[tuple[int, int], int]) -> int:
+        """Return the most planes that a block around a node needs; `needed` by block."""
+        across, down = self.blocks_per_cell
+        columns = range((node[0] - 1) * across, (node[0] + 1) * across)
+        rows = range((node[1] - 1) * down, (node[1] + 1) * down)
+        return max(needed.get((x, y), 0) for x in columns for y in rows)
+
     def node_weights(self, index: tuple[int, int]) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return, for x and for y, the position of a block's first sample between two nodes (0..1), and the step."""
         result = []

@@ -12,6 +12,7 @@ Gaussian with which the scene was low-passed before it was sampled on the sim gr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,18 +126,23 @@ def distances_um(n: int, pitch_um: float) -> np.ndarray:
 
 
 def sampled_kernels(
-    kernels: FieldKernels, x_um: float, y_um: float, sim_pitch_um: float, half_size: int
+    kernels: FieldKernels,
+    x_um: float,
+    y_um: float,
+    sim_pitch_um: float,
+    half_size: int,
+    planes: int,
 ) -> np.ndarray:
-    """Return the kernels of one field point on a sim grid.
+    """Return the kernels of one field point on a sim grid, of the first planes only.
 
     Beyond the last field they are the last field's.
 
     Returns
     -------
-    ndarray (J, C, 2 R, 2 R)
+    ndarray (planes, C, 2 R, 2 R)
         Index [row, column]; the source sample is at [R, R].
     """
-    planes, channels, n = kernels.splines.shape[1], kernels.splines.shape[2], kernels.splines.shape[-1]
+    channels, n = kernels.splines.shape[2], kernels.splines.shape[-1]
     radius = float(np.hypot(x_um, y_um))
     upper = int(np.clip(np.searchsorted(kernels.radius_um, radius), 1, len(kernels.radius_um) - 1))
     lower = upper - 1
@@ -155,6 +161,27 @@ def sampled_kernels(
         spline = (1 - t) * kernels.splines[(lower, *index)] + t * kernels.splines[(upper, *index)]
         out[index][inside] = area * map_coordinates(spline, where, np.float64, order=3, prefilter=False)
     return out
+
+
+def node_kernels(
+    sample: Callable[[int, int], np.ndarray],
+) -> np.ndarray:
+    """Return the kernels of one node such that interpolation between nodes errs least in the mean square.
+
+    Straight lines through samples of a curve err to one side, by f'' t (h - t) / 2. Lines through
+
+        f - h^2 f'' / 12
+
+    instead err to both, and 2.4 times less in the root mean square (the least-squares spline of degree 1; Unser 1999,
+    section on approximation). f'' h^2 is taken as the second difference between the nodes, along x and along y.
+
+    Parameters
+    ----------
+    sample : callable
+        Returns the kernels dx, dy nodes away.
+    """
+    neighbours = sample(-1, 0) + sample(1, 0) + sample(0, -1) + sample(0, 1)
+    return sample(0, 0) * (1 + 4 / 12) - neighbours / 12
 
 
 def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> np.ndarray:
@@ -205,16 +232,16 @@ def kernel_spectra(
 
     Returns
     -------
-    ndarray (T/2+1, J, len(outputs), 4, T/8, 2), complex64
-        [kx, plane, output, a, lane, b] with ky = (2 a + b) T/8 + lane, as the lanes of a workgroup load them two at a time;
+    ndarray (J, T/2+1, len(outputs), 4, T/8, 2), complex64
+        [plane, kx, output, a, lane, b] with ky = (2 a + b) T/8 + lane, as the lanes of a workgroup load them two at a time;
         divided by T^2 for the inverse transforms, which are not normalised.
     """
     half = length // 2 + 1
     spectra = scipy.fft.rfft2(sampled, s=(length, length), workers=2)
-    result = np.empty((half, sampled.shape[0], len(outputs), 4, length // 8, 2), np.complex64)
+    result = np.empty((len(sampled), half, len(outputs), 4, length // 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
         along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2
         along_x = aperture_spectrum(length, width, sigma, shift_x)[:half]
-        one = (spectra[:, channel] * (along_y * along_x)).transpose(2, 0, 1)
-        result[:, :, place] = one.reshape(half, -1, 4, 2, length // 8).swapaxes(-1, -2)
+        one = (spectra[:, channel] * (along_y * along_x)).swapaxes(1, 2)
+        result[:, :, place] = one.reshape(-1, half, 4, 2, length // 8).swapaxes(-1, -2)
     return result

@@ -7,6 +7,7 @@ import numpy as np
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.convolve import Scale
+from gpusim.optics.grid import SimGrid
 from gpusim.scene.chart import Chart, Disc
 
 PRIMITIVE = np.dtype(
@@ -24,6 +25,56 @@ SIGMA = 0.8
 REACH = 8.0  # sim samples beyond which a primitive's Gaussian edge (6 standard deviations) is zero, with margin
 
 
+def primitives_by_block(
+    chart: Chart, coefficients: np.ndarray, grid: SimGrid, pitch_um: float, chief_ray: ChiefRayMap
+) -> tuple[dict[tuple[int, int], np.ndarray], dict[tuple[int, int], int]]:
+    """List the primitives that each block of a sim grid sees, and count the planes that it needs.
+
+    Parameters
+    ----------
+    chart : Chart
+        Placed, in um on the ideal plane.
+    coefficients : ndarray (M, J)
+        Of the chart's materials.
+    grid : SimGrid
+    pitch_um : float
+        Of the sim grid.
+    chief_ray : ChiefRayMap
+
+    Returns
+    -------
+    seen : dict of ndarray
+        Indices of primitives, in painter's order, by block.
+    needed : dict of int
+        By block: planes beyond these have no coefficient in it.
+    """
+    bounds_um = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]).reshape(-1, 3)
+    material = np.array([shape.material for shape in chart.primitives], int)
+    last_plane = np.array([np.flatnonzero(row)[-1] + 1 if row.any() else 0 for row in coefficients])
+    g = np.polynomial.Polynomial(chief_ray.coefficients)
+    side = np.linspace(0, 1, 9)
+    # Nine points a side of the block's outline: on the way from one to the next the map is monotone.
+    outline = np.concatenate(
+        [np.stack([side, np.full(9, end)], axis=1) for end in (0, 1)]
+        + [np.stack([np.full(9, end), side], axis=1) for end in (0, 1)]
+    )
+    seen, needed = {}, {}
+    for y in range(grid.blocks[1]):
+        for x in range(grid.blocks[0]):
+            corner = np.array(grid.block_origin((x, y))) - grid.centre - REACH
+            real = (corner + outline * (np.array(grid.block) + 2 * REACH)) * pitch_um
+            rho2 = np.minimum(np.sum(real**2, axis=1) / chief_ray.radius_um**2, 1.0)
+            ideal = real * g(rho2)[:, None]
+            low, high = ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um
+            near = np.all(
+                (bounds_um[:, :2] + bounds_um[:, 2:] > low) & (bounds_um[:, :2] - bounds_um[:, 2:] < high),
+                axis=1,
+            )
+            seen[x, y] = np.flatnonzero(near)
+            needed[x, y] = int(max(last_plane[chart.background], *last_plane[material[near]], 0))
+    return seen, needed
+
+
 class Paint:
     """A chart on the device.
 
@@ -36,6 +87,11 @@ class Paint:
         Of the chart's materials in the reduced basis.
     scale : Scale
     chief_ray : ChiefRayMap
+
+    Attributes
+    ----------
+    needed : dict of int
+        Planes that each block needs.
     """
 
     def __init__(
@@ -50,9 +106,7 @@ class Paint:
         self.chief_ray = chief_ray
         self.background = chart.background
         table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
-        self.material = np.array([shape.material for shape in chart.primitives], int)
-        self.bounds_um = np.zeros((len(chart.primitives), 3))  # centre x, y and radius of the circle around
-        for row, bounds, shape in zip(table, self.bounds_um, chart.primitives, strict=False):
+        for row, shape in zip(table, chart.primitives, strict=False):
             disc = isinstance(shape, Disc)
             size_um = (shape.radius, shape.radius) if disc else (shape.half_w, shape.half_h)
             angle = 0.0 if disc else shape.angle_rad
@@ -61,50 +115,26 @@ class Paint:
             row["axis"] = np.cos(angle), np.sin(angle)
             row["kind"] = disc
             row["material"] = shape.material
-            bounds[:] = shape.cx, shape.cy, shape.reach
         materials = np.zeros((len(coefficients), 8), np.float32)
         materials[:, : coefficients.shape[1]] = coefficients
+        seen, self.needed = primitives_by_block(chart, coefficients, scale.grid, scale.pitch_um, chief_ray)
+        starts = np.cumsum([0, *map(len, seen.values())])
+        self.ranges = {
+            block: (int(start), len(picked))
+            for (block, picked), start in zip(seen.items(), starts[:-1], strict=True)
+        }
+        chosen = np.concatenate([*seen.values(), [0]]).astype(np.uint32)
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
         self.materials = device.resident("paint materials", materials)
-        self.chosen, self.ranges, self.needed = self._choose(device, coefficients)
-        self.kernel = Kernel("optics/paint", BX=self.grid.block[0], BY=self.grid.block[1], J=coefficients.shape[1])
+        self.chosen = device.resident("paint chosen", chosen)
+        self.kernel = Kernel(
+            "optics/paint", BX=self.grid.block[0], BY=self.grid.block[1], J=coefficients.shape[1]
+        )
 
-    def _choose(self, device: Device, coefficients: np.ndarray) -> tuple[Array, dict, dict]:
-        """List the primitives that each block sees, and count the planes that their materials need."""
-        grid, pitch = self.grid, self.pitch_um
-        chosen, ranges, needed = [], {}, {}
-        for y in range(grid.blocks[1]):
-            for x in range(grid.blocks[0]):
-                low = (np.array(grid.block_origin((x, y))) - grid.centre - REACH) * pitch
-                high = low + (np.array(grid.block) + 2 * REACH) * pitch
-                line = np.linspace(0, 1, 9)
-                # The block's outline on the ideal plane: along the outline the map is monotone between these points.
-                outline = np.concatenate(
-                    [
-                        np.stack([low[0] + line * (high[0] - low[0]), np.full(9, y_um)], axis=1)
-                        for y_um in (low[1], high[1])
-                    ]
-                    + [
-                        np.stack([np.full(9, x_um), low[1] + line * (high[1] - low[1])], axis=1)
-                        for x_um in (low[0], high[0])
-                    ]
-                )
-                rho2 = np.minimum(np.sum(outline**2, axis=1) / self.chief_ray.radius_um**2, 1.0)
-                ideal = outline * np.polynomial.Polynomial(self.chief_ray.coefficients)(rho2)[:, None]
-                low, high = ideal.min(axis=0) - pitch, ideal.max(axis=0) + pitch
-                near = np.all(
-                    (self.bounds_um[:, :2] + self.bounds_um[:, 2:] > low)
-                    & (self.bounds_um[:, :2] - self.bounds_um[:, 2:] < high),
-                    axis=1,
-                )
-                picked = np.flatnonzero(near)
-                ranges[x, y] = (sum(map(len, chosen)), len(picked))
-                chosen.append(picked)
-                seen = {self.background, *(int(self.material[i]) for i in picked)}
-                used = np.flatnonzero(np.any(coefficients[list(seen)] != 0, axis=0))
-                needed[x, y] = int(used[-1]) + 1 if len(used) else 0
-        flat = np.concatenate([*chosen, [0]]).astype(np.uint32)
-        return device.resident("paint chosen", flat), ranges, needed
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for resident in (self.primitives, self.materials, self.chosen):
+            resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
         """Paint one block of the sim grid into `planes` (J, BY, BX)."""

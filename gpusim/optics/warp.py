@@ -45,6 +45,11 @@ class Warp:
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)
         self.kernel = Kernel("optics/warp", BX=self.grid.block[0], BY=self.grid.block[1])
 
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for resident in self.planes:
+            resident.destroy()
+
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
         """Sample one block of the sim grid into `planes` (J, BY, BX)."""
         grid = self.grid

@@ -4,11 +4,11 @@
 // photosites (fold of the spectrum).
 //
 //   A_0 = (Z[k] + conj Z[T-k]) / 2,  A_1 = (Z[k] - conj Z[T-k]) / 2i     rows weighted for left, right node
-//   X_c[ky, kx] = sum_j sum_n H_n[kx, j, c, ky] sum_y A_j,nx[y, kx] r_ny(y) exp(-2 pi i ky y / T)
+//   X_c[ky, kx] = sum_j sum_n H_n[j, kx, c, ky] sum_y A_j,nx[y, kx] r_ny(y) exp(-2 pi i ky y / T)
 //   r_0 = 1 - s(y), r_1 = s(y), s(y) = first_s + y step_s
 //   folded[site, kx, m] = sum_ky X_c(site)[ky, kx] exp(2 pi i (ky (D m + o_y) + kx o_x) / T),  m < M = T/D
 // Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D.
-// spectra (planes, BY, T), kernels (T/2+1, J, C, 4, LANES, 2) per node [electrons/s per unit
+// spectra (planes, BY, T), kernels (planes, T/2+1, C, 4, LANES, 2) per node [electrons/s per unit
 // of the plane, divided by T^2], ky = (2 a + b) LANES + lane at [.., a, lane, b],
 // -> folded (S, T/2+1, M) electrons/s.
 // Dispatch: (T/2+1, 1, 1) workgroups of LANES = T/8 invocations.
@@ -19,7 +19,6 @@ override T: u32 = 512u;           // transform length, samples
 override LANES: u32 = 64u;        // T/8
 override FIRST_RADIX: u32 = 8u;   // 2, 4 or 8: T = FIRST_RADIX 8^k
 override BY: u32 = 336u;          // block height, samples
-override J: u32 = 3u;             // coefficient planes in the kernels
 override C: u32 = 3u;             // channels in the kernels, 1 to 4
 override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
 override M: u32 = 128u;           // T/D
@@ -30,7 +29,7 @@ override SCRATCH: u32 = 512u;     // max(T, 2 M)
 struct Params {
     first_s: f32,
     step_s: f32,
-    planes: u32,                  // planes that the block needs, at most J
+    planes: u32,                  // coefficient planes that the block needs
     site_channels: vec4u,         // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
@@ -160,7 +159,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     let r6 = upper_weight(t + 6u * LANES);
     let r7 = upper_weight(t + 7u * LANES);
     for (var j = 0u; j < params.planes; j++) {
-        let i = (kx * J + j) * C * (T / 2u) + t;
+        let i = (j * (T / 2u + 1u) + kx) * C * (T / 2u) + t;
         let a0 = sides(j, kx, t);
         let a1 = sides(j, kx, t + LANES);
         let a2 = sides(j, kx, t + 2u * LANES);

@@ -48,9 +48,10 @@ def test_scaled_lens_has_the_focal_length_and_scales_everything(double_gauss):
 def test_scaling_keeps_the_shape_of_an_asphere():
     rows = [
         {"radius": 20.0, "thickness": 3.0, **model(1.5), "asphere": {"a4": 1e-5, "a6": -2e-8}},
-        {"radius": -60.0},
+        {"curvature": -1 / 60.0},
     ]
     before, after = build(lens(rows)), build(lens(rows).resized(0.3))
+    assert after.image_z_mm == pytest.approx(0.3 * before.image_z_mm, rel=1e-13)
     r = np.linspace(0, 4, 9)
 
     def sag(system, r):
@@ -218,6 +219,10 @@ def test_first_order_of_a_thick_lens_is_the_lens_makers():
     assert order.bfl_mm == pytest.approx((1 - (n - 1) * t / (n * r1)) / power, rel=1e-13)
     assert order.entrance_pupil_diameter_mm == pytest.approx(1 / power / 5, rel=1e-13)
     assert order.entrance_pupil_z_mm == 0  # the stop is the first surface
+    # The exit pupil subtends the working aperture from the focus.
+    assert order.exit_pupil_diameter_mm / (order.bfl_mm - order.exit_pupil_z_mm) == pytest.approx(
+        1 / order.f_number, rel=1e-13
+    )
 
 
 def test_pupils_of_a_symmetric_lens_mirror_each_other():

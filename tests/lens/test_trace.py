@@ -171,6 +171,22 @@ def test_failed_rays_are_masked_and_finite():
         assert np.isfinite(array).all()
 
 
+def test_rays_beyond_an_asphere_are_masked_and_finite():
+    # A polynomial that turns back steeply: Newton runs away there and overflows.
+    rows = [
+        {"radius": 10.0, "asphere": {"a16": -1e-7}, "thickness": 4.0, **model(1.9)},
+        {"radius": -10.0, "asphere": {"a14": 1e-6}, "thickness": 4.0},
+        {"radius": 30.0, "thickness": 4.0, **model(1.5)},
+        {"radius": np.inf},
+    ]
+    system = build(lens(rows, stop_semi_diameter_mm=0.5, max_field_deg=0.0))
+    h = np.linspace(-14, 14, 57)[None]
+    rays = trace(system.geometry, system.index(D_LINE), np.radians(40), h, h)
+    assert not rays.ok[np.abs(h) > 8].any()
+    for array in (rays.x, rays.y, rays.point, rays.direction, rays.path):
+        assert np.isfinite(array).all()
+
+
 def test_a_field_that_no_chief_ray_reaches_is_an_error():
     rows = [
         {"radius": 10.0, "thickness": 6.0, "semi_diameter": 9.0, **model(1.9)},
