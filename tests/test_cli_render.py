@@ -68,6 +68,13 @@ def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
     assert "</html>" in (out / "report.html").read_text()
 
 
+def test_develop_gives_the_picture_again(asked: dict[str, Any], tmp_path: Path):
+    assert shot(tmp_path).code == 0
+    ran = gpusim("develop", tmp_path / "raw.dng", "--out", tmp_path / "again.png")
+    assert ran.code == 0, ran.err
+    assert (tmp_path / "again.png").read_bytes() == (tmp_path / "developed.png").read_bytes()
+
+
 def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     given = ("--exposure", "1/250", "--seed", 11, "--frame", 2, "--tile-size", 512)
     ran = shot(tmp_path, *given, "--tolerance", 1e-2, "--certify", 5, "--keep", "rate")

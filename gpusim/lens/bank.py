@@ -295,6 +295,8 @@ def compute_bank(
     system = build(prescription)
     index = system.index(wavelengths)
     order = first_order(system.prescription, reference_nm)
+    # The circle in the window: a PSF is rotated to every azimuth, and must not gain corners on the way.
+    inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
 
     def one_field(angle: float) -> dict[str, np.ndarray]:
         """All wavelengths of one field, by the names of the bank's variables."""
@@ -304,7 +306,8 @@ def compute_bank(
         outside, folded = np.zeros((2, len(wavelengths)))
         for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
             _check_pitch(prescription, pupil, wavelength, pitch_um)
-            window, outside[w] = intensity(pupil, wavelength, size, pitch_um)
+            window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+            outside[w] = 1.0 - window.sum()
             folded[w] = folded_share(pupil, wavelength, size, pitch_um)
             psf[w] = window / window.sum()
         return {

@@ -276,7 +276,7 @@ def _pupil(
         if residual < GOOD_FIT_WAVES * wavelength_nm * 1e-6:
             break
 
-    coverage = _within_hull(alpha, beta, grid_a, grid_b).astype(float)
+    coverage = within_hull(alpha, beta, grid_a, grid_b).astype(float)
     for g in smooth[1:]:
         slope_a, slope_b = np.gradient(g, edge_order=2)
         # Rims that coincide must not count twice, so the least share, not the product.
@@ -319,10 +319,12 @@ def _fit(
     return design @ solution, on_grid
 
 
-def _within_hull(
+def within_hull(
     alpha: np.ndarray, beta: np.ndarray, grid_a: np.ndarray, grid_b: np.ndarray
 ) -> np.ndarray:
-    """Nodes within the convex hull of the rays and their mirror images: beyond, fits mean nothing.
+    """Return the nodes within the convex hull of the rays and their mirror images.
+
+    Beyond it a fit means nothing, and a margin could seem negative again.
 
     The rays reach OVERSIZE beyond every rim, so the hull never cuts the pupil.
     """

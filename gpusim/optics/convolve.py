@@ -15,6 +15,7 @@ from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, kernel_spectra, node_kernels, sampled_kernels
 
+WORKGROUP_SAMPLES = 2048  # complex samples in 16 KiB, the portable limit of workgroup memory
 FIRST_RADIX = {256: 4, 512: 8, 1024: 2}  # T = FIRST_RADIX 8^k
 
 
@@ -83,7 +84,7 @@ class Convolve:
         outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
         line = {"T": grid.length, "LANES": grid.length // 8}
         radix = FIRST_RADIX[grid.length]
-        scratch = max(grid.length, 2 * grid.window)
+        lines = min(grid.sites, WORKGROUP_SAMPLES // (2 * grid.window))
         self.rows = Kernel(
             "optics/rows", **line, FIRST_RADIX=radix, BX=grid.block[0], BY=grid.block[1]
         )
@@ -97,9 +98,12 @@ class Convolve:
             M=grid.window,
             PERIOD=grid.period,
             STEP=step,
-            SCRATCH=scratch,
+            LINES=lines,
+            SCRATCH=max(grid.length, 2 * lines * grid.window),
         )
-        self.lattice = Kernel("optics/lattice", **line, M=grid.window, S=grid.sites, SCRATCH=scratch)
+        self.lattice = Kernel(
+            "optics/lattice", **line, M=grid.window, S=grid.sites, SCRATCH=2 * grid.window
+        )
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
         self.nodes = {}

@@ -138,7 +138,7 @@ def _stages(facts: Mapping[str, Any]) -> str:
         width = 0.0 if seconds is None else 100 * seconds / longest
         bar = f'<i style="width:{width:.1f}%"></i>' if width else ""
         rows += f"""<tr{"" if stage["runs"] else ' class="out"'}><td>{escape(stage["name"])}</td>
-<td>{"" if stage["runs"] else "left out: "}{escape(stage["reason"])}</td>
+<td class="reason">{"" if stage["runs"] else "left out: "}{escape(stage["reason"])}</td>
 <td class="number">{error(stage["predicted_error"])}</td>
 <td class="number">{duration(stage["predicted_cost_s"])}</td>
 <td class="number">{duration(seconds)}</td><td class="bar">{bar}</td></tr>"""

@@ -3,11 +3,11 @@
 #include "uniform"
 
 const POISSON_SPLIT = 10.0;        // e-; transformed rejection holds from 10 up (Hoermann 1993, section 4)
-const POISSON_TERMS = 64.0;        // P(X >= 64 | mean 10) = 6e-29, far below the smallest uniform, 2^-65
+const POISSON_TERMS = 64.0;        // P(X >= 64) = 4e-30 at a mean of 10, far below the smallest uniform, 2^-65
 const POISSON_TAIL = 0.00390625;   // 2^-8
-const POISSON_DRAWS = 16u;         // at two trials a draw: P(no trial accepted) < 0.25^32 = 5e-20
+const POISSON_DRAWS = 16u;         // two trials a draw, at a mean of 10 each fails with 0.252: P(all fail) = 7e-20
 
-// Above this part of the distribution sums from 0 up would lose the tail in rounding.
+// Where sums from 0 up would lose the tail of the distribution in rounding.
 fn poisson_in_tail(upper: f32) -> bool {
     return upper < POISSON_TAIL;
 }
@@ -53,12 +53,12 @@ fn stirling_error(k: f32) -> f32 {
 }
 
 fn deviance_series_holds(v: f32) -> bool {
-    return abs(v) <= 0.33;
+    return abs(v) <= 0.3334;
 }
 
 // k log(k / mean) + mean - k with d = k - mean given apart (Loader 2000, "Fast and accurate computation of binomial
 // probabilities", section 3): with v = d / (k + mean), log(k / mean) = 2 atanh(v), whose first term cancels exactly.
-// Beyond |v| = 0.33 there is no cancellation, and the ratio lies outside 1/2..2, where log holds 3 ULP.
+// Beyond |v| = 1/3 there is little cancellation, and the ratio lies outside 1/2..2, where log holds 3 ULP.
 fn deviance(k: f32, mean: f32, d: f32) -> f32 {
     let v = d / (k + mean);
     if (deviance_series_holds(v)) {

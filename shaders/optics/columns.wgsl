@@ -24,7 +24,8 @@ override D: u32 = 4u;             // samples from a photosite to the next of the
 override M: u32 = 128u;           // T/D
 override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
 override STEP: u32 = 2u;          // samples from a site to the next; 0 where every site has kernels of its own
-override SCRATCH: u32 = 512u;     // max(T, 2 M)
+override LINES: u32 = 4u;         // sites that are inverted together; divides PERIOD^2
+override SCRATCH: u32 = 1024u;    // max(T, 2 LINES M)
 
 struct Params {
     first_s: f32,
@@ -109,8 +110,8 @@ fn phase(k: u32) -> vec2f {
     return conj(twiddle[k % T]);
 }
 
-// Shift to a site at (o_x, o_y), then fold the T frequencies onto M = T/D and leave them in sh_line.
-fn fold(x: Octet, kx: u32, t: u32, o_x: u32, o_y: u32) {
+// Shift to a site at (o_x, o_y), then fold the T frequencies onto M = T/D and leave them in sh_line from `d` on.
+fn fold(x: Octet, kx: u32, t: u32, o_x: u32, o_y: u32, d: u32) {
     let k = t * o_y + kx * o_x;
     let step = LANES * o_y;
     let p0 = cmul(x.v0, phase(k));
@@ -122,24 +123,24 @@ fn fold(x: Octet, kx: u32, t: u32, o_x: u32, o_y: u32) {
     let p6 = cmul(x.v6, phase(k + 6u * step));
     let p7 = cmul(x.v7, phase(k + 7u * step));
     if (D == 2u) {
-        sh_line[t] = p0 + p4;
-        sh_line[t + LANES] = p1 + p5;
-        sh_line[t + 2u * LANES] = p2 + p6;
-        sh_line[t + 3u * LANES] = p3 + p7;
+        sh_line[d + t] = p0 + p4;
+        sh_line[d + t + LANES] = p1 + p5;
+        sh_line[d + t + 2u * LANES] = p2 + p6;
+        sh_line[d + t + 3u * LANES] = p3 + p7;
     } else if (D == 4u) {
-        sh_line[t] = p0 + p2 + p4 + p6;
-        sh_line[t + LANES] = p1 + p3 + p5 + p7;
+        sh_line[d + t] = p0 + p2 + p4 + p6;
+        sh_line[d + t + LANES] = p1 + p3 + p5 + p7;
     } else if (D == 8u) {
-        sh_line[t] = p0 + p1 + p2 + p3 + p4 + p5 + p6 + p7;
+        sh_line[d + t] = p0 + p1 + p2 + p3 + p4 + p5 + p6 + p7;
     } else {
-        sh_line[t] = p0;
-        sh_line[t + LANES] = p1;
-        sh_line[t + 2u * LANES] = p2;
-        sh_line[t + 3u * LANES] = p3;
-        sh_line[t + 4u * LANES] = p4;
-        sh_line[t + 5u * LANES] = p5;
-        sh_line[t + 6u * LANES] = p6;
-        sh_line[t + 7u * LANES] = p7;
+        sh_line[d + t] = p0;
+        sh_line[d + t + LANES] = p1;
+        sh_line[d + t + 2u * LANES] = p2;
+        sh_line[d + t + 3u * LANES] = p3;
+        sh_line[d + t + 4u * LANES] = p4;
+        sh_line[d + t + 5u * LANES] = p5;
+        sh_line[d + t + 6u * LANES] = p6;
+        sh_line[d + t + 7u * LANES] = p7;
     }
 }
 
@@ -205,18 +206,21 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
         if (C > 2u) { sum_2 = multiply_add(sum_2, right, kernel_11(i + T)); }
         if (C > 3u) { sum_3 = multiply_add(sum_3, right, kernel_11(i + 3u * T / 2u)); }
     }
-    for (var site = 0u; site < PERIOD * PERIOD; site++) {
-        let channel = (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
-        var x = sum_0;
-        if (C > 1u && channel == 1u) { x = sum_1; }
-        if (C > 2u && channel == 2u) { x = sum_2; }
-        if (C > 3u && channel == 3u) { x = sum_3; }
+    for (var first = 0u; first < PERIOD * PERIOD; first += LINES) {
         workgroupBarrier();
-        fold(x, kx, t, (site % PERIOD) * STEP, (site / PERIOD) * STEP);
+        for (var site = first; site < first + LINES; site++) {
+            let channel = (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
+            var x = sum_0;
+            if (C > 1u && channel == 1u) { x = sum_1; }
+            if (C > 2u && channel == 2u) { x = sum_2; }
+            if (C > 3u && channel == 3u) { x = sum_3; }
+            fold(x, kx, t, (site % PERIOD) * STEP, (site / PERIOD) * STEP, (site - first) * M);
+        }
         workgroupBarrier();
         let here = line_ifft(t);
-        for (var m = t; m < M; m += LANES) {
-            folded[(site * (T / 2u + 1u) + kx) * M + m] = sh_line[here + m];
+        for (var i = t; i < LINES * M; i += LANES) {
+            let site = first + i / M;
+            folded[(site * (T / 2u + 1u) + kx) * M + i % M] = sh_line[here + i];
         }
     }
 }

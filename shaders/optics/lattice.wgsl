@@ -13,7 +13,9 @@ override T: u32 = 512u;           // transform length, samples
 override LANES: u32 = 64u;        // T/8
 override M: u32 = 128u;           // T/D, photosites of one site across the window
 override S: u32 = 4u;             // sites of the CFA period
-override SCRATCH: u32 = 512u;     // max(T, 2 M)
+override SCRATCH: u32 = 256u;     // 2 M
+
+const LINES = 1u;                 // lines that line_ifft inverts together
 
 struct Params {
     origin: vec2i,                // (x, y) of the window's first photosite in the planes

@@ -19,6 +19,8 @@ override J: u32 = 3u;     // coefficient planes, 1 to 8
 
 const DISC = 1u;          // kind of primitive; 0 is a rectangle
 const REACH = 6.0;        // standard deviations; Phi(-6) = 1e-9
+const TILE = 16.0;        // side of a workgroup's tile, samples
+const LISTED = 64u;       // primitives listed at a time: a tile of 8 pixels sees fewer of a legible chart
 
 struct Params {
     g_low: vec4f,             // chief-ray map, see common/distortion
@@ -45,6 +47,11 @@ struct Primitive {
 @group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two per material: up to 8 coefficients
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
 
+var<workgroup> sh_list: array<u32, LISTED>;
+var<workgroup> sh_count: u32;
+var<workgroup> sh_next: u32;
+var<workgroup> sh_background: u32;
+
 // sigma along the unit vector e of the ideal plane: sigma |M^T e|
 fn width_along(e: vec2f, x: vec2f, p: IdealPoint) -> f32 {
     return params.sigma * length(p.g * e + p.dg * dot(x, e) * x);
@@ -59,36 +66,78 @@ fn coverage(shape: Primitive, x: vec2f, p: IdealPoint) -> f32 {
     if (shape.kind == DISC) {
         let r = max(length(d), 1e-3);
         let width = width_along(d / r, x, p);
-        if (r - shape.half_size.x > REACH * width) {
-            return 0.0;
-        }
         return normal_cdf((shape.half_size.x - r) / width - 0.5 * width / r);
     }
     let across = vec2f(-shape.axis.y, shape.axis.x);
-    let along_d = dot(d, shape.axis);
-    let across_d = dot(d, across);
-    let reach = REACH * 2.0 * params.sigma;   // the map stretches less than twofold
-    if (abs(along_d) - shape.half_size.x > reach || abs(across_d) - shape.half_size.y > reach) {
-        return 0.0;
+    return slab(dot(d, shape.axis), shape.half_size.x, width_along(shape.axis, x, p))
+        * slab(dot(d, across), shape.half_size.y, width_along(across, x, p));
+}
+
+// Distance from a primitive's outline: exact or too small outside, exact or too large in amount inside (negative).
+fn outline_distance(shape: Primitive, u: vec2f) -> f32 {
+    let d = u - shape.centre;
+    if (shape.kind == DISC) {
+        return length(d) - shape.half_size.x;
     }
-    return slab(along_d, shape.half_size.x, width_along(shape.axis, x, p))
-        * slab(across_d, shape.half_size.y, width_along(across, x, p));
+    let across = vec2f(-shape.axis.y, shape.axis.x);
+    return max(abs(dot(d, shape.axis)) - shape.half_size.x, abs(dot(d, across)) - shape.half_size.y);
+}
+
+// One invocation lists the primitives whose edge the workgroup's tile sees, from `first` on, and returns where it stopped.
+// In the first list, one that covers the whole tile becomes its background and empties the list.
+fn list_primitives(first: u32, centre: IdealPoint) -> u32 {
+    // From the tile's centre to its corners, and the Gaussian's reach: the map stretches less than twofold.
+    let margin = 2.0 * (0.5 * length(vec2f(TILE)) + REACH * params.sigma);
+    var i = first;
+    sh_count = 0u;
+    while (i < params.first + params.count && sh_count < LISTED) {
+        let distance = outline_distance(primitives[chosen[i]], centre.u);
+        if (distance < -margin && first == params.first) {
+            sh_background = primitives[chosen[i]].material;
+            sh_count = 0u;
+        } else if (distance < margin) {
+            sh_list[sh_count] = chosen[i];
+            sh_count++;
+        }
+        i++;
+    }
+    return i;
 }
 
 @compute @workgroup_size(16, 16, 1)
-fn main(@builtin(global_invocation_id) id: vec3u) {
-    if (id.x >= BX || id.y >= BY) {
-        return;
-    }
+fn main(
+    @builtin(global_invocation_id) id: vec3u,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {
     let x = params.origin + vec2f(id.xy);
     let p = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
-    var low = materials[2u * params.background];
-    var high = materials[2u * params.background + 1u];
-    for (var i = params.first; i < params.first + params.count; i++) {
-        let shape = primitives[chosen[i]];
-        let w = coverage(shape, x, p);
-        low += w * (materials[2u * shape.material] - low);
-        high += w * (materials[2u * shape.material + 1u] - high);
+    let middle = params.origin + TILE * (vec2f(group.xy) + 0.5) - 0.5;
+    let centre = ideal_point(middle, params.inverse_radius2, params.g_low, params.g_high);
+    if (lane == 0u) {
+        sh_background = params.background;
+        sh_next = list_primitives(params.first, centre);
+    }
+    workgroupBarrier();
+    var low = materials[2u * sh_background];
+    var high = materials[2u * sh_background + 1u];
+    for (;;) {
+        for (var i = 0u; i < sh_count; i++) {
+            let shape = primitives[sh_list[i]];
+            let w = coverage(shape, x, p);
+            low += w * (materials[2u * shape.material] - low);
+            high += w * (materials[2u * shape.material + 1u] - high);
+        }
+        if (workgroupUniformLoad(&sh_next) >= params.first + params.count) {
+            break;
+        }
+        if (lane == 0u) {
+            sh_next = list_primitives(sh_next, centre);
+        }
+        workgroupBarrier();
+    }
+    if (id.x >= BX || id.y >= BY) {
+        return;
     }
     // Beyond the image circle, rho2 = 1, no light arrives.
     let rim = inverseSqrt(params.inverse_radius2) - length(x);

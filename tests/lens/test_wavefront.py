@@ -15,6 +15,7 @@ from gpusim.lens.wavefront import (
     pupils,
     sample_field,
     sample_rays,
+    within_hull,
 )
 
 GREEN = np.array([550.0])
@@ -122,6 +123,18 @@ def test_rays_land_where_the_slope_of_the_wavefront_says(demo_lens):
         # which is below 15 mm: 0.3 (4e-4)^2 15 mm = 7e-7 mm.
         np.testing.assert_allclose(found, -landing[0][inside], rtol=0, atol=1e-6)
         assert np.ptp(landing[0][inside]) > 5e-3
+
+
+def test_nothing_counts_beyond_the_rays_that_were_traced():
+    # Rays in a half disc of radius 1; polynomials fitted there mean nothing at 1.1.
+    samples = disc_samples(1.0)
+    disc = np.hypot(samples.alpha[0], samples.beta[0]) <= 1
+    a, b = np.linspace(0.01, 1.2, 60), np.linspace(-1.2, 1.2, 121)
+    within = within_hull(samples.alpha[0][disc], samples.beta[0][disc], a, b)
+    radius = np.hypot(a[:, None], b[None])
+    # The rays' spacing is 0.056: chords of their hull pass at cos(0.1) or so.
+    assert within[radius < 0.95].all()
+    assert not within[radius > 1].any()
 
 
 def test_half_plane_share_is_the_area():
