@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,25 +139,31 @@ def certify(
     pixels = choose_probes(rate, period[0], accuracy.probes)
     truth = Truth(bank, sensor, scene.spectra, WAVELENGTHS_NM)
     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-    points = []
-    for number, (row, col) in enumerate(pixels, start=1):
-        value = evaluate(placed, pixels[number - 1 : number])[0]
-        value += glare[row % period[0] * period[1] + col % period[1]]
-        true_e, render_e = value * exposure_s, float(rate[row, col]) * exposure_s
+
+    def probe(pixel: np.ndarray) -> Probe:
+        row, col = map(int, pixel)
+        value = evaluate(placed, pixel[None])[0] + glare[row % period[0] * period[1] + col % period[1]]
+        true_e, render_e = float(value * exposure_s), float(rate[row, col]) * exposure_s
         noise_e = np.sqrt(max(true_e, 0.0) + sensor.temporal_dark_noise_e**2)
-        error = render_e - true_e
-        points.append(
-            Probe(
-                int(row),
-                int(col),
-                float(true_e),
-                render_e,
-                float(abs(error) / true_e) if true_e > 0 else float(abs(error) > 0),
-                float(abs(error) / noise_e) if noise_e > 0 else 0.0,
-            )
+        error = abs(render_e - true_e)
+        return Probe(
+            row,
+            col,
+            true_e,
+            render_e,
+            error / true_e if true_e > 0 else float(error > 0),
+            float(error / noise_e) if noise_e > 0 else 0.0,
         )
-        if progress is not None:
-            progress(number, len(pixels))
+
+    points = []
+    # NumPy and SciPy let go of the interpreter in their loops. Nearby probes share kernels: in order of radius.
+    centre = np.array([sensor.rows, sensor.cols]) / 2
+    order = np.argsort(np.hypot(*(pixels - centre).T))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for number, point in enumerate(pool.map(probe, pixels[order]), start=1):
+            points.append(point)
+            if progress is not None:
+                progress(number, len(pixels))
     relative = np.array([point.relative for point in points])
     sigma = np.array([point.sigma for point in points])
     worst = points[int(relative.argmax())]

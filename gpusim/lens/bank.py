@@ -13,7 +13,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -49,7 +49,8 @@ _VARIABLES = {
         ("field", "wavelength", "eta", "xi"),
         "1",
         "share of the light per sample, sum 1; row eta tangential, column xi radial, away from the "
-        "axis; centred on the chief ray of its own wavelength; upright image",
+        "axis; centred on the chief ray of its own wavelength; upright image; 0 outside the circle "
+        "in the window",
     ),
     "relative_illumination": (
         ("field", "wavelength"),
@@ -62,7 +63,11 @@ _VARIABLES = {
         "integral of d alpha d beta over the pupil on axis (pi sin^2 theta')",
     ),
     "transmission": (("wavelength",), "1", "product of uncoated Fresnel transmittances on axis"),
-    "outside_energy": (("field", "wavelength"), "1", "share of the light outside the PSF window"),
+    "outside_energy": (
+        ("field", "wavelength"),
+        "1",
+        "share of the light outside the circle in the PSF window",
+    ),
     "folded_energy": (
         ("field", "wavelength"),
         "1",
@@ -102,7 +107,8 @@ class Bank:
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)
         Sum 1. Row: tangential eta; column: radial xi, pointing away from the axis; sample j at
-        (j - n / 2) pitch. Centred on the chief ray of its own wavelength.
+        (j - n / 2) pitch. Centred on the chief ray of its own wavelength; 0 outside the circle in
+        the window.
     relative_illumination : ndarray, shape (F, L)
         Projected solid angle over that on axis.
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
@@ -295,7 +301,7 @@ def compute_bank(
     system = build(prescription)
     index = system.index(wavelengths)
     order = first_order(system.prescription, reference_nm)
-    # The circle in the window: a PSF is rotated to every azimuth, and must not gain corners on the way.
+    # The circle in the window: a PSF is turned to every azimuth and must not gain corners by it.
     inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
 
     def one_field(angle: float) -> dict[str, np.ndarray]:
@@ -483,6 +489,3 @@ def _key(prescription: Prescription, settings: dict[str, object]) -> str:
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:32]
-
-
-assert {f.name for f in fields(Bank)} == {*_VARIABLES, *_SCALARS, "provenance"}

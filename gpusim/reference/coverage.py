@@ -40,27 +40,48 @@ def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
     fraction = np.where(crosses, height / np.where(crosses, height - next_height, 1.0), 0.0)
     meeting = polygons + fraction[..., None] * (following - polygons)
     points = np.stack([kept, np.where(crosses[..., None], meeting, kept)], axis=2)
-    return points.reshape(len(polygons), -1, 2)
+    return points.reshape(len(polygons), 2 * polygons.shape[1], 2)
 
 
 def rectangle_area(
     quads: np.ndarray, centre: tuple[float, float], half_size: tuple[float, float], angle: float
 ) -> np.ndarray:
-    """Return the area of each quadrilateral (N, 4, 2) inside a rectangle turned by `angle`."""
-    polygons = quads - np.asarray(centre)
-    for half, direction in zip(half_size, (angle, angle + np.pi / 2), strict=True):
-        e = np.array([np.cos(direction), np.sin(direction)])
+    """Return the area of each convex quadrilateral (N, 4, 2) inside a rectangle turned by `angle`."""
+    c, s = np.cos(angle), np.sin(angle)
+    local = (quads - np.asarray(centre)) @ np.array([[c, -s], [s, c]])
+    beyond = np.abs(local) - np.asarray(half_size)
+    inside = np.all(beyond <= 0, axis=(1, 2))
+    # All four corners beyond one and the same side: nothing of a convex polygon is inside.
+    outside = np.any(np.all(local > half_size, axis=1) | np.all(local < -np.asarray(half_size), axis=1), axis=1)
+    cut = ~inside & ~outside
+    result = np.where(inside, area(quads), 0.0)
+    polygons = local[cut]
+    for axis, half in enumerate(half_size):
+        e = np.eye(2)[axis]
         polygons = clip(clip(polygons, e, half), -e, half)
-    return area(polygons)
+    result[cut] = area(polygons)
+    return result
 
 
 def disc_area(quads: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """Return the area of each quadrilateral (N, 4, 2) inside a disc.
+    """Return the area of each convex quadrilateral (N, 4, 2) inside a disc."""
+    local = quads - np.asarray(centre)
+    distance = np.hypot(local[..., 0], local[..., 1])
+    inside = np.all(distance <= radius, axis=1)
+    # Farther from the nearest corner than the longest side: the disc does not reach in.
+    side = np.hypot(*np.moveaxis(np.roll(local, -1, axis=1) - local, -1, 0)).max(axis=1)
+    cut = ~inside & (distance.min(axis=1) <= radius + side)
+    result = np.where(inside, area(quads), 0.0)
+    result[cut] = _disc_area(local[cut], radius)
+    return result
+
+
+def _disc_area(start: np.ndarray, radius: float) -> np.ndarray:
+    """Return the area of polygons (N, V, 2) inside a disc about the origin.
 
     Green's theorem along the edges: the part of an edge inside the circle spans a triangle with the centre, a part
     outside spans a sector.
     """
-    start = quads - np.asarray(centre)
     edge = np.roll(start, -1, axis=1) - start
     a = np.sum(edge**2, axis=-1)
     b = np.sum(start * edge, axis=-1)

@@ -52,6 +52,7 @@ class Truth:
         self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.weights = self._weights(spectra, wavelengths_nm)
         self.splines: np.ndarray | None = None
+        self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int], np.ndarray] = {}
 
@@ -103,9 +104,10 @@ class Truth:
         radial = np.sum(t * outward, axis=1) / self.bank.pitch_um + half
         tangential = (t[:, 1] * outward[:, 0] - t[:, 0] * outward[:, 1]) / self.bank.pitch_um + half
         position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
+        lit = radius <= self.radius_um[-1]
         result = np.zeros(len(t))
-        for field in range(len(self.radius_um)):
-            share = np.maximum(1 - np.abs(position - field), 0) * (radius <= self.radius_um[-1])
+        for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
+            share = np.maximum(1 - np.abs(position - field), 0) * lit
             used = share > 0
             if used.any():
                 kernel = self._kernel(channel, spectrum, field)
@@ -169,13 +171,14 @@ class Truth:
         whole = area(quads)
         low, high = quads.min(axis=(0, 1)), quads.max(axis=(0, 1))
         shares = {chart.background: np.ones(len(source))}
-        for shape in chart.primitives:
-            disc = hasattr(shape, "radius")
-            size = shape.radius if disc else np.hypot(shape.half_w, shape.half_h)
-            centre = np.array([shape.cx, shape.cy])
-            if np.any(centre + size < low) or np.any(centre - size > high):
-                continue
-            if disc:
+        if self.bounds is None:
+            self.bounds = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives])
+            self.bounds = self.bounds.reshape(-1, 3)
+        centres, sizes = self.bounds[:, :2], self.bounds[:, 2:]
+        near = np.all((centres + sizes >= low) & (centres - sizes <= high), axis=1)
+        for number in np.flatnonzero(near):
+            shape, centre = chart.primitives[number], centres[number]
+            if hasattr(shape, "radius"):
                 part = disc_area(quads, centre, shape.radius) / whole
             else:
                 part = rectangle_area(quads, centre, (shape.half_w, shape.half_h), shape.angle_rad) / whole

@@ -56,6 +56,11 @@ fn deviance_series_holds(v: f32) -> bool {
     return abs(v) <= 0.3334;
 }
 
+// (atanh(v) / v - 1) / w, w = v^2, where that holds: 1/3 + w/5 + w^2/7 ... as a cubic, minimax, relative error 4.3e-7.
+fn deviance_series(w: f32) -> f32 {
+    return ((0.134499831 * w + 0.141146145) * w + 0.200039072) * w + 0.333333201;
+}
+
 // k log(k / mean) + mean - k with d = k - mean given apart (Loader 2000, "Fast and accurate computation of binomial
 // probabilities", section 3): with v = d / (k + mean), log(k / mean) = 2 atanh(v), whose first term cancels exactly.
 // Beyond |v| = 1/3 there is little cancellation, and the ratio lies outside 1/2..2, where log holds 3 ULP.
@@ -63,9 +68,7 @@ fn deviance(k: f32, mean: f32, d: f32) -> f32 {
     let v = d / (k + mean);
     if (deviance_series_holds(v)) {
         let w = v * v;
-        let series = 0.33333333 + w * (0.2 + w * (0.14285714 + w * (0.11111111
-            + w * (0.090909091 + w * (0.076923077 + w * 0.066666667)))));
-        return v * (d + 2.0 * k * w * series);
+        return v * (d + 2.0 * k * w * deviance_series(w));
     }
     return k * log(k / mean) - d;
 }

@@ -1,5 +1,6 @@
 """The bank keeps its contract, its file keeps the bank, and the cache keeps the file."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -37,6 +38,9 @@ def test_shapes_units_and_signs_are_those_of_the_contract(bank, demo_lens):
     # float32 samples, 4096 of them: each rounded by 6e-8 of itself.
     np.testing.assert_allclose(bank.psf.sum(axis=(2, 3), dtype=float), 1, rtol=0, atol=1e-7)
     assert (bank.psf >= 0).all()
+    at = np.arange(64) - 32
+    assert not bank.psf[..., np.hypot(at[:, None], at) >= 32].any()
+    assert bank.psf[..., 32, 1].all()
     assert (np.diff(bank.real_height_um, axis=0) > 0).all()
     np.testing.assert_array_equal(bank.real_height_um[0], 0)
     np.testing.assert_array_equal(bank.relative_illumination[0], 1)
@@ -107,6 +111,11 @@ def test_a_bank_survives_its_file(bank, tmp_path):
         assert np.asarray(getattr(again, name)).dtype == np.asarray(getattr(bank, name)).dtype
     assert again.provenance == bank.provenance
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_file_holds_every_field_of_the_bank():
+    stored = {*bank_module._VARIABLES, *bank_module._SCALARS, "provenance"}
+    assert {field.name for field in dataclasses.fields(Bank)} == stored
 
 
 def test_every_variable_in_the_file_has_units_and_provenance(bank, tmp_path):

@@ -1,0 +1,173 @@
+"""A camera small enough for tests: a lens made of Gaussians, a piece of a sensor, few shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+
+from gpusim.gpu import Device
+from gpusim.lens.bank import Bank
+from gpusim.optics.convolve import Convolve, Scale
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels
+from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+
+ULP = 2.0**-24  # largest relative error of one rounding to f32
+
+
+def gaussian(position_um: np.ndarray, sigma_um: float) -> np.ndarray:
+    """Return a normal density, per um."""
+    return np.exp(-0.5 * (position_um / sigma_um) ** 2) / (sigma_um * np.sqrt(2 * np.pi))
+
+
+def bank(
+    fields: int = 4,
+    size: int = 64,
+    circle_um: float = 165.0,
+    sigma_um: tuple[float, ...] = (0.95, 1.0, 1.15),
+    coma_um: float = 3.0,
+    halo: float = 0.0,
+    distortion: float = -0.02,
+    lateral: tuple[float, ...] = (-0.004, 0.0, 0.003),
+    falloff: float = 0.3,
+    skew_um: float = 0.0,
+) -> Bank:
+    """Return a lens of which everything is known.
+
+    Parameters
+    ----------
+    fields, size : int
+        Fields, and samples across a PSF of 0.5 um pitch.
+    circle_um : float
+        Radius of the image circle on the ideal plane.
+    sigma_um : tuple of float
+        Width of the PSF at 400, 550 and 700 nm, or of as many wavelengths between.
+    coma_um : float
+        Distance of a quarter of the light at the rim of the field, outwards.
+    halo : float
+        Share of the light in a Gaussian four times as wide.
+    distortion : float
+        Real over ideal height at the rim, less 1; it goes with the square of the height.
+    lateral : tuple of float
+        Relative magnification of each wavelength.
+    falloff : float
+        Loss of light at the rim, with the square of the height.
+    skew_um : float
+        Distance of the displaced light along the tangent, which no centred lens has.
+    """
+    wavelengths = np.linspace(400.0, 700.0, len(sigma_um)) if len(sigma_um) > 1 else np.array([550.0])
+    ideal = np.linspace(0.0, circle_um, fields)
+    share = ideal / circle_um
+    reference = len(wavelengths) // 2
+    real = (ideal * (1 + distortion * share**2))[:, None] * (1 + np.array(lateral)[: len(wavelengths)])
+    at = (np.arange(size) - size // 2) * 0.5
+    psf = np.empty((fields, len(wavelengths), size, size))
+    for field in range(fields):
+        for place, sigma in enumerate(sigma_um):
+            out, along = coma_um * share[field], skew_um * share[field]
+            psf[field, place] = (
+                0.75 * np.outer(gaussian(at, sigma), gaussian(at, sigma))
+                + 0.25 * np.outer(gaussian(at - along, 1.2 * sigma), gaussian(at - out, 1.2 * sigma))
+            )
+            wide = gaussian(at, 4 * sigma)
+            psf[field, place] = (1 - halo) * psf[field, place] + halo * np.outer(wide, wide)
+    psf /= psf.sum(axis=(2, 3), keepdims=True)
+    nothing = np.zeros((fields, len(wavelengths)))
+    return Bank(
+        wavelengths_nm=wavelengths,
+        reference_nm=float(wavelengths[reference]),
+        field_deg=np.degrees(np.arctan(ideal / 1000.0)),
+        ideal_height_um=ideal,
+        real_height_um=real,
+        psf=psf.astype(np.float32),
+        relative_illumination=1 - falloff * share[:, None] ** 2 * np.linspace(1.0, 1.1, len(wavelengths)),
+        projected_solid_angle_sr=np.linspace(0.10, 0.102, len(wavelengths)),
+        transmission=np.linspace(0.58, 0.60, len(wavelengths)),
+        outside_energy=nothing,
+        folded_energy=nothing,
+        fit_residual_waves=nothing,
+        failed_rays=nothing,
+        efl_mm=1.0,
+        f_number=2.8,
+        pitch_um=0.5,
+        provenance={"title": "Gaussians", "history": "made up"},
+    )
+
+
+def sensor(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
+    """Return the middle of the demonstration sensor, without veiling glare."""
+    return load_sensor("imx477").roi(rows, cols).model_copy(update={"veiling_glare": 0.0, **changes})
+
+
+def monochrome(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
+    """Return a sensor without colour filters: one site, one channel."""
+    green = load_sensor("imx477").quantum_efficiency
+    one = QuantumEfficiency(
+        wavelengths_nm=green.wavelengths_nm, channels={"W": green.channels["G"]}
+    )
+    pattern = ColourFilterArray(pattern=[["W"]])
+    return sensor(rows, cols, cfa=pattern, quantum_efficiency=one, **changes)
+
+
+@dataclass(frozen=True)
+class StubCamera:
+    """What the chain asks of a camera."""
+
+    lens_bank: Bank
+    sensor: Sensor
+    title: str = "a small camera"
+    lens: object = SimpleNamespace(title="Gaussians")
+
+    def bank(self, progress: object = None) -> Bank:
+        """Return the bank."""
+        return self.lens_bank
+
+
+FLAT = np.full(WAVELENGTHS_NM.size, 1e-3)  # W m^-2 sr^-1 nm^-1, the order of a lit room
+RED = FLAT * (0.1 + 0.9 / (1 + np.exp((600 - WAVELENGTHS_NM) / 15)))
+BLUE = FLAT * (0.1 + 0.9 / (1 + np.exp((WAVELENGTHS_NM - 480) / 15)))
+
+
+def scene(
+    primitives: tuple[Rect | Disc, ...] = (), spectra: np.ndarray | None = None, background: int = 0
+) -> Scene:
+    """Return a chart; its materials are white, dark, red and blue unless spectra are given."""
+    if spectra is None:
+        spectra = np.stack([FLAT, 0.1 * FLAT, RED, BLUE])
+    names = tuple(f"material {number}" for number in range(len(spectra)))
+    return Scene("made up", spectra, Chart(names, background, primitives), "E", FLAT)
+
+
+def shapes() -> tuple[Rect | Disc, ...]:
+    """Return shapes of all kinds over the field, one within another, in half-heights."""
+    return (
+        Rect(-0.6, -0.35, 0.42, 0.34, 0.1, 1),
+        Disc(-0.62, -0.35, 0.2, 2),
+        Rect(0.45, 0.3, 0.5, 0.3, -0.3, 3),
+        Rect(0.45, 0.3, 0.2, 0.15, 0.6, 0),
+        Disc(0.7, -0.5, 0.15, 1),
+    )
+
+
+def convolve_for(
+    device: Device, grid: SimGrid, site_channels: list[int], channels: int
+) -> Convolve:
+    """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
+    nothing = FieldKernels(np.zeros((2, 1, channels, 4, 4), np.float32), np.array([0.0, 1.0]), 0.5)
+    return Convolve(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, site_channels)
+
+
+def twiddles(length: int) -> np.ndarray:
+    """Return exp(-2 pi i n / T), rounded to complex64."""
+    return np.exp(-2j * np.pi * np.arange(length) / length).astype(np.complex64)
+
+
+def complex_noise(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    """Return complex numbers with parts from -1 to 1, complex64."""
+    parts = rng.uniform(-1, 1, (*shape, 2)).astype(np.float32)
+    return parts.view(np.complex64)[..., 0]
