@@ -355,7 +355,7 @@ def compute_bank(
         ideal_height_um=1e3 * order.efl_mm * np.tan(np.radians(angles)),
         relative_illumination=solid_angle / solid_angle[0],
         projected_solid_angle_sr=solid_angle[0],
-        # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, eq. 1.5.37).
+        # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5).
         transmission=np.prod(1 - ((ratio - 1) / (ratio + 1)) ** 2, axis=0),
         efl_mm=order.efl_mm,
         f_number=order.f_number,

@@ -13,7 +13,7 @@ def intensity(
     """Return the PSF of one field and wavelength, and the energy outside its window.
 
     U = E_eta P E_xi with P = A exp(i k W) and the two Fourier kernels as matrices (Soummer et al.,
-    Opt. Express 15, 15935, 2007, eq. 6), so that the image grid does not depend on the
+    Opt. Express 15, 15935, 2007), so that the image grid does not depend on the
     wavelength. Pupil and PSF are symmetric in the tangential direction: the kernel is
     2 cos(k alpha eta) and only rows eta <= 0 are computed.
 

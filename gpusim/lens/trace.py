@@ -76,7 +76,7 @@ def _meet(
     """Distance to a surface whose vertex is the origin, its unit normal there, and success.
 
     Conics in closed form: the root nearest the vertex of A t^2 - 2 B t + C = 0 (Welford,
-    Aberrations of Optical Systems, 1986, sec. 4.4); even aspheres by Newton from the conic.
+    Aberrations of Optical Systems, 1986, ch. 4); even aspheres by Newton from the conic.
     """
     x, y, z = point
     dx, dy, dz = direction
@@ -153,7 +153,7 @@ def trace(
             ratio = n1 / n2
             cos_in = (direction * normal).sum(0)
             square = 1 - ratio * ratio * (1 - cos_in * cos_in)
-            # Snell's law in vector form (Welford 1986, eq. 4.19); total reflection: square < 0.
+            # Snell's law in vector form (Welford 1986, ch. 4); total reflection: square < 0.
             good = met & (cos_in > 0) & (square >= 0) & np.isfinite(t)
             cos_out = np.sqrt(np.maximum(square, 0))
             bent = ratio * direction + (cos_out - ratio * cos_in) * normal

@@ -131,13 +131,16 @@ class Truth:
         areas = np.concatenate([np.full(len(core), CORE_STEP_UM**2), np.full(len(tail), TAIL_STEP_UM**2)])
         return np.concatenate([core, tail]), areas
 
+    def _ideal(self, real: np.ndarray) -> np.ndarray:
+        """Return the ideal-plane positions (..., 2) of real ones, um."""
+        radius = np.hypot(real[..., 0], real[..., 1])
+        scale = self.bank.ideal_from_real(radius)[0] / np.maximum(radius, 1e-9)
+        return real * np.where(radius > 0, scale, 1.0)[..., None]
+
     def _aperture(self, source: np.ndarray) -> np.ndarray:
         """Return the corners (P, 4, 2) on the ideal plane of apertures at real points (P, 2)."""
-        half = self.aperture_um / 2
-        corners = source[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-        radius = np.hypot(corners[..., 0], corners[..., 1])
-        scale = self.bank.ideal_from_real(radius)[0] / np.maximum(radius, 1e-9)
-        return corners * np.where(radius > 0, scale, 1.0)[..., None]
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.aperture_um / 2
+        return self._ideal(source[:, None] + corners)
 
     def chart(self, chart: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a chart.
@@ -167,23 +170,29 @@ class Truth:
 
     def _chart_shares(self, chart: Any, source: np.ndarray) -> dict[int, np.ndarray]:
         """Return, for every spectrum in reach, its area inside the aperture at each source point, um^2."""
-        quads = self._aperture(source)
-        whole = area(quads)
-        low, high = quads.min(axis=(0, 1)), quads.max(axis=(0, 1))
-        shares = {chart.background: np.ones(len(source))}
+        ideal = self._ideal(source)
+        low, high = ideal.min(axis=0), ideal.max(axis=0)
+        # An aperture's corners lie within its diagonal of its centre, also where the map stretches by a third.
+        margin = self.aperture_um
         if self.bounds is None:
             self.bounds = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives])
             self.bounds = self.bounds.reshape(-1, 3)
-        centres, sizes = self.bounds[:, :2], self.bounds[:, 2:]
+        centres, sizes = self.bounds[:, :2], self.bounds[:, 2:] + margin
         near = np.all((centres + sizes >= low) & (centres - sizes <= high), axis=1)
+        shares = {chart.background: np.ones(len(source))}
         for number in np.flatnonzero(near):
             shape, centre = chart.primitives[number], centres[number]
-            if hasattr(shape, "radius"):
-                part = disc_area(quads, centre, shape.radius) / whole
-            else:
-                part = rectangle_area(quads, centre, (shape.half_w, shape.half_h), shape.angle_rad) / whole
-            if not part.any():
+            distance = shape.distance(ideal[:, 0], ideal[:, 1])
+            part = (distance < 0).astype(np.float64)
+            cut = np.abs(distance) <= margin
+            if not part.any() and not cut.any():
                 continue
+            quads = self._aperture(source[cut])
+            if hasattr(shape, "radius"):
+                part[cut] = disc_area(quads, centre, shape.radius) / area(quads)
+            else:
+                half_size = (shape.half_w, shape.half_h)
+                part[cut] = rectangle_area(quads, centre, half_size, shape.angle_rad) / area(quads)
             shares = {spectrum: share * (1 - part) for spectrum, share in shares.items()}
             shares[shape.material] = shares.get(shape.material, 0.0) + part
         return {spectrum: share * self.aperture_um**2 for spectrum, share in shares.items() if np.any(share)}
@@ -215,8 +224,7 @@ class Truth:
             for dx, wx in zip(nodes, weights, strict=True):
                 for dy, wy in zip(nodes, weights, strict=True):
                     point = source + self.aperture_um / 2 * np.array([dx, dy])
-                    radius = np.hypot(*point.T)
-                    ideal = point * (self.bank.ideal_from_real(radius)[0] / np.maximum(radius, 1e-9))[:, None]
+                    ideal = self._ideal(point)
                     x = np.clip((ideal[:, 0] - corner_um[0]) / raster.pitch_um - 0.5, 0, splines.shape[2] - 1)
                     y = np.clip((ideal[:, 1] - corner_um[1]) / raster.pitch_um - 0.5, 0, splines.shape[1] - 1)
                     for kernel, spline in zip(spread, splines, strict=True):

@@ -214,7 +214,7 @@ def test_first_order_of_a_thick_lens_is_the_lens_makers():
         lens([{"radius": r1, "thickness": t, **model(n)}, {"radius": r2}], reference_nm=587.5618)
     )
     power = (n - 1) * (1 / r1 - 1 / r2 + (n - 1) * t / (n * r1 * r2))
-    # Closed forms: Hecht, Optics, eqs. 6.2 and 6.36; rounding only.
+    # The lens-maker's formula of a thick lens (Hecht, Optics, ch. 6); rounding only.
     assert order.efl_mm == pytest.approx(1 / power, rel=1e-13)
     assert order.bfl_mm == pytest.approx((1 - (n - 1) * t / (n * r1)) / power, rel=1e-13)
     assert order.entrance_pupil_diameter_mm == pytest.approx(1 / power / 5, rel=1e-13)

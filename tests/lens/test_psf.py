@@ -75,7 +75,7 @@ def test_energy_within_a_circle_is_rayleighs_closed_form():
     radius = np.hypot(at[:, None], at[None])
     for r in (3.24 * scale, 10.24 * scale):
         v = np.pi * r / scale
-        # Rayleigh 1881 (Born & Wolf, eq. 8.5.18). At dark rings the jagged edge counts for little:
+        # Rayleigh 1881 (Born & Wolf, sec. 8.5.2). At dark rings the jagged edge counts for little:
         # measured 2e-4 at most.
         assert psf[radius < r].sum() == pytest.approx(1 - j0(v) ** 2 - j1(v) ** 2, abs=5e-4)
     # The square of half-width 16 lambda N lies between its inner and outer circles.

@@ -163,7 +163,7 @@ def test_solid_angle_on_axis_is_pi_sin_squared(demo_lens):
 @pytest.mark.parametrize("angle", [0.0, 20.0, 45.0])
 def test_illumination_falls_as_the_view_factor_and_cos4_of_a_distant_pupil(angle):
     # A disc of radius a at distance 1, seen from a point off its axis: its projected solid angle is
-    # pi F with the closed form of F (Howell, catalogue of view factors, B-14); for small a it is
+    # pi F with the closed form of F (Howell, catalogue of view factors); for small a it is
     # pi a^2 cos^4.
     a, h = 0.05, np.tan(np.radians(angle))
     u, v = np.meshgrid(np.linspace(0, 1.12, 21), np.linspace(-1.12, 1.12, 41))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,15 +67,15 @@ def bank(
     real = (ideal * (1 + distortion * share**2))[:, None] * (1 + np.array(lateral)[: len(wavelengths)])
     at = (np.arange(size) - size // 2) * 0.5
     psf = np.empty((fields, len(wavelengths), size, size))
-    for field in range(fields):
+    for number in range(fields):
         for place, sigma in enumerate(sigma_um):
-            out, along = coma_um * share[field], skew_um * share[field]
-            psf[field, place] = (
+            out, along = coma_um * share[number], skew_um * share[number]
+            psf[number, place] = (
                 0.75 * np.outer(gaussian(at, sigma), gaussian(at, sigma))
                 + 0.25 * np.outer(gaussian(at - along, 1.2 * sigma), gaussian(at - out, 1.2 * sigma))
             )
             wide = gaussian(at, 4 * sigma)
-            psf[field, place] = (1 - halo) * psf[field, place] + halo * np.outer(wide, wide)
+            psf[number, place] = (1 - halo) * psf[number, place] + halo * np.outer(wide, wide)
     psf /= psf.sum(axis=(2, 3), keepdims=True)
     nothing = np.zeros((fields, len(wavelengths)))
     return Bank(
@@ -121,7 +121,7 @@ class StubCamera:
     lens_bank: Bank
     sensor: Sensor
     title: str = "a small camera"
-    lens: object = SimpleNamespace(title="Gaussians")
+    lens: object = field(default_factory=lambda: SimpleNamespace(title="Gaussians"))
 
     def bank(self, progress: object = None) -> Bank:
         """Return the bank."""
