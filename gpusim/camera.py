@@ -26,11 +26,12 @@ class _Strict(BaseModel):
 
 
 class LensChoice(_Strict):
-    """Which lens, and how it is used: scaled to a focal length, stopped to an f-number."""
+    """Which lens, and how it is used: scaled to a focal length, stopped to an f-number, and over which field."""
 
     prescription: str
     focal_length_mm: float | None = Field(default=None, gt=0)
     f_number: float | None = Field(default=None, gt=0)
+    max_field_deg: float | None = Field(default=None, gt=0)
 
 
 class SensorChoice(_Strict):
@@ -125,13 +126,15 @@ def load_camera(name_or_path: str | Path) -> Camera:
             file=path,
             field=".".join(str(part) for part in first["loc"]) or "(top level)",
             value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number}, sensor {preset, rows, cols}",
+            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg}, sensor {preset, rows, cols}",
         ) from error
     lens = load_prescription(_beside(path, fields.lens.prescription))
     if fields.lens.focal_length_mm is not None:
         lens = lens.scaled(fields.lens.focal_length_mm)
     if fields.lens.f_number is not None:
         lens = lens.stopped(fields.lens.f_number)
+    if fields.lens.max_field_deg is not None:
+        lens = lens.limited(fields.lens.max_field_deg)
     sensor = load_sensor(_beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)

@@ -1,0 +1,91 @@
+"""Rows: against the definition of the transform, for every length, odd blocks and several planes.
+
+Tolerance: 108 roundings of the transform (see test_line_fft), and before it three of the weight (the
+position s is a sum of a product, and 1 - s) and one of the product with it. Each is one of a sum of
+at most S = sum |a| (|1 - s| + |s|) along the row: 112 * 2^-24 S.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from optics.made import ULP, convolve_for, twiddles
+
+from gpusim.gpu import Device, Kernel
+from gpusim.optics.convolve import FIRST_RADIX
+from gpusim.optics.grid import SimGrid
+from gpusim.reference.rows import rows
+
+F32 = np.float32
+
+
+def planes(count: int, height: int, width: int) -> np.ndarray:
+    """Return random planes in which no two rows or columns are alike."""
+    return np.random.default_rng(width).uniform(-1, 1, (count, height, width)).astype(F32)
+
+
+def on_device(a: np.ndarray, length: int, first_s: float, step_s: float, needed=None, spare=0):
+    count, height, width = a.shape
+    result = run_stage(
+        "optics/rows",
+        (height, count if needed is None else needed, 1),
+        {"first_s": first_s, "step_s": step_s},
+        {"twiddle": twiddles(length), "planes": a},
+        {"spectra": (count * height * length + spare, np.complex64)},
+        T=length,
+        LANES=length // 8,
+        FIRST_RADIX=FIRST_RADIX[length],
+        BX=width,
+        BY=height,
+    )
+    return result["spectra"]
+
+
+def bounds(a: np.ndarray, s: np.ndarray, length: int) -> np.ndarray:
+    total = np.sum(np.abs(a) * (np.abs(1 - s) + np.abs(s)), axis=2, keepdims=True, dtype=float)
+    return np.broadcast_to(112 * ULP * total, (*a.shape[:2], length))
+
+
+@pytest.mark.parametrize(
+    ("length", "shape"),
+    [(256, (2, 5, 203)), (512, (1, 3, 397)), (1024, (2, 2, 1024)), (256, (1, 1, 1))],
+)
+def test_spectra_are_those_of_the_reference(length: int, shape: tuple[int, int, int]):
+    a = planes(*shape)
+    first_s, step_s = float(F32(0.125 / shape[2])), float(F32(0.8 / shape[2]))
+    found = on_device(a, length, first_s, step_s, spare=70)
+    size = a.size // shape[2] * length
+    assert unwritten(found[size:]).all()
+    expected = rows(a, first_s, step_s, length)
+    s = first_s + step_s * np.arange(shape[2])
+    assert_close(found[:size].reshape(expected.shape), expected, atol=bounds(a, s, length))
+
+
+def test_a_plane_that_is_not_needed_is_left_out():
+    a = planes(3, 4, 65)
+    found = on_device(a, 256, 0.0, 0.0, needed=2).reshape(3, 4, 256)
+    assert unwritten(found[2]).all()
+    assert_close(found[:2], rows(a[:2], 0.0, 0.0, 256), atol=bounds(a[:2], np.zeros(65), 256))
+
+
+def test_the_right_node_is_the_imaginary_part():
+    """s = 1 everywhere: the real rows, times i; so Re of the transform's inverse is zero."""
+    a = planes(1, 2, 100)
+    found = on_device(a, 256, 1.0, 0.0).reshape(2, 256)
+    back = np.fft.ifft(found.astype(complex))
+    allowed = bounds(a, np.ones(100), 256)[0].max()  # an average of 256 errors
+    assert_close(back[:, :100].imag, a[0].astype(float), atol=allowed)
+    assert_close(back.real, np.zeros((2, 256)), atol=allowed)
+    assert_close(back[:, 100:].imag, np.zeros((2, 156)), atol=allowed)
+
+
+@pytest.mark.parametrize("length", sorted(FIRST_RADIX))
+def test_the_host_makes_the_kernel_for_its_grid(device: Device, length: int):
+    grid = SimGrid(50, 75, 4, 2, length, 40, (1, 1))
+    kernel = convolve_for(device, grid, [0, 1, 1, 2], 3).rows
+    assert kernel.workgroup_size == (length // 8, 1, 1)
+    assert (kernel.overrides["BX"], kernel.overrides["BY"]) == grid.block
+    assert kernel.overrides["FIRST_RADIX"] * 8 ** round(np.log(length / kernel.overrides["FIRST_RADIX"]) / np.log(8)) == length
+
+
+def test_the_dispatch_is_as_the_header_says():
+    assert Kernel("optics/rows", T=256, LANES=32, FIRST_RADIX=4).workgroup_size == (32, 1, 1)
