@@ -26,7 +26,7 @@ class _Strict(BaseModel):
 
 
 class LensChoice(_Strict):
-    """Which lens, and how it is used: scaled to a focal length, stopped to an f-number, and over which field."""
+    """Which lens, its focal length by scaling, its f-number by stopping down, and its field."""
 
     prescription: str
     focal_length_mm: float | None = Field(default=None, gt=0)
@@ -76,13 +76,15 @@ class Camera:
         from gpusim.lens.bank import cached_bank
 
         bank = cached_bank(self.lens, progress=progress)
-        corner_um = self.sensor.pixel_pitch_um * (self.sensor.rows**2 + self.sensor.cols**2) ** 0.5 / 2
+        corner_um = (
+            self.sensor.pixel_pitch_um * (self.sensor.rows**2 + self.sensor.cols**2) ** 0.5 / 2
+        )
         if bank.image_circle_um < corner_um:
             raise UserError(
                 f"The image circle of {self.lens.title} misses the corners of the sensor.",
                 field="lens.focal_length_mm",
                 value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length, or fewer rows and cols",
+                allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length, or fewer pixels",
             )
         return bank
 
@@ -126,7 +128,8 @@ def load_camera(name_or_path: str | Path) -> Camera:
             file=path,
             field=".".join(str(part) for part in first["loc"]) or "(top level)",
             value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg}, sensor {preset, rows, cols}",
+            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg}, "
+            "sensor {preset, rows, cols}",
         ) from error
     lens = load_prescription(_beside(path, fields.lens.prescription))
     if fields.lens.focal_length_mm is not None:
@@ -142,5 +145,5 @@ def load_camera(name_or_path: str | Path) -> Camera:
 
 
 def _beside(camera_file: Path, name: str) -> str:
-    """Return a path relative to the camera file where the name is a file's, else the preset's name."""
+    """Return a file's name as seen from the camera file, a preset's as it is."""
     return str(camera_file.parent / name) if Path(name).suffix else name

@@ -25,7 +25,7 @@ EDGE_SHARE = 0.5  # of the probes lie on the steepest edges
 
 @dataclass(frozen=True)
 class Probe:
-    """One probe pixel: electrons of the truth and of the render, and the error in two units."""
+    """One probe pixel: electrons of truth and render, and the error in two units."""
 
     row: int
     col: int
@@ -69,7 +69,7 @@ class Certificate:
 
 
 def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
-    """Choose probe pixels: half spread over the field, half on the steepest edge of each part of it.
+    """Choose probe pixels: half spread over the field, half on the steepest edges.
 
     Parameters
     ----------
@@ -142,7 +142,9 @@ def certify(
 
     def probe(pixel: np.ndarray) -> Probe:
         row, col = map(int, pixel)
-        value = evaluate(placed, pixel[None])[0] + glare[row % period[0] * period[1] + col % period[1]]
+        value = (
+            evaluate(placed, pixel[None])[0] + glare[row % period[0] * period[1] + col % period[1]]
+        )
         true_e, render_e = float(value * exposure_s), float(rate[row, col]) * exposure_s
         noise_e = np.sqrt(max(true_e, 0.0) + sensor.temporal_dark_noise_e**2)
         error = abs(render_e - true_e)
@@ -156,7 +158,8 @@ def certify(
         )
 
     points = []
-    # NumPy and SciPy let go of the interpreter in their loops. Nearby probes share kernels: in order of radius.
+    # NumPy and SciPy let go of the interpreter in their loops. Nearby probes share kernels: in
+    # order of radius.
     centre = np.array([sensor.rows, sensor.cols]) / 2
     order = np.argsort(np.hypot(*(pixels - centre).T))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -177,8 +180,10 @@ def certify(
         worst_sigma=float(sigma.max()),
         worst_position=(worst.row, worst.col),
         met=rms <= accuracy.tolerance and worst.relative <= 10 * accuracy.tolerance,
-        # Rule of three (Hanley & Lippman-Hand 1983): none of n above t means fewer than 3/n at 95 %.
-        confidence=f"At 95 % confidence fewer than {min(1.0, 3 / count):.1%} of such pixels err by more than "
+        # Rule of three (Hanley & Lippman-Hand 1983): none of n above t means fewer than 3/n at 95
+        # %.
+        confidence=f"At 95 % confidence fewer than {min(1.0, 3 / count):.1%} of such pixels err "
+        f"by more than "
         f"{worst.relative:.1e}.",
         seconds=time.perf_counter() - started,
         points=tuple(points),

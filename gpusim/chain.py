@@ -47,7 +47,8 @@ class Capture:
     times_s : dict of str to float
         Seconds by stage, on the device's clock.
     wall_s : float
-        From the recording of the first tile to the last byte of the raw; without preparation and certificate.
+        From the recording of the first tile to the last byte of the raw; without preparation and
+        certificate.
     prepare_s : dict of str to float
         Seconds spent before the first tile, which further frames of the same scene do not spend.
     device : dict
@@ -90,7 +91,8 @@ class Renderer:
     Raises
     ------
     UserError
-        When the image circle misses the sensor, the plan cannot be met or the memory does not suffice.
+        When the image circle misses the sensor, the plan cannot be met or the memory does not
+        suffice.
     """
 
     def __init__(
@@ -179,7 +181,8 @@ class Renderer:
         frame : int
             Frames of one seed have independent noise.
         tile_px : int, optional
-            Largest side of a tile. It changes the memory that is needed, and not one bit of the result.
+            Largest side of a tile. It changes the memory that is needed, and not one bit of the
+            result.
         keep : tuple of str
             Of "rate" and "electrons".
         progress : callable, optional
@@ -270,7 +273,7 @@ class Renderer:
         frame: int,
         keep: tuple[str, ...],
     ) -> dict[str, str]:
-        """Record one rectangle of pixels, source to digital numbers; return the labels of what comes back."""
+        """Record one rectangle of pixels; return the labels of what comes back."""
         sensor = self.camera.sensor
         row, col, rows, cols = rect
         rates = self._record_optics(rec, rect)
@@ -293,7 +296,7 @@ class Renderer:
         return {name: rec.download(outputs[name]) for name in ("dn", *keep)}
 
     def _record_optics(self, rec: Recording, rect: tuple[int, int, int, int]) -> Array:
-        """Record the source and the convolution of one rectangle, block after block, scale after scale."""
+        """Record source and convolution of one rectangle, block after block, scale after scale."""
         period = self.plan.scales[0].grid.period
         planes = self.plan.basis.coefficients.shape[1]
         sites = (period**2, -(-rect[2] // period), -(-rect[3] // period))
@@ -318,7 +321,10 @@ class Renderer:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
         sensor = self.camera.sensor
         white = np.einsum("clw,w->c", spectral_weights(self.bank, sensor), self.scene.white)
-        return {name: float(value * exposure_s) for name, value in zip(sensor.channels, white, strict=True)}
+        return {
+            name: float(value * exposure_s)
+            for name, value in zip(sensor.channels, white, strict=True)
+        }
 
 
 def _check(field: str, value: object, valid: bool, allowed: str) -> None:

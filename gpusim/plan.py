@@ -1,4 +1,4 @@
-"""The planner: from scene, camera and accuracy to what runs, how, and what is left out, without touching a device."""
+"""The planner: what runs, how, and what is left out, without touching a device."""
 
 from __future__ import annotations
 
@@ -30,16 +30,24 @@ from gpusim.sensor.sensor import Sensor
 
 # The planes' error is that of the worst spectrum in its weakest channel; the rest is well below it.
 WORST_TO_RMS = 5.0
-# What least-squares nodes gain over interpolation between samples: see gpusim.optics.kernels.node_kernels.
+# What least-squares nodes gain over interpolation between samples: see
+# gpusim.optics.kernels.node_kernels.
 NODE_GAIN = 2.45
-# Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark side.
+# Share of the tolerance that is left to the nodes; a photograph's contrast is larger than a
+# chart's.
+NODE_SHARE = 0.8
+# Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
+# side.
 CONTRAST = 20.0
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
-KERNEL_BYTES = 640 << 20  # of the 1 GiB that the device may use; the rest is for planes, frames and scratch
+KERNEL_BYTES = (
+    640 << 20
+)  # of the 1 GiB that the device may use; the rest is for planes, frames and scratch
 TRANSFORMS = (256, 512, 1024)  # lengths that shaders/common/line_fft takes
 
-# Measured on lavapipe with 2 cores, ns for each sample that a stage touches; only the order of magnitude is meant.
+# Measured on lavapipe with 2 cores, ns for each sample that a stage touches; only the order of
+# magnitude is meant.
 NS_PER_SAMPLE = {
     "paint": 30.0,
     "warp": 25.0,
@@ -60,8 +68,9 @@ class Accuracy:
     Attributes
     ----------
     tolerance : float
-        Error of the mean signal that is allowed at an edge of a pixel's own height, relative to the local signal. Each of
-        the engine's approximations (planes, PSF nodes, oversampling) is planned to stay below it.
+        Error of the mean signal that is allowed at an edge of a pixel's own height, relative to the
+        local signal. Each of the engine's approximations (planes, PSF nodes, oversampling) is
+        planned to stay below it.
     probes : int
         Pixels of the certificate; 0 leaves it out.
     """
@@ -79,7 +88,9 @@ class Accuracy:
                 allowed="1e-5 to 0.1, relative to the local signal",
             )
         if self.probes < 0:
-            raise UserError("Too few probes.", field="certify", value=self.probes, allowed="0 or more")
+            raise UserError(
+                "Too few probes.", field="certify", value=self.probes, allowed="0 or more"
+            )
 
 
 @dataclass(frozen=True)
@@ -117,20 +128,22 @@ class Plan:
         for stage in self.stages:
             error = "" if stage.predicted_error is None else f", error {stage.predicted_error:.1e}"
             cost = "" if stage.predicted_cost_s is None else f", {stage.predicted_cost_s:.2f} s"
-            lines.append(f"{'run ' if stage.runs else 'skip'} {stage.name:9} {stage.reason}{error}{cost}")
+            lines.append(
+                f"{'run ' if stage.runs else 'skip'} {stage.name:9} {stage.reason}{error}{cost}"
+            )
         return "\n".join(lines)
 
 
 def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:
-    """Bound the change of an edge response by a change of the transfer function: 2 int |H(f)| / (2 pi f) df."""
+    """Bound an edge response by its transfer function: 2 int |H(f)| / (2 pi f) df."""
     return float(2 * np.trapezoid(np.abs(spectrum) / (2 * np.pi * frequency), frequency))
 
 
 def alias_error(bank: Bank, oversampling: float, sensor: Sensor, sigma: float) -> float:
     """Predict the error of an edge response that the sim grid causes.
 
-    Along one axis, at the axis and the reference wavelength: what the grid folds into the band, and what lies
-    above it. Frequencies in cycles per sim sample.
+    Along one axis, at the axis and the reference wavelength: what the grid folds into the band, and
+    what lies above it. Frequencies in cycles per sim sample.
     """
     pitch_um = sensor.pixel_pitch_um / oversampling
     psf = bank.psf[0, bank.reference].sum(axis=0, dtype=np.float64)
@@ -141,15 +154,19 @@ def alias_error(bank: Bank, oversampling: float, sensor: Sensor, sigma: float) -
         mtf = np.abs(np.exp(-2j * np.pi * np.outer(frequency / pitch_um, positions_um)) @ psf)
         return mtf * np.sinc(frequency * oversampling * np.sqrt(sensor.fill_factor))
 
-    folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass((1 - f) / pitch_um, pitch_um)
+    folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass(
+        (1 - f) / pitch_um, pitch_um
+    )
     return edge_integral(f, transfer(f)) + edge_integral(f, folded * transfer(1 - f))
 
 
-def cut_error(images: np.ndarray, bank_pitch_um: float, coarse_pitch_um: float, sensor: Sensor, cut_um: float) -> float:
+def cut_error(
+    images: np.ndarray, bank_pitch_um: float, coarse_pitch_um: float, sensor: Sensor, cut_um: float
+) -> float:
     """Predict the error of an edge response when the PSF's tail beyond a cut goes to a coarse grid.
 
-    What the coarse grid loses of the tail: its spectrum along both axes from the end of the coarse band on,
-    through the pixel aperture, for the first plane on the axis and at the last field.
+    What the coarse grid loses of the tail: its spectrum along both axes from the end of the coarse
+    band on, through the pixel aperture, for the first plane on the axis and at the last field.
     """
     n = images.shape[-1]
     tail = 1 - core_window(distances_um(n, bank_pitch_um), cut_um)
@@ -164,11 +181,13 @@ def cut_error(images: np.ndarray, bank_pitch_um: float, coarse_pitch_um: float, 
     return worst
 
 
-def node_error(kernels: FieldKernels, pitch_um: float, half_um: tuple[float, float], spacing_um: float) -> float:
+def node_error(
+    kernels: FieldKernels, pitch_um: float, half_um: tuple[float, float], spacing_um: float
+) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
 
-    Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at half field and in the
-    corner of the sensor; the root of the mean square over these.
+    Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
+    half field and in the corner of the sensor; the root of the mean square over these.
     """
     half_size = int(np.ceil(20.0 / pitch_um))  # 20 um hold 98 % of the energy at f/2.8
     squares = []
@@ -176,7 +195,9 @@ def node_error(kernels: FieldKernels, pitch_um: float, half_um: tuple[float, flo
         x, y = (max(fraction * half - spacing_um / 2, 0.0) for half in half_um)
         shifts = (-spacing_um / 2, spacing_um / 2)
         corners = [
-            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0] for dx in shifts for dy in shifts
+            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0]
+            for dx in shifts
+            for dy in shifts
         ]
         kernel = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0, 0]
         for axis in (0, 1):
@@ -186,7 +207,7 @@ def node_error(kernels: FieldKernels, pitch_um: float, half_um: tuple[float, flo
 
 
 def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
-    """Choose planes, oversampling, the cut of the PSFs, PSF nodes, transform lengths and blocks for a tolerance.
+    """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
 
     Raises
     ------
@@ -204,7 +225,11 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
         )
     worst = WORST_TO_RMS * accuracy.tolerance
     basis = reduce_spectra(
-        scene.spectra, spectral_weights(bank, sensor), edge_responses(bank), worst, _commonest_first(scene)
+        scene.spectra,
+        spectral_weights(bank, sensor),
+        edge_responses(bank),
+        worst,
+        _commonest_first(scene),
     )
     sigma = SIGMA if is_chart else 0.0
     half_um = (sensor.cols * sensor.pixel_pitch_um / 2, sensor.rows * sensor.pixel_pitch_um / 2)
@@ -234,23 +259,45 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
         if lost <= accuracy.tolerance / CONTRAST and cut_um < reach_um / 2:
             cut = cut_um
             break
-    core = everything if cut is None else core_window(distances_um(len(everything), bank.pitch_um), cut)
+    core = (
+        everything
+        if cut is None
+        else core_window(distances_um(len(everything), bank.pitch_um), cut)
+    )
     kernels = field_kernels(images, radius_um, bank.pitch_um, pitch_um, core)
     trial_um = half_um[1] / 4
-    # Green, or the only channel: the middle of the list. Linear interpolation's error goes with the spacing squared.
+    # Green, or the only channel: the middle of the list. Linear interpolation's error goes with the
+    # spacing squared.
     middle = len(sensor.channels) // 2
     first = FieldKernels(kernels.splines[:, :1, middle : middle + 1], radius_um, bank.pitch_um)
     trial = node_error(first, pitch_um, half_um, trial_um)
-    spacing_um = trial_um * np.sqrt(accuracy.tolerance / max(trial, 1e-12))
+    spacing_um = trial_um * np.sqrt(NODE_SHARE * accuracy.tolerance / max(trial, 1e-12))
     cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
-    nodes = trial * max(2 * half / count / trial_um for half, count in zip(half_um, cells, strict=True)) ** 2
+    nodes = (
+        trial
+        * max(2 * half / count / trial_um for half, count in zip(half_um, cells, strict=True)) ** 2
+    )
 
-    grid = _cheapest(sensor, oversampling * period, period, (cut or reach_um) / pitch_um, cells, lambda g: needed(g, pitch_um))
+    grid = _cheapest(
+        sensor,
+        oversampling * period,
+        period,
+        (cut or reach_um) / pitch_um,
+        cells,
+        lambda g: needed(g, pitch_um),
+    )
     scales = [Scale("core" if cut else "whole", grid, pitch_um, sigma, kernels)]
     if cut is not None:
         tail = field_kernels(images, radius_um, bank.pitch_um, coarse_pitch_um, everything - core)
         few = tuple(-(-count // 3) for count in cells)  # the tail holds some per cent of the energy
-        coarse = _cheapest(sensor, coarse_stride, period, reach_um / coarse_pitch_um, few, lambda g: needed(g, coarse_pitch_um))
+        coarse = _cheapest(
+            sensor,
+            coarse_stride,
+            period,
+            reach_um / coarse_pitch_um,
+            few,
+            lambda g: needed(g, coarse_pitch_um),
+        )
         scales.append(Scale("tail", coarse, coarse_pitch_um, sigma, tail))
     predicted = {"planes": basis.residual, "alias": alias, "nodes": nodes, "cut": lost}
     return Plan(basis, tuple(scales), _stages(scales, basis, sensor, scene, predicted))
@@ -275,10 +322,11 @@ def _cheapest(
 ) -> SimGrid:
     """Return the grid that takes the least work, among those whose kernels fit the memory.
 
-    `reach` of the kernels in sim samples; `cells` are the fewest that the tolerance allows; `needed` returns the planes that
-    each block of a grid needs.
+    `reach` of the kernels in sim samples; `cells` are the fewest that the tolerance allows;
+    `needed` returns the planes that each block of a grid needs.
     """
-    # 8 samples: half an aperture, half a sample to the pixel's centre, and the ringing of the band's end.
+    # 8 samples: half an aperture, half a sample to the pixel's centre, and the ringing of the
+    # band's end.
     half_size = int(np.ceil((reach + 8) / stride)) * stride
     channels = len(sensor.channels) if stride % period == 0 else period**2
     best = None
@@ -287,25 +335,31 @@ def _cheapest(
         if largest < 8 * stride:
             continue
         for blocks in range(1, 5):
-            extent = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, cells).extent
+            extent = SimGrid(
+                sensor.rows, sensor.cols, stride, period, length, half_size, cells
+            ).extent
             finer = tuple(
-                max(count, -(-size // (blocks * largest))) for count, size in zip(cells, extent, strict=True)
+                max(count, -(-size // (blocks * largest)))
+                for count, size in zip(cells, extent, strict=True)
             )
             grid = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, finer)
             planes = needed(grid)
             at_nodes = sum(grid.planes_at(node, planes) for node in np.ndindex(grid.nodes))
             if at_nodes * channels * (length // 2 + 1) * length * 8 > KERNEL_BYTES:
                 continue
-            # The inverse transforms and the products of a block cost about as much as the forward ones of a plane.
-            work = sum(1 + count for count in planes.values() if count) * length**2 * np.log2(length)
+            # The inverse transforms and the products of a block cost about as much as the forward
+            # ones of a plane.
+            work = (
+                sum(1 + count for count in planes.values() if count) * length**2 * np.log2(length)
+            )
             if best is None or work < best[0]:
                 best = (work, grid)
     if best is None:
         raise UserError(
-            "The kernels of this lens do not fit: its PSF is too wide, or changes too fast over the field.",
+            "The kernels of this lens do not fit: its PSF is too wide or changes too fast.",
             field="tolerance",
             value=f"{2 * half_size} sim samples wide, {cells[0] + 1} x {cells[1] + 1} PSF nodes",
-            allowed=f"at most {TRANSFORMS[-1] - 8 * stride} samples, and {KERNEL_BYTES >> 20} MiB of kernels: "
+            allowed=f"{TRANSFORMS[-1] - 8 * stride} samples, {KERNEL_BYTES >> 20} MiB of kernels: "
             "a looser tolerance, or a smaller region of the sensor",
         )
     return best[1]
@@ -338,14 +392,18 @@ def _stages(
         PlanStage(
             "paint",
             is_chart,
-            f"chart low-passed by {scales[0].sigma} samples; {source}" if is_chart else "the scene is a raster",
+            f"chart low-passed by {scales[0].sigma} samples; {source}"
+            if is_chart
+            else "the scene is a raster",
             predicted["planes"] if is_chart else None,
             cost("paint", areas) if is_chart else None,
         ),
         PlanStage(
             "warp",
             not is_chart,
-            "the scene is a chart: painted where it lands" if is_chart else f"cubic spline; {source}",
+            "the scene is a chart: painted where it lands"
+            if is_chart
+            else f"cubic spline; {source}",
             None if is_chart else predicted["planes"],
             None if is_chart else cost("warp", areas * planes),
         ),
@@ -355,27 +413,38 @@ def _stages(
             f"{sum(blocks)} blocks, {fine.oversampling:g} samples a pixel, transforms of "
             + " and ".join(str(grid.length) for grid in grids),
             predicted["alias"],
-            cost("rows", sum(b * g.block[1] * g.length * planes for b, g in zip(blocks, grids, strict=True))),
+            cost(
+                "rows",
+                sum(b * g.block[1] * g.length * planes for b, g in zip(blocks, grids, strict=True)),
+            ),
         ),
         PlanStage(
             "columns",
             True,
             f"{fine.nodes[0]} x {fine.nodes[1]} PSF nodes, reach {fine.half_size} samples{tail}",
             predicted["nodes"] + predicted["cut"] * (len(scales) > 1),
-            cost("columns", sum(2 * b * g.length**2 * planes for b, g in zip(blocks, grids, strict=True))),
+            cost(
+                "columns",
+                sum(2 * b * g.length**2 * planes for b, g in zip(blocks, grids, strict=True)),
+            ),
         ),
         PlanStage(
             "lattice",
             True,
             "inverse transform at the photosites only; pixel aperture folded into the kernels",
             None,
-            cost("lattice", sum(b * g.sites * g.window**2 for b, g in zip(blocks, grids, strict=True))),
+            cost(
+                "lattice",
+                sum(b * g.sites * g.window**2 for b, g in zip(blocks, grids, strict=True)),
+            ),
         ),
         PlanStage("mosaic", True, f"{fine.sites} CFA sites", None, cost("mosaic", pixels)),
         PlanStage(
             "flare",
             glare > 0,
-            f"veiling glare {glare:.2%} of the mean, added by mosaic" if glare > 0 else "the sensor file gives none",
+            f"veiling glare {glare:.2%} of the mean, added by mosaic"
+            if glare > 0
+            else "the sensor file gives none",
         ),
         PlanStage("cross-talk", False, "the sensor file gives none"),
         PlanStage("exposure", True, "PRNU, dark current, DSNU", None, cost("exposure", pixels)),

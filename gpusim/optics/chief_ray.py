@@ -29,7 +29,7 @@ class ChiefRayMap:
     radius_um: float
 
     def params(self, sim_pitch_um: float) -> dict:
-        """Return the fields of the shaders' `Params` that describe the map, lengths in sim samples."""
+        """Return the fields of the shaders' `Params` that describe the map, in sim samples."""
         return {
             "g_low": self.coefficients[:4],
             "g_high": self.coefficients[4:],
@@ -43,19 +43,24 @@ def chief_ray_map(bank: Bank) -> ChiefRayMap:
     Raises
     ------
     UserError
-        When a polynomial of degree 15 in image height does not follow the map to a thousandth of a micrometre.
+        When a polynomial of degree 15 in image height does not follow the map to a thousandth of a
+        micrometre.
     """
     radius = np.linspace(0, bank.image_circle_um, 401)[1:]
     ratio = bank.ideal_from_real(radius)[0] / radius
-    fit = np.polynomial.Polynomial.fit((radius / radius[-1]) ** 2, ratio, 7, domain=[0, 1], w=radius).convert()
+    fit = np.polynomial.Polynomial.fit(
+        (radius / radius[-1]) ** 2, ratio, 7, domain=[0, 1], w=radius
+    ).convert()
     coefficients = np.zeros(8)
     coefficients[: len(fit.coef)] = fit.coef
-    error_um = np.abs(np.polynomial.Polynomial(coefficients)((radius / radius[-1]) ** 2) - ratio) * radius
+    error_um = (
+        np.abs(np.polynomial.Polynomial(coefficients)((radius / radius[-1]) ** 2) - ratio) * radius
+    )
     if error_um.max() > FIT_ERROR_UM:
         raise UserError(
-            "The lens's chief-ray map is not smooth enough to be followed by the engine's polynomial.",
+            "The chief-ray map is not smooth enough for the engine's polynomial.",
             field="distortion",
-            value=f"{error_um.max():.3g} um from the polynomial at {radius[error_um.argmax()]:.0f} um height",
+            value=f"{error_um.max():.3g} um off at {radius[error_um.argmax()]:.0f} um height",
             allowed=f"at most {FIT_ERROR_UM} um",
         )
     return ChiefRayMap(coefficients, float(bank.image_circle_um))

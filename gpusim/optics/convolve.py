@@ -1,7 +1,8 @@
 """Space-variant convolution of one frame: rows, columns and lattice, block after block.
 
-Scatter: every source sample is spread by the PSF that belongs to *it*, interpolated bilinearly between the four PSF nodes of
-its cell. The weights separate in x and y, so two row spectra and four column spectra serve the four nodes.
+Scatter: every source sample is spread by the PSF that belongs to *it*, interpolated bilinearly
+between the four PSF nodes of its cell. The weights separate in x and y, so two row spectra and four
+column spectra serve the four nodes.
 """
 
 from __future__ import annotations
@@ -46,7 +47,9 @@ class Scratch:
 
     def __init__(self, rec: Recording, name: str, grid: SimGrid, planes: int) -> None:
         length = grid.length
-        self.planes = rec.buffer(f"planes {name}", (planes, grid.block[1], grid.block[0]), np.float32)
+        self.planes = rec.buffer(
+            f"planes {name}", (planes, grid.block[1], grid.block[0]), np.float32
+        )
         self.spectra = rec.buffer(f"spectra {name}", (planes, grid.block[1], length, 2), np.float32)
         self.folded = rec.buffer(
             f"folded {name}", (grid.sites, length // 2 + 1, grid.window, 2), np.float32
@@ -61,8 +64,8 @@ class Convolve:
     device : Device
     scale : Scale
     needed : dict
-        Coefficient planes that each block needs; where none of the blocks around a node needs a plane, its
-        kernels are left out.
+        Coefficient planes that each block needs; where none of the blocks around a node needs a
+        plane, its kernels are left out.
     aperture_um : float
         Side of the pixel aperture.
     site_channels : list of int
@@ -134,7 +137,9 @@ class Convolve:
         def sample(dx: int, dy: int) -> np.ndarray:
             index = (node[0] + dx, node[1] + dy)
             if index not in points or len(points[index]) < planes:
-                x_um, y_um = (np.array(self.grid.node_position(index)) - self.grid.centre) * scale.pitch_um
+                x_um, y_um = (
+                    np.array(self.grid.node_position(index)) - self.grid.centre
+                ) * scale.pitch_um
                 points[index] = sampled_kernels(
                     scale.kernels, x_um, y_um, scale.pitch_um, self.grid.half_size, planes
                 )
@@ -147,11 +152,13 @@ class Convolve:
     ) -> tuple[list[tuple[int, float, float]], int]:
         """Choose what the kernels are made for, and the samples from a site to the next.
 
-        Where a site lies whole samples from the next, the shader shifts one kernel per channel; else each site
-        has a kernel of its own.
+        Where a site lies whole samples from the next, the shader shifts one kernel per channel;
+        else each site has a kernel of its own.
         """
         grid = self.grid
-        first = (grid.oversampling - 1) / 2  # a pixel's centre, in samples from the centre of its first sample
+        first = (
+            grid.oversampling - 1
+        ) / 2  # a pixel's centre, in samples from the centre of its first sample
         words = [0, 0, 0, 0]
         whole = grid.stride % grid.period == 0
         for site, channel in enumerate(site_channels):
@@ -160,7 +167,10 @@ class Convolve:
         if whole:
             return [(c, first, first) for c in range(channels)], grid.stride // grid.period
         places = [
-            (channel, *(first + grid.oversampling * k for k in (site % grid.period, site // grid.period)))
+            (
+                channel,
+                *(first + grid.oversampling * k for k in (site % grid.period, site // grid.period)),
+            )
             for site, channel in enumerate(site_channels)
         ]
         return places, 0
@@ -208,7 +218,12 @@ class Convolve:
         self.columns.record(
             rec,
             groups=(grid.length // 2 + 1, 1, 1),
-            params={"first_s": first_y, "step_s": step_y, "planes": needed, "site_channels": self.site_channels},
+            params={
+                "first_s": first_y,
+                "step_s": step_y,
+                "planes": needed,
+                "site_channels": self.site_channels,
+            },
             twiddle=self.twiddle,
             spectra=scratch.spectra,
             kernels_00=self.nodes[x, y],

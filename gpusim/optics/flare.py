@@ -1,4 +1,4 @@
-"""Veiling glare: light that surfaces and barrel scatter evenly over the frame, as a fraction of the mean signal."""
+"""Veiling glare: light scattered evenly over the frame, as a fraction of the mean signal."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor
 
-SIDE = 256  # points of the mean along each side; the mean of a chart is then good to a few parts in a thousand
+SIDE = 256  # points along each side: the mean of a chart is then good to a few parts in a thousand
 
 
 def veiling_glare(
-    bank: Bank, sensor: Sensor, source: Chart | PlacedRaster, weights: np.ndarray, coefficients: np.ndarray
+    bank: Bank,
+    sensor: Sensor,
+    source: Chart | PlacedRaster,
+    weights: np.ndarray,
+    coefficients: np.ndarray,
 ) -> np.ndarray:
     """Return the veiling glare of every CFA site.
 
-    The scene's mean over the sensor is taken on a grid of points, before the PSFs (which conserve energy) and with the
-    relative illumination, so that it does not depend on tiles.
+    The scene's mean over the sensor is taken on a grid of points, before the PSFs (which conserve
+    energy) and with the relative illumination, so that it does not depend on tiles.
 
     Parameters
     ----------
@@ -50,7 +54,10 @@ def veiling_glare(
         planes = np.tensordot(coefficients.T, sampled, axes=1)
     illumination = np.stack(
         [
-            np.interp(radius, bank.real_height_um[:, bank.reference], bank.relative_illumination[:, k]) * lit
+            np.interp(
+                radius, bank.real_height_um[:, bank.reference], bank.relative_illumination[:, k]
+            )
+            * lit
             for k in range(len(bank.wavelengths_nm))
         ]
     )

@@ -1,7 +1,8 @@
 """Fold wavelengths, quantum efficiency and scene spectra, so that few planes need to be convolved.
 
-Before the shot noise the chain is linear. The PSF is taken as linear in wavelength between those of the bank, so the
-integral over wavelength reduces to one weight per colour channel, scene spectrum and bank wavelength.
+Before the shot noise the chain is linear. The PSF is taken as linear in wavelength between those of
+the bank, so the integral over wavelength reduces to one weight per colour channel, scene spectrum
+and bank wavelength.
 """
 
 from __future__ import annotations
@@ -21,16 +22,17 @@ MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
 
 
 def spectral_weights(bank: Bank, sensor: Sensor) -> np.ndarray:
-    """Return the electrons per second that a unit of spectral radiance makes, by channel and wavelength.
+    """Return the electrons/s of a unit of spectral radiance, by channel and wavelength.
 
-    N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1, with the
-    irradiance of an extended source, E = L Omega), by the trapezoidal rule, shared out between the two nearest
-    wavelengths of the bank.
+    N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1,
+    with the irradiance of an extended source, E = L Omega), by the trapezoidal rule, shared out
+    between the two nearest wavelengths of the bank.
 
     Returns
     -------
     ndarray (C, L, 61)
-        Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample of WAVELENGTHS_NM.
+        Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample of
+        WAVELENGTHS_NM.
     """
     step = np.gradient(WAVELENGTHS_NM)
     step[[0, -1]] /= 2
@@ -42,14 +44,17 @@ def spectral_weights(bank: Bank, sensor: Sensor) -> np.ndarray:
     qe = np.stack([sensor.qe[channel] for channel in sensor.channels])
     response = qe * photons_per_joule * area_m2 * collected_sr * step
     tents = np.stack(
-        [np.interp(WAVELENGTHS_NM, bank.wavelengths_nm, row) for row in np.eye(len(bank.wavelengths_nm))]
+        [
+            np.interp(WAVELENGTHS_NM, bank.wavelengths_nm, row)
+            for row in np.eye(len(bank.wavelengths_nm))
+        ]
     )
     return response[:, None, :] * tents
 
 
 @dataclass(frozen=True)
 class Basis:
-    """Scene spectra as the camera sees them: V[m, c, l] = sum_j coefficients[m, j] weights[j, c, l].
+    """Scene spectra as the camera sees them: sum_j coefficients[m, j] weights[j, c, l].
 
     Attributes
     ----------
@@ -58,7 +63,8 @@ class Basis:
     weights : ndarray (J, C, L)
         Electrons/s of each plane in each channel, by bank wavelength.
     residual : float
-        Largest error of an edge response, relative to the signal of the same spectrum in the same channel.
+        Largest error of an edge response, relative to the signal of the same spectrum in the same
+        channel.
     """
 
     coefficients: np.ndarray
@@ -67,7 +73,7 @@ class Basis:
 
 
 def edge_responses(bank: Bank) -> np.ndarray:
-    """Return edge-spread functions of the bank, at axis, half field and full field, along both axes.
+    """Return edge-spread functions of the bank at axis, half and full field, along both axes.
 
     Returns
     -------
@@ -81,7 +87,10 @@ def edge_responses(bank: Bank) -> np.ndarray:
         shift_um = bank.real_height_um[field] - bank.real_height_um[field, reference]
         radial = np.cumsum(bank.psf[field].sum(axis=1, dtype=np.float64), axis=-1)
         radial = np.stack(
-            [np.interp(positions - d, positions, row) for d, row in zip(shift_um, radial, strict=True)]
+            [
+                np.interp(positions - d, positions, row)
+                for d, row in zip(shift_um, radial, strict=True)
+            ]
         )
         tangential = np.cumsum(bank.psf[field].sum(axis=2, dtype=np.float64), axis=-1)
         # Every second sample: 1 um, below half of the Airy radius.
@@ -98,10 +107,11 @@ def reduce_spectra(
 ) -> Basis:
     """Find the fewest planes that give every scene spectrum's edge response within a tolerance.
 
-    A singular value decomposition in the space of edge responses: what the camera cannot tell apart is not kept
-    apart. A chart in shades of one spectrum needs one plane, and three channels behind a lens
-    without chromatic aberration need three for any scene. The planes are then turned so that the commonest spectra lie in the
-    first of them: where a block of the image shows no others, the rest is left out.
+    A singular value decomposition in the space of edge responses: what the camera cannot tell apart
+    is not kept apart. A chart in shades of one spectrum needs one plane, and three channels behind
+    a lens without chromatic aberration need three for any scene. The planes are then turned so that
+    the commonest spectra lie in the first of them: where a block of the image shows no others, the
+    rest is left out.
 
     Parameters
     ----------
@@ -143,10 +153,12 @@ def reduce_spectra(
 
 
 def _commonest_first(coefficients: np.ndarray) -> np.ndarray:
-    """Return a rotation (J, J) after which the first spectra need the fewest planes: Gram-Schmidt in their order."""
+    """Return a rotation (J, J) by Gram-Schmidt: the first spectra then need the fewest planes."""
     directions: list[np.ndarray] = []
     for row in coefficients:
-        rest = row - sum((direction * (direction @ row) for direction in directions), np.zeros(len(row)))
+        rest = row - sum(
+            (direction * (direction @ row) for direction in directions), np.zeros(len(row))
+        )
         if np.linalg.norm(rest) > ROUNDING * np.linalg.norm(row):
             directions.append(rest / np.linalg.norm(rest))
         if len(directions) == len(row):

@@ -1,8 +1,9 @@
 """Geometry of the simulation: the sim grid, its blocks and PSF nodes. Integers only, no device.
 
-Lengths are in sim samples (pixel pitch / N, N = D / P) from the sensor's upper left corner unless a name says otherwise. The source region
-is the sensor plus the reach of the kernels on every side; it is cut into cells between PSF nodes, and
-each cell into equal blocks. A block's window is the block plus the reach of the kernels.
+Lengths are in sim samples (pixel pitch / N, N = D / P) from the sensor's upper left corner unless a
+name says otherwise. The source region is the sensor plus the reach of the kernels on every side; it
+is cut into cells between PSF nodes, and each cell into equal blocks. A block's window is the block
+plus the reach of the kernels.
 """
 
 from __future__ import annotations
@@ -81,7 +82,9 @@ class SimGrid:
         """Width and height of a block: a multiple of `stride`."""
         return tuple(
             math.ceil(extent / (cells * blocks) / self.stride) * self.stride
-            for extent, cells, blocks in zip(self.extent, self.cells, self.blocks_per_cell, strict=True)
+            for extent, cells, blocks in zip(
+                self.extent, self.cells, self.blocks_per_cell, strict=True
+            )
         )
 
     @property
@@ -120,8 +123,10 @@ class SimGrid:
         rows = range((node[1] - 1) * down, (node[1] + 1) * down)
         return max(needed.get((x, y), 0) for x in columns for y in rows)
 
-    def node_weights(self, index: tuple[int, int]) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return, for x and for y, the position of a block's first sample between two nodes (0..1), and the step."""
+    def node_weights(
+        self, index: tuple[int, int]
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return where a block's first sample lies between two nodes (0..1), and the step; x, y."""
         result = []
         for axis in (0, 1):
             cell = self.blocks_per_cell[axis] * self.block[axis]

@@ -1,13 +1,14 @@
 """Channel kernels at the PSF nodes: what one sample of one plane gives to each photosite around it.
 
-All in float64 on the host; the spectra are handed to the device in float32. The kernel of plane j in channel c at field
-point s is
+All in float64 on the host; the spectra are handed to the device in float32. The kernel of plane j
+in channel c at field point s is
 
     H_cj(x; s) = sum_l weights[j, c, l] K(s, l) h_l(x - (x_l(s) - x_ref(s)); s),
 
-K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour, interpolated between the bank's
-fields in radius and rotated to the azimuth of s. Into it are folded the pixel aperture, and the inverse of the
-Gaussian with which the scene was low-passed before it was sampled on the sim grid.
+K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour,
+interpolated between the bank's fields in radius and rotated to the azimuth of s. Into it are folded
+the pixel aperture, and the inverse of the Gaussian with which the scene was low-passed before it
+was sampled on the sim grid.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.lens.bank import Bank
 
-# Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples on each side.
+# Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples
+# on each side.
 PAD = 32
-# The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a sharp end would ring.
+# The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a
+# sharp end would ring.
 BAND_EDGE = 0.85
-# Where the core of a PSF is cut from its tail, a raised cosine falls from this fraction of the outer radius to it.
+# Where the core of a PSF is cut from its tail, a raised cosine falls from this fraction of the
+# outer radius to it.
 CUT_EDGE = 0.5
 
 
@@ -56,13 +60,13 @@ def low_pass(frequency: np.ndarray, sim_pitch_um: float) -> np.ndarray:
 
 
 def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
-    """Return the weight of a PSF's core at distances from its chief ray; the rest belongs to the tail."""
+    """Return the weight of a PSF's core at distances from its chief ray; the rest is the tail's."""
     fall = np.clip((distance_um / radius_um - CUT_EDGE) / (1 - CUT_EDGE), 0, 1)
     return 0.5 * (1 + np.cos(np.pi * fall))
 
 
 def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.ndarray, np.ndarray]:
-    """Fold the bank's wavelengths into channel kernels, at the fields of the bank that the sensor uses.
+    """Fold the bank's wavelengths into channel kernels, at the fields that the sensor uses.
 
     Parameters
     ----------
@@ -95,7 +99,11 @@ def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.n
 
 
 def field_kernels(
-    images: np.ndarray, radius_um: np.ndarray, bank_pitch_um: float, sim_pitch_um: float, part: np.ndarray
+    images: np.ndarray,
+    radius_um: np.ndarray,
+    bank_pitch_um: float,
+    sim_pitch_um: float,
+    part: np.ndarray,
 ) -> FieldKernels:
     """Take a part of the channel kernels, end its band at a sim grid's, and make splines of it.
 
@@ -159,21 +167,24 @@ def sampled_kernels(
     out = np.zeros((planes, channels, 2 * half_size, 2 * half_size))
     for index in np.ndindex(planes, channels):
         spline = (1 - t) * kernels.splines[(lower, *index)] + t * kernels.splines[(upper, *index)]
-        out[index][inside] = area * map_coordinates(spline, where, np.float64, order=3, prefilter=False)
+        out[index][inside] = area * map_coordinates(
+            spline, where, np.float64, order=3, prefilter=False
+        )
     return out
 
 
 def node_kernels(
     sample: Callable[[int, int], np.ndarray],
 ) -> np.ndarray:
-    """Return the kernels of one node such that interpolation between nodes errs least in the mean square.
+    """Return the kernels of a node that let interpolation err least in the mean square.
 
     Straight lines through samples of a curve err to one side, by f'' t (h - t) / 2. Lines through
 
         f - h^2 f'' / 12
 
-    instead err to both, and 2.4 times less in the root mean square (the least-squares spline of degree 1; Unser 1999,
-    section on approximation). f'' h^2 is taken as the second difference between the nodes, along x and along y.
+    instead err to both, and 2.4 times less in the root mean square (the least-squares spline of
+    degree 1; Unser 1999, section on approximation). f'' h^2 is taken as the second difference
+    between the nodes, along x and along y.
 
     Parameters
     ----------
@@ -185,7 +196,7 @@ def node_kernels(
 
 
 def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> np.ndarray:
-    """Return the transform of a square pixel aperture of unit weight, over that of the scene's Gaussian.
+    """Return the transform of a square pixel aperture over that of the scene's Gaussian.
 
     Parameters
     ----------
@@ -194,15 +205,16 @@ def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> 
     width : float
         Side of the aperture, sim samples.
     sigma : float
-        Standard deviation of the Gaussian with which the scene was low-passed, sim samples; 0 for none.
+        Standard deviation of the Gaussian with which the scene was low-passed, sim samples; 0 for
+        none.
     shift : float
         Position of the pixel's centre, sim samples.
 
     Returns
     -------
     ndarray (T,), complex
-        sinc(width f) exp(2 pi^2 sigma^2 f^2 + 2 pi i f shift) at f = k / T; zero at the Nyquist frequency, which has no mirror
-        of its own.
+        sinc(width f) exp(2 pi^2 sigma^2 f^2 + 2 pi i f shift) at f = k / T; zero at the Nyquist
+        frequency, which has no mirror of its own.
     """
     f = scipy.fft.fftfreq(length)
     transfer = np.sinc(width * f) * np.exp(2 * np.pi**2 * sigma**2 * f**2 + 2j * np.pi * f * shift)
@@ -233,8 +245,9 @@ def kernel_spectra(
     Returns
     -------
     ndarray (J, T/2+1, len(outputs), 4, T/8, 2), complex64
-        [plane, kx, output, a, lane, b] with ky = (2 a + b) T/8 + lane, as the lanes of a workgroup load them two at a time;
-        divided by T^2 for the inverse transforms, which are not normalised.
+        [plane, kx, output, a, lane, b] with ky = (2 a + b) T/8 + lane, as the lanes of a workgroup
+        load them two at a time; divided by T^2 for the inverse transforms, which are not
+        normalised.
     """
     half = length // 2 + 1
     spectra = scipy.fft.rfft2(sampled, s=(length, length), workers=2)

@@ -19,10 +19,11 @@ PRIMITIVE = np.dtype(
         ("material", "<u4"),
     ]
 )
-# Standard deviation of the Gaussian low-pass, sim samples. At 0.8 the alias of an edge's 0.75 cycles/sample is
-# exp(-2 pi^2 0.8^2 (0.75^2 - 0.25^2)) = 0.2 % of what it disturbs, and the inverse in the kernels stays below 24.
+# Standard deviation of the Gaussian low-pass, sim samples. At 0.8 the alias of an edge's 0.75
+# cycles/sample is exp(-2 pi^2 0.8^2 (0.75^2 - 0.25^2)) = 0.2 % of what it disturbs, and the inverse
+# in the kernels stays below 24.
 SIGMA = 0.8
-REACH = 8.0  # sim samples beyond which a primitive's Gaussian edge (6 standard deviations) is zero, with margin
+REACH = 8.0  # sim samples beyond which the Gaussian edge of a primitive (6 sigma) is zero, and more
 
 
 def primitives_by_block(
@@ -48,12 +49,15 @@ def primitives_by_block(
     needed : dict of int
         By block: planes beyond these have no coefficient in it.
     """
-    bounds_um = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]).reshape(-1, 3)
+    bounds_um = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]).reshape(
+        -1, 3
+    )
     material = np.array([shape.material for shape in chart.primitives], int)
     last_plane = np.array([np.flatnonzero(row)[-1] + 1 if row.any() else 0 for row in coefficients])
     g = np.polynomial.Polynomial(chief_ray.coefficients)
     side = np.linspace(0, 1, 9)
-    # Nine points a side of the block's outline: on the way from one to the next the map is monotone.
+    # Nine points a side of the block's outline: on the way from one to the next the map is
+    # monotone.
     outline = np.concatenate(
         [np.stack([side, np.full(9, end)], axis=1) for end in (0, 1)]
         + [np.stack([np.full(9, end), side], axis=1) for end in (0, 1)]
@@ -67,7 +71,8 @@ def primitives_by_block(
             ideal = real * g(rho2)[:, None]
             low, high = ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um
             near = np.all(
-                (bounds_um[:, :2] + bounds_um[:, 2:] > low) & (bounds_um[:, :2] - bounds_um[:, 2:] < high),
+                (bounds_um[:, :2] + bounds_um[:, 2:] > low)
+                & (bounds_um[:, :2] - bounds_um[:, 2:] < high),
                 axis=1,
             )
             seen[x, y] = np.flatnonzero(near)
@@ -117,7 +122,9 @@ class Paint:
             row["material"] = shape.material
         materials = np.zeros((len(coefficients), 8), np.float32)
         materials[:, : coefficients.shape[1]] = coefficients
-        seen, self.needed = primitives_by_block(chart, coefficients, scale.grid, scale.pitch_um, chief_ray)
+        seen, self.needed = primitives_by_block(
+            chart, coefficients, scale.grid, scale.pitch_um, chief_ray
+        )
         starts = np.cumsum([0, *map(len, seen.values())])
         self.ranges = {
             block: (int(start), len(picked))

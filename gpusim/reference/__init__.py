@@ -1,1 +1,1 @@
-"""Float64 twins of the shader stages, written from the equations; they share no code with the shaders."""
+"""Float64 twins of the shader stages, from the equations; they share no code with the shaders."""

@@ -22,8 +22,8 @@ def columns(
     spectra : ndarray (J, B, T), complex
         Row spectra as `gpusim.reference.rows.rows` returns them.
     kernels : four ndarrays (T/2+1, J, C, T), complex
-        Channel kernels [kx, plane, channel, ky] of the nodes (left, upper), (right, upper), (left, lower),
-        (right, lower).
+        Channel kernels [kx, plane, channel, ky] of the nodes (left, upper), (right, upper), (left,
+        lower), (right, lower).
     first_s, step_s : float
         Position between the upper node (0) and the lower node (1): of row 0, and per row.
     sites : sequence of (channel, o_x, o_y)
@@ -51,7 +51,9 @@ def columns(
     for weight, pair in ((1.0 - s, kernels[:2]), (s, kernels[2:])):
         for side, kernel in zip(sides, pair, strict=True):
             transformed = np.einsum("ky,jyx->xjk", forward * weight, side)
-            total = total + np.einsum("xjk,xjck->cxk", transformed, np.asarray(kernel, np.complex128))
+            total = total + np.einsum(
+                "xjk,xjck->cxk", transformed, np.asarray(kernel, np.complex128)
+            )
     m = np.arange(length // stride)
     kx = np.arange(half)[:, None]
     planes = []

@@ -11,15 +11,15 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def area(polygons: np.ndarray) -> np.ndarray:
-    """Return the areas of polygons (N, V, 2), by the shoelace formula, positive in either sense of rotation."""
+    """Return the areas of polygons (N, V, 2), by the shoelace formula, never negative."""
     return np.abs(np.sum(cross(polygons, np.roll(polygons, -1, axis=1)), axis=1)) / 2
 
 
 def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
     """Clip polygons by the half-plane normal . p <= limit.
 
-    A vertex outside is moved onto the line along the normal, and each crossing edge gains its crossing point: what
-    then lies outside the clipped polygon lies on the line, and has no area.
+    A vertex outside is moved onto the line along the normal, and each crossing edge gains its
+    crossing point: what then lies outside the clipped polygon lies on the line, and has no area.
 
     Parameters
     ----------
@@ -46,13 +46,15 @@ def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
 def rectangle_area(
     quads: np.ndarray, centre: tuple[float, float], half_size: tuple[float, float], angle: float
 ) -> np.ndarray:
-    """Return the area of each convex quadrilateral (N, 4, 2) inside a rectangle turned by `angle`."""
+    """Return the area of each convex quadrilateral (N, 4, 2) inside a turned rectangle."""
     c, s = np.cos(angle), np.sin(angle)
     local = (quads - np.asarray(centre)) @ np.array([[c, -s], [s, c]])
     beyond = np.abs(local) - np.asarray(half_size)
     inside = np.all(beyond <= 0, axis=(1, 2))
     # All four corners beyond one and the same side: nothing of a convex polygon is inside.
-    outside = np.any(np.all(local > half_size, axis=1) | np.all(local < -np.asarray(half_size), axis=1), axis=1)
+    outside = np.any(
+        np.all(local > half_size, axis=1) | np.all(local < -np.asarray(half_size), axis=1), axis=1
+    )
     cut = ~inside & ~outside
     result = np.where(inside, area(quads), 0.0)
     polygons = local[cut]
@@ -79,8 +81,8 @@ def disc_area(quads: np.ndarray, centre: tuple[float, float], radius: float) -> 
 def _disc_area(start: np.ndarray, radius: float) -> np.ndarray:
     """Return the area of polygons (N, V, 2) inside a disc about the origin.
 
-    Green's theorem along the edges: the part of an edge inside the circle spans a triangle with the centre, a part
-    outside spans a sector.
+    Green's theorem along the edges: the part of an edge inside the circle spans a triangle with the
+    centre, a part outside spans a sector.
     """
     edge = np.roll(start, -1, axis=1) - start
     a = np.sum(edge**2, axis=-1)

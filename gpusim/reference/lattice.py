@@ -22,10 +22,11 @@ def lattice(folded: np.ndarray, rates: np.ndarray, origin_xy: tuple[int, int]) -
     ndarray (S, rows, cols), float64
     """
     folded = np.asarray(folded, np.complex128)
-    sites, half, count = folded.shape
+    _, half, count = folded.shape
     length = 2 * (half - 1)
     stride = length // count
-    # A real signal from its half spectrum: the inner frequencies stand for themselves and their mirror.
+    # A real signal from its half spectrum: the inner frequencies stand for themselves and their
+    # mirror.
     weight = np.full(half, 2.0)
     weight[[0, -1]] = 1.0
     basis = np.exp(2j * np.pi * np.outer(np.arange(half), stride * np.arange(count)) / length)

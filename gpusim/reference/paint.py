@@ -32,7 +32,7 @@ def rectangle_coverage(
 
 
 def disc_coverage(r: np.ndarray, radius: float, sigma: float) -> np.ndarray:
-    """Return the indicator of a disc convolved with an isotropic Gaussian, at distance `r` from its centre.
+    """Return the indicator of a disc convolved with an isotropic Gaussian, at distance `r`.
 
     The Rice integral: int_0^R (q/s^2) exp(-(q^2 + r^2)/(2 s^2)) I_0(q r/s^2) dq, by Gauss-Legendre
     quadrature over 200 nodes (Rice 1945, eq. 3.10-11).
@@ -60,7 +60,8 @@ def paint(
     Parameters
     ----------
     primitives : list of dict
-        ``kind`` ("rectangle" or "disc"), ``centre`` (x, y), ``half_size`` (a disc's radius first), ``angle``,
+        ``kind`` ("rectangle" or "disc"), ``centre`` (x, y), ``half_size`` (a disc's radius first),
+        ``angle``,
         ``material``; in samples from the optical axis on the ideal plane, in painter's order.
     materials : ndarray (materials, J)
         Coefficients.
@@ -98,7 +99,9 @@ def paint(
             if primitive["kind"] == "disc":
                 r = np.hypot(*d[index])
                 e = d[index] / r if r > 0 else np.array([1.0, 0.0])
-                cover[index] = disc_coverage(r, primitive["half_size"][0], np.sqrt(e @ covariance @ e))
+                cover[index] = disc_coverage(
+                    r, primitive["half_size"][0], np.sqrt(e @ covariance @ e)
+                )
             else:
                 cover[index] = rectangle_coverage(
                     d[index], primitive["half_size"], primitive["angle"], covariance

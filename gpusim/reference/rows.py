@@ -1,4 +1,4 @@
-"""Forward transform of the rows of a source block, by the definition of the discrete Fourier transform."""
+"""Forward transform of the rows of a source block, by the definition."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth model: the continuous image chain up to electrons per second, one pixel at a time, in float64.
+"""The truth model: the continuous chain up to electrons/s, pixel by pixel, in float64.
 
     N(x) = sum over scene spectra m of integral ds H_cm(x - s; s) A_m(s)
 
@@ -6,8 +6,9 @@ with A_m(s) the area of spectrum m inside a pixel aperture placed at s (exact fo
 
     H_cm(t; s) = sum_l W[c, m, l] K(s, l) h_l(t - (x_l(s) - x_ref(s)); s),
 
-the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the azimuth of each source
-point. No sim grid, no PSF nodes, no reduced basis, no transform of the image: nothing that the engine chooses.
+the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
+azimuth of each source point. No sim grid, no PSF nodes, no reduced basis, no transform of the
+image: nothing that the engine chooses.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from gpusim.reference.coverage import area, disc_area, rectangle_area
 
 H_J_S = 6.62607015e-34
 C_M_S = 299792458.0
-# The integral over t is a midpoint sum. Within CORE_UM of the pixel, where nearly all of the PSF's energy and of its detail
-# lie, the step is a sixteenth of a micrometre: at an eighth the edges of apertures still leave 1e-3 on the dark side of an edge.
+# The integral over t is a midpoint sum. Within CORE_UM of the pixel, where nearly all of the PSF's
+# energy and of its detail lie, the step is a sixteenth of a micrometre: at an eighth the edges of
+# apertures still leave 1e-3 on the dark side of an edge.
 CORE_UM = 6.0
 CORE_STEP_UM = 0.0625
 TAIL_STEP_UM = 0.5
@@ -44,7 +46,9 @@ class Truth:
         Of the spectra and of the sensor's quantum efficiency.
     """
 
-    def __init__(self, bank: Any, sensor: Any, spectra: np.ndarray, wavelengths_nm: np.ndarray) -> None:
+    def __init__(
+        self, bank: Any, sensor: Any, spectra: np.ndarray, wavelengths_nm: np.ndarray
+    ) -> None:
         self.bank = bank
         self.sensor = sensor
         self.reference = list(bank.wavelengths_nm).index(bank.reference_nm)
@@ -66,13 +70,15 @@ class Truth:
         )
         weights = np.empty((len(qe), len(spectra), len(bank.wavelengths_nm)))
         for place in range(len(bank.wavelengths_nm)):
-            tent = np.interp(wavelengths_nm, bank.wavelengths_nm, np.eye(len(bank.wavelengths_nm))[place])
+            tent = np.interp(
+                wavelengths_nm, bank.wavelengths_nm, np.eye(len(bank.wavelengths_nm))[place]
+            )
             integrand = qe[:, None] * spectra * tent * steradian / energy_j
             weights[..., place] = np.trapezoid(integrand, wavelengths_nm, axis=-1)
         return weights * 1e-12  # per um^2 of aperture
 
     def _shifted(self, field: int) -> np.ndarray:
-        """Return the PSFs (L, n, n) of one bank field, each shifted by its lateral colour, with its illumination."""
+        """Return the PSFs (L, n, n) of one bank field, with lateral colour and illumination."""
         if field not in self.shifted:
             bank = self.bank
             n = bank.psf.shape[-1]
@@ -80,8 +86,12 @@ class Truth:
             images = np.empty((len(bank.wavelengths_nm), n + 2 * PAD, n + 2 * PAD))
             for place, image in enumerate(images):
                 shift = bank.real_height_um[field, place] - self.radius_um[field]
-                lines = scipy.fft.fft(np.pad(bank.psf[field, place].astype(np.float64), PAD), axis=1)
-                image[:] = scipy.fft.ifft(lines * np.exp(-2j * np.pi * frequency * shift), axis=1).real
+                lines = scipy.fft.fft(
+                    np.pad(bank.psf[field, place].astype(np.float64), PAD), axis=1
+                )
+                image[:] = scipy.fft.ifft(
+                    lines * np.exp(-2j * np.pi * frequency * shift), axis=1
+                ).real
                 image *= bank.relative_illumination[field, place] / bank.pitch_um**2
             self.shifted[field] = images
         return self.shifted[field]
@@ -99,7 +109,9 @@ class Truth:
     def _spread(self, channel: int, spectrum: int, t: np.ndarray, source: np.ndarray) -> np.ndarray:
         """Return H (P,) at distances t (P, 2) from source points (P, 2), per um^2."""
         radius = np.hypot(*source.T)
-        outward = np.where(radius[:, None] > 0, source / np.maximum(radius, 1e-9)[:, None], [1.0, 0.0])
+        outward = np.where(
+            radius[:, None] > 0, source / np.maximum(radius, 1e-9)[:, None], [1.0, 0.0]
+        )
         half = self.bank.psf.shape[-1] // 2 + PAD
         radial = np.sum(t * outward, axis=1) / self.bank.pitch_um + half
         tangential = (t[:, 1] * outward[:, 0] - t[:, 0] * outward[:, 1]) / self.bank.pitch_um + half
@@ -112,13 +124,19 @@ class Truth:
             if used.any():
                 kernel = self._kernel(channel, spectrum, field)
                 result[used] += share[used] * map_coordinates(
-                    kernel, [tangential[used], radial[used]], order=3, prefilter=False, mode="constant"
+                    kernel,
+                    [tangential[used], radial[used]],
+                    order=3,
+                    prefilter=False,
+                    mode="constant",
                 )
         return result
 
     def _grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Return midpoints (P, 2) and areas (P,) of the cells of the integral over t."""
-        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + 4.0  # lateral colour is below 4 um
+        reach = (
+            self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + 4.0
+        )  # lateral colour is below 4 um
 
         def cells(half: float, step: float) -> np.ndarray:
             line = np.arange(-half + step / 2, half, step)
@@ -128,7 +146,9 @@ class Truth:
         tail = cells(reach, TAIL_STEP_UM)
         tail = tail[np.abs(tail).max(axis=1) > CORE_UM]
         tail = tail[np.hypot(*tail.T) < reach]
-        areas = np.concatenate([np.full(len(core), CORE_STEP_UM**2), np.full(len(tail), TAIL_STEP_UM**2)])
+        areas = np.concatenate(
+            [np.full(len(core), CORE_STEP_UM**2), np.full(len(tail), TAIL_STEP_UM**2)]
+        )
         return np.concatenate([core, tail]), areas
 
     def _ideal(self, real: np.ndarray) -> np.ndarray:
@@ -169,13 +189,16 @@ class Truth:
         return out
 
     def _chart_shares(self, chart: Any, source: np.ndarray) -> dict[int, np.ndarray]:
-        """Return, for every spectrum in reach, its area inside the aperture at each source point, um^2."""
+        """Return each spectrum's area inside the aperture at each source point, um^2."""
         ideal = self._ideal(source)
         low, high = ideal.min(axis=0), ideal.max(axis=0)
-        # An aperture's corners lie within its diagonal of its centre, also where the map stretches by a third.
+        # An aperture's corners lie within its diagonal of its centre, also where the map stretches
+        # by a third.
         margin = self.aperture_um
         if self.bounds is None:
-            self.bounds = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives])
+            self.bounds = np.array(
+                [(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]
+            )
             self.bounds = self.bounds.reshape(-1, 3)
         centres, sizes = self.bounds[:, :2], self.bounds[:, 2:] + margin
         near = np.all((centres + sizes >= low) & (centres - sizes <= high), axis=1)
@@ -195,7 +218,11 @@ class Truth:
                 part[cut] = rectangle_area(quads, centre, half_size, shape.angle_rad) / area(quads)
             shares = {spectrum: share * (1 - part) for spectrum, share in shares.items()}
             shares[shape.material] = shares.get(shape.material, 0.0) + part
-        return {spectrum: share * self.aperture_um**2 for spectrum, share in shares.items() if np.any(share)}
+        return {
+            spectrum: share * self.aperture_um**2
+            for spectrum, share in shares.items()
+            if np.any(share)
+        }
 
     def raster(self, raster: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a raster.
@@ -214,7 +241,8 @@ class Truth:
         if self.splines is None:
             self.splines = raster.spline_coefficients().astype(np.float64)
         splines, corner_um = self.splines, (raster.x0_um, raster.y0_um)
-        # The spline is smooth over an aperture: 3 x 3 Gauss-Legendre nodes integrate it to the fifth degree.
+        # The spline is smooth over an aperture: 3 x 3 Gauss-Legendre nodes integrate it to the
+        # fifth degree.
         nodes, weights = np.polynomial.legendre.leggauss(3)
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
@@ -225,16 +253,28 @@ class Truth:
                 for dy, wy in zip(nodes, weights, strict=True):
                     point = source + self.aperture_um / 2 * np.array([dx, dy])
                     ideal = self._ideal(point)
-                    x = np.clip((ideal[:, 0] - corner_um[0]) / raster.pitch_um - 0.5, 0, splines.shape[2] - 1)
-                    y = np.clip((ideal[:, 1] - corner_um[1]) / raster.pitch_um - 0.5, 0, splines.shape[1] - 1)
+                    x = np.clip(
+                        (ideal[:, 0] - corner_um[0]) / raster.pitch_um - 0.5,
+                        0,
+                        splines.shape[2] - 1,
+                    )
+                    y = np.clip(
+                        (ideal[:, 1] - corner_um[1]) / raster.pitch_um - 0.5,
+                        0,
+                        splines.shape[1] - 1,
+                    )
                     for kernel, spline in zip(spread, splines, strict=True):
-                        radiance = map_coordinates(spline, [y, x], order=3, prefilter=False, mode="mirror")
+                        radiance = map_coordinates(
+                            spline, [y, x], order=3, prefilter=False, mode="mirror"
+                        )
                         out[number] += wx * wy / 4 * self.aperture_um**2 * np.sum(kernel * radiance)
         return out
 
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um
-        return np.array([col + 0.5 - self.sensor.cols / 2, row + 0.5 - self.sensor.rows / 2]) * pitch
+        return (
+            np.array([col + 0.5 - self.sensor.cols / 2, row + 0.5 - self.sensor.rows / 2]) * pitch
+        )
 
     def _channel(self, row: int, col: int) -> int:
         pattern = self.sensor.cfa.pattern

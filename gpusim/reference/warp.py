@@ -30,8 +30,8 @@ def warp(
     scale : float
         Raster samples per sim sample.
     distortion, radius
-        Chief-ray map: u = x g(|x|^2 / radius^2), coefficients of g low to high; radius of the image circle in sim
-        samples; beyond it the result is black.
+        Chief-ray map: u = x g(|x|^2 / radius^2), coefficients of g low to high; radius of the image
+        circle in sim samples; beyond it the result is black.
 
     Returns
     -------
@@ -45,5 +45,7 @@ def warp(
     u = x * g(rho2)[..., None]
     columns = np.clip(centre_xy[0] + scale * u[..., 0], 0, raster.shape[1] - 1)
     rows = np.clip(centre_xy[1] + scale * u[..., 1], 0, raster.shape[0] - 1)
-    radiance = map_coordinates(np.asarray(raster, np.float64), [rows, columns], order=3, mode="mirror")
+    radiance = map_coordinates(
+        np.asarray(raster, np.float64), [rows, columns], order=3, mode="mirror"
+    )
     return np.where(rho2 <= 1, radiance, 0.0)

@@ -60,20 +60,23 @@ def bank(
     skew_um : float
         Distance of the displaced light along the tangent, which no centred lens has.
     """
-    wavelengths = np.linspace(400.0, 700.0, len(sigma_um)) if len(sigma_um) > 1 else np.array([550.0])
+    wavelengths = (
+        np.linspace(400.0, 700.0, len(sigma_um)) if len(sigma_um) > 1 else np.array([550.0])
+    )
     ideal = np.linspace(0.0, circle_um, fields)
     share = ideal / circle_um
     reference = len(wavelengths) // 2
-    real = (ideal * (1 + distortion * share**2))[:, None] * (1 + np.array(lateral)[: len(wavelengths)])
+    real = (ideal * (1 + distortion * share**2))[:, None] * (
+        1 + np.array(lateral)[: len(wavelengths)]
+    )
     at = (np.arange(size) - size // 2) * 0.5
     psf = np.empty((fields, len(wavelengths), size, size))
     for number in range(fields):
         for place, sigma in enumerate(sigma_um):
             out, along = coma_um * share[number], skew_um * share[number]
-            psf[number, place] = (
-                0.75 * np.outer(gaussian(at, sigma), gaussian(at, sigma))
-                + 0.25 * np.outer(gaussian(at - along, 1.2 * sigma), gaussian(at - out, 1.2 * sigma))
-            )
+            psf[number, place] = 0.75 * np.outer(
+                gaussian(at, sigma), gaussian(at, sigma)
+            ) + 0.25 * np.outer(gaussian(at - along, 1.2 * sigma), gaussian(at - out, 1.2 * sigma))
             wide = gaussian(at, 4 * sigma)
             psf[number, place] = (1 - halo) * psf[number, place] + halo * np.outer(wide, wide)
     psf /= psf.sum(axis=(2, 3), keepdims=True)
@@ -85,7 +88,8 @@ def bank(
         ideal_height_um=ideal,
         real_height_um=real,
         psf=psf.astype(np.float32),
-        relative_illumination=1 - falloff * share[:, None] ** 2 * np.linspace(1.0, 1.1, len(wavelengths)),
+        relative_illumination=1
+        - falloff * share[:, None] ** 2 * np.linspace(1.0, 1.1, len(wavelengths)),
         projected_solid_angle_sr=np.linspace(0.10, 0.102, len(wavelengths)),
         transmission=np.linspace(0.58, 0.60, len(wavelengths)),
         outside_energy=nothing,
@@ -101,7 +105,9 @@ def bank(
 
 def sensor(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
     """Return the middle of the demonstration sensor, without veiling glare."""
-    return load_sensor("imx477").roi(rows, cols).model_copy(update={"veiling_glare": 0.0, **changes})
+    return (
+        load_sensor("imx477").roi(rows, cols).model_copy(update={"veiling_glare": 0.0, **changes})
+    )
 
 
 def monochrome(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:

@@ -16,7 +16,9 @@ def of(*inputs: np.ndarray) -> dict:
 
 def test_the_product():
     exact = (A @ [1, 1j]) * (B @ [1, 1j])
-    assert_close(wgsl_eval("complex", "cmul(a, b)", of(A, B), returns="vec2f"), pairs(exact), atol=0)
+    assert_close(
+        wgsl_eval("complex", "cmul(a, b)", of(A, B), returns="vec2f"), pairs(exact), atol=0
+    )
 
 
 def test_the_conjugate():

@@ -40,7 +40,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
 
 
 @pytest.mark.parametrize(
-    ("length", "m", "lines"), [(256, 64, 4), (256, 256, 1), (256, 32, 3), (512, 64, 1), (1024, 512, 2)]
+    ("length", "m", "lines"),
+    [(256, 64, 4), (256, 256, 1), (256, 32, 3), (512, 64, 1), (1024, 512, 2)],
 )
 def test_it_is_the_inverse_fourier_transform(length: int, m: int, lines: int):
     kernel = Kernel.from_text(
@@ -54,9 +55,7 @@ def test_it_is_the_inverse_fourier_transform(length: int, m: int, lines: int):
     )
     x = complex_noise(np.random.default_rng(m), 3, lines, m)
     inputs = {"twiddle": twiddles(length), "x": x}
-    found = run_stage(
-        kernel, (3, 1, 1), {"unused": 0}, inputs, {"y": (x.shape, np.complex64)}
-    )["y"]
+    found = run_stage(kernel, (3, 1, 1), {"unused": 0}, inputs, {"y": (x.shape, np.complex64)})["y"]
     turns = np.outer(np.arange(m), np.arange(m)) % m
     exact = x.astype(np.complex128) @ np.exp(2j * np.pi * turns / m)
     total = np.abs(x.view(np.float32)).sum(axis=2, dtype=np.float64)[..., None]

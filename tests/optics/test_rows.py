@@ -84,7 +84,11 @@ def test_the_host_makes_the_kernel_for_its_grid(device: Device, length: int):
     kernel = convolve_for(device, grid, [0, 1, 1, 2], 3).rows
     assert kernel.workgroup_size == (length // 8, 1, 1)
     assert (kernel.overrides["BX"], kernel.overrides["BY"]) == grid.block
-    assert kernel.overrides["FIRST_RADIX"] * 8 ** round(np.log(length / kernel.overrides["FIRST_RADIX"]) / np.log(8)) == length
+    assert (
+        kernel.overrides["FIRST_RADIX"]
+        * 8 ** round(np.log(length / kernel.overrides["FIRST_RADIX"]) / np.log(8))
+        == length
+    )
 
 
 def test_the_dispatch_is_as_the_header_says():

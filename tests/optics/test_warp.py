@@ -118,7 +118,9 @@ def test_the_host_places_the_raster(device: Device):
     pitch_um = 0.775
     placed = Raster(planes).placed(32 * 0.775, 24 * 0.775, pitch_um)
     coefficients = np.array([[1.0, 0.5], [0.25, -1.0]])
-    stage = Warp(device, placed, coefficients, Scale("test", grid, pitch_um, 0.0, NO_KERNELS), chief_ray)
+    stage = Warp(
+        device, placed, coefficients, Scale("test", grid, pitch_um, 0.0, NO_KERNELS), chief_ray
+    )
     assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), 2)
     block = (0, 1)
     rec = Recording(device)

@@ -1,0 +1,75 @@
+"""Veiling glare, against sums of its own over a denser grid."""
+
+import numpy as np
+import pytest
+from harness import assert_close
+from optics.made import bank, monochrome, scene, sensor
+
+from gpusim.optics.flare import SIDE, veiling_glare
+from gpusim.scene.chart import Rect
+from gpusim.scene.raster import Raster
+
+WEIGHTS = np.random.default_rng(8).uniform(1, 9, (2, 3, 3))  # planes, channels, wavelengths
+COEFFICIENTS = np.array([[1.0, 0.0], [0.25, 0.5]])
+
+
+def illumination(lens, camera, side=700):
+    """Return points (um), and the relative illumination (L, side, side) at them."""
+    line = (np.arange(side) + 0.5) / side - 0.5
+    pitch = camera.pixel_pitch_um
+    x, y = np.meshgrid(line * camera.cols * pitch, line * camera.rows * pitch)
+    radius = np.hypot(x, y)
+    heights = lens.real_height_um[:, lens.reference]
+    light = [np.interp(radius, heights, row) for row in lens.relative_illumination.T]
+    return x, y, np.stack(light)
+
+
+def test_an_even_scene_gives_its_share_of_the_mean_signal_to_every_site():
+    lens, camera = bank(), sensor(veiling_glare=0.03)
+    found = veiling_glare(lens, camera, scene().source.placed(74.4), WEIGHTS, COEFFICIENTS)
+    mean = illumination(lens, camera)[2].mean(axis=(1, 2))
+    by_channel = 0.03 * np.einsum("j,jcl,l->c", COEFFICIENTS[0], WEIGHTS, mean)
+    # Midpoint sums of a smooth function on 256 points a side: errors of 1/(24 * 256^2) of its change.
+    expected = by_channel[[2, 1, 1, 0]]  # B G / G R; channels are R, G, B
+    assert_close(found, expected, rtol=1e-5)
+
+
+def test_a_chart_counts_by_area():
+    lens = bank(falloff=0.0, distortion=0.0)
+    camera = monochrome(veiling_glare=0.5)
+    # The right half of the field, and beyond it.
+    chart = scene((Rect(5.0, 0.0, 5.0, 5.0, 0.0, 1),)).source.placed(74.4)
+    found = veiling_glare(lens, camera, chart, WEIGHTS[:, :1], COEFFICIENTS)
+    halves = 0.5 * np.einsum("mj,jcl->cm", COEFFICIENTS, WEIGHTS[:, :1]).sum() / 2
+    assert_close(found, np.array([halves]), rtol=1e-12)  # SIDE is even: the edge is between points
+    assert SIDE % 2 == 0
+
+
+def test_beyond_the_image_circle_there_is_no_light():
+    lens = bank(falloff=0.0, distortion=0.0, circle_um=80.0, lateral=(0.0, 0.0, 0.0))
+    camera = monochrome(100, 100, veiling_glare=1.0)  # a square of 155 um, a circle of 80 um radius
+    found = veiling_glare(lens, camera, scene().source, WEIGHTS[:, :1], COEFFICIENTS)
+    x, y, _ = illumination(lens, camera, 2000)
+    inside = np.mean(np.hypot(x, y) <= 80)
+    expected = np.einsum("j,jcl->c", COEFFICIENTS[0], WEIGHTS[:, :1]) * inside
+    # The circle's length counted in points: four arcs of 0.3 rad, 96 um in a field of 256 x 0.6 um.
+    assert_close(found, expected, rtol=2e-3)
+
+
+@pytest.mark.parametrize("distortion", [0.0, -0.05])
+def test_a_raster_counts_by_its_samples(distortion: float):
+    lens, camera = bank(distortion=distortion), sensor(veiling_glare=0.02)
+    half_um = (128 * 0.775, 96 * 0.775)
+    planes = np.random.default_rng(2).uniform(0, 1, (2, 6, 8)).astype(np.float32)
+    placed = Raster(planes).placed(*half_um, 0.775)
+    found = veiling_glare(lens, camera, placed, WEIGHTS, COEFFICIENTS)
+    x, y, light = illumination(lens, camera)
+    radius = np.hypot(x, y)
+    stretch = lens.ideal_from_real(radius)[0] / radius
+    col = np.floor((x * stretch + half_um[0]) / (2 * half_um[0]) * 8).clip(0, 7).astype(int)
+    row = np.floor((y * stretch + half_um[1]) / (2 * half_um[1]) * 6).clip(0, 5).astype(int)
+    seen = np.einsum("mj,myx->jyx", COEFFICIENTS, planes[:, row, col].astype(float))
+    mean = np.einsum("jyx,lyx,jcl->c", seen, light, WEIGHTS) / x.size
+    # 14 inner borders of cells, each crossing 256 points that may fall on either side: at most 1 %
+    # of the field is counted a point off, by half the mean or less, and it averages out.
+    assert_close(found, 0.02 * mean[[2, 1, 1, 0]], rtol=5e-3)
