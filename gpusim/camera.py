@@ -84,7 +84,7 @@ class Camera:
                 f"The image circle of {self.lens.title} misses the corners of the sensor.",
                 field="lens.focal_length_mm",
                 value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length, or fewer pixels",
+                allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length or fewer pixels",
             )
         return bank
 

@@ -180,11 +180,9 @@ def certify(
         worst_sigma=float(sigma.max()),
         worst_position=(worst.row, worst.col),
         met=rms <= accuracy.tolerance and worst.relative <= 10 * accuracy.tolerance,
-        # Rule of three (Hanley & Lippman-Hand 1983): none of n above t means fewer than 3/n at 95
-        # %.
+        # Rule of three (Hanley & Lippman-Hand 1983): none of n above t, so fewer than 3/n at 95 %.
         confidence=f"At 95 % confidence fewer than {min(1.0, 3 / count):.1%} of such pixels err "
-        f"by more than "
-        f"{worst.relative:.1e}.",
+        f"by more than {worst.relative:.1e}.",
         seconds=time.perf_counter() - started,
         points=tuple(points),
     )

@@ -21,7 +21,9 @@ from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plan_optics
 from gpusim.scene.chart import Chart
+from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.mosaic import record_mosaic
@@ -43,6 +45,10 @@ class Capture:
         Electrons/s before the exposure, and electrons before the ADC, where they were kept.
     white_e : dict of str to float
         Mean electrons that the scene's white makes on the axis, by channel.
+    transmission : ndarray (61,)
+        Of the lens, at WAVELENGTHS_NM.
+    notes : tuple of str
+        How the scene was read and placed.
     plan : Plan
     times_s : dict of str to float
         Seconds by stage, on the device's clock.
@@ -62,6 +68,8 @@ class Capture:
     rate: np.ndarray | None
     electrons: np.ndarray | None
     white_e: dict[str, float]
+    transmission: np.ndarray
+    notes: tuple[str, ...]
     plan: Plan
     times_s: dict[str, float]
     wall_s: float
@@ -250,6 +258,11 @@ class Renderer:
             rate=kept["rate"] if "rate" in keep else None,
             electrons=kept.get("electrons"),
             white_e=self._white_e(exposure_s),
+            transmission=np.interp(
+                WAVELENGTHS_NM, self.bank.wavelengths_nm, self.bank.transmission
+            ),
+            notes=self.scene.notes
+            + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()),
             plan=self.plan,
             times_s=dict(times_s),
             wall_s=wall_s,

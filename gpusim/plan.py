@@ -68,9 +68,10 @@ class Accuracy:
     Attributes
     ----------
     tolerance : float
-        Error of the mean signal that is allowed at an edge of a pixel's own height, relative to the
-        local signal. Each of the engine's approximations (planes, PSF nodes, oversampling) is
-        planned to stay below it.
+        Root mean square error of the mean signal over probe pixels, half of them on the steepest
+        edges, relative to the local signal; no probe may err by more than ten times it. The
+        engine's approximations (planes, PSF nodes, oversampling, cut of the PSFs) are planned
+        from it.
     probes : int
         Pixels of the certificate; 0 leaves it out.
     """
@@ -411,7 +412,7 @@ def _stages(
             "rows",
             True,
             f"{sum(blocks)} blocks, {fine.oversampling:g} samples a pixel, transforms of "
-            + " and ".join(str(grid.length) for grid in grids),
+            + " and ".join(str(length) for length in sorted({grid.length for grid in grids})),
             predicted["alias"],
             cost(
                 "rows",

@@ -56,6 +56,8 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
         rate=plane if "rate" in keep else None,
         electrons=plane if "electrons" in keep else None,
         white_e={"R": 900.0, "G": 1800.0, "B": 1000.0},
+        transmission=np.full(61, 0.6),
+        notes=("a note of the scene",),
         plan=SimpleNamespace(basis=basis, scales=(scale,), stages=STAGES),
         times_s={"paint": 0.25, "rows": 1.5, "adc": 0.004},
         wall_s=2.25,

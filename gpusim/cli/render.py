@@ -18,7 +18,7 @@ from gpusim.cli.files import staging
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.isp.develop import develop
-from gpusim.isp.dng import write_dng
+from gpusim.isp.dng import check_filter_array, write_dng
 from gpusim.plan import Accuracy
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
@@ -48,6 +48,7 @@ def run(
     planes = kept_planes(keep)
     accuracy = Accuracy(tolerance=tolerance, probes=probes)
     camera = load_camera(camera_name)
+    check_filter_array(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2)
     default_device()
     with staging(out) as folder:
@@ -111,6 +112,7 @@ def write(capture: Capture, folder: Path) -> dict[str, Any]:
         capture.camera.sensor,
         white_e=capture.white_e,
         exposure_s=capture.exposure_s,
+        transmission=capture.transmission,
     )
     developed = develop(folder / "raw.dng")
     Image.fromarray(developed).save(folder / "developed.png")

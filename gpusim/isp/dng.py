@@ -68,6 +68,24 @@ def _rationals(values: Iterable[float]) -> list[int]:
     return list(chain.from_iterable((f.numerator, f.denominator) for f in fractions))
 
 
+def check_filter_array(sensor: Sensor) -> None:
+    """Refuse a filter array that no DNG reader has.
+
+    Raises
+    ------
+    UserError
+        When it is not 2 x 2 of R, G and B.
+    """
+    pattern = sensor.cfa.pattern
+    if np.shape(pattern) != (2, 2) or set(chain.from_iterable(pattern)) != set(CHANNELS):
+        raise UserError(
+            "no DNG reader has this filter array",
+            field="cfa.pattern",
+            value=pattern,
+            allowed="2 x 2 of R, G and B",
+        )
+
+
 def write_dng(
     path: str | Path,
     raw: np.ndarray,
@@ -108,13 +126,7 @@ def write_dng(
 
     path = Path(path)
     pattern = sensor.cfa.pattern
-    if np.shape(pattern) != (2, 2) or set(chain.from_iterable(pattern)) != set(CHANNELS):
-        raise UserError(
-            "no DNG reader has this filter array",
-            field="cfa.pattern",
-            value=pattern,
-            allowed="2 x 2 of R, G and B",
-        )
+    check_filter_array(sensor)
     rows, cols = raw.shape
     camera = response(sensor.qe, transmission)
     neutral = np.array([white_e[channel] for channel in CHANNELS], np.float64)

@@ -60,7 +60,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
         },
         "camera": _camera(capture.camera),
-        "scene": _scene(capture.scene),
+        "scene": {**_scene(capture.scene), "notes": plain(capture.notes)},
         "device": plain(capture.device),
         "versions": {
             "python": platform.python_version(),
@@ -107,7 +107,6 @@ def _scene(scene: Scene) -> dict[str, Any]:
         "spectra": len(scene.spectra),
         "illuminant": scene.illuminant,
         "white_luminance_cd_m2": scene.white_luminance_cd_m2,
-        "notes": plain(scene.notes),
     }
 
 

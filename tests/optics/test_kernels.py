@@ -1,0 +1,264 @@
+"""Kernels at the PSF nodes: against Gaussians in closed form."""
+
+import numpy as np
+import pytest
+from harness import assert_close
+from optics.made import bank, gaussian
+from scipy.special import ndtr
+
+from gpusim.optics.kernels import (
+    BAND_EDGE,
+    CUT_EDGE,
+    aperture_spectrum,
+    core_window,
+    distances_um,
+    field_images,
+    field_kernels,
+    kernel_spectra,
+    low_pass,
+    node_kernels,
+    sampled_kernels,
+)
+
+LENS = bank(skew_um=2.0)
+WEIGHTS = np.random.default_rng(12).uniform(1, 5, (2, 3, 3))
+# float32 splines: 2^-24 of the coefficients, which are 3 times the samples at most along each axis.
+F32_SPLINE = 9 * 2.0**-24
+
+
+def everything(lens=LENS, weights=WEIGHTS, pitch_um=0.5, reach_um=1e9):
+    """Return kernels with the whole PSF, up to the band of a sim grid."""
+    images, radius_um = field_images(lens, weights, reach_um)
+    return field_kernels(images, radius_um, 0.5, pitch_um, np.ones(images.shape[-2:]))
+
+
+def centroid(kernel: np.ndarray) -> np.ndarray:
+    """Return x, y of the centre of gravity, in samples from the source."""
+    y, x = np.indices(kernel.shape) - kernel.shape[0] // 2
+    return np.array([(x * kernel).sum(), (y * kernel).sum()]) / kernel.sum()
+
+
+def test_the_band_ends_at_nyquist():
+    nyquist = 0.5 / 0.775
+    f = np.array([0.0, BAND_EDGE, (1 + BAND_EDGE) / 2, 1.0, 1.3]) * nyquist
+    assert_close(low_pass(f, 0.775), np.array([1, 1, 0.5, 0, 0]), atol=1e-12)
+
+
+def test_core_and_tail_make_the_whole():
+    r = np.array([0.0, CUT_EDGE, (1 + CUT_EDGE) / 2, 1.0, 2.0]) * 6.0
+    assert_close(core_window(r, 6.0), np.array([1, 1, 0.5, 0, 0]), atol=1e-12)
+    images, radius_um = field_images(LENS, WEIGHTS, 1e9)
+    core = core_window(distances_um(images.shape[-1], 0.5), 4.0)
+    assert core[64, 64] == 1 and core[64, 64 + 8] == core[64 - 8, 64] == 0  # 8 x 0.5 um, centred
+    assert core[64, 64 + 6] == pytest.approx(0.5)
+    parts = [field_kernels(images, radius_um, 0.5, 0.775, part) for part in (core, 1 - core)]
+    together = parts[0].splines.astype(float) + parts[1].splines
+    whole = everything(pitch_um=0.775).splines
+    assert_close(together, whole, atol=4 * 2.0**-24 * np.abs(whole).max())
+    assert np.abs(parts[1].splines).max() > 0.01 * np.abs(whole).max()
+
+
+def test_images_hold_the_energy_of_their_weights():
+    images, radius_um = field_images(LENS, WEIGHTS, 1e9)
+    expected = np.einsum("jcl,fl->fjc", WEIGHTS, LENS.relative_illumination)
+    assert_close(images.sum(axis=(3, 4)), expected, rtol=1e-6)  # PSFs sum to 1 in f32
+    assert_close(radius_um, LENS.real_height_um[:, 1], atol=0)
+
+
+def test_images_stop_at_the_first_field_beyond_the_reach():
+    radius_um = LENS.real_height_um[:, 1]
+    for reach, fields in ((1.0, 2), (radius_um[1] + 1, 3), (radius_um[1] - 1, 2), (1e9, 4)):
+        found = field_images(LENS, WEIGHTS[:1, :1], reach)[1]
+        assert len(found) == fields and (found[-1] >= reach or fields == 4)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_lateral_colour_moves_the_psf_along_the_radius(place: int):
+    weights = np.zeros((1, 1, 3))
+    weights[..., place] = 1.0
+    images, _ = field_images(LENS, weights, 1e9)
+    for field in range(4):
+        at = np.arange(128) - 64
+        moved = images[field, 0, 0]
+        centre = np.array([(moved.sum(axis=0) * at).sum(), (moved.sum(axis=1) * at).sum()]) * 0.5
+        centre /= moved.sum()
+        shift = LENS.real_height_um[field, place] - LENS.real_height_um[field, 1]
+        share = field / 3
+        # A quarter of the light lies 3 um outwards and 2 um along the tangent at the rim; what the
+        # window cuts off, 14 standard deviations away, and the f32 of the PSF are below 1e-5 um.
+        assert_close(centre, np.array([0.75 * share + shift, 0.5 * share]), atol=1e-5)
+
+
+def analytic(place: int, field: int, radial: np.ndarray, tangential: np.ndarray) -> np.ndarray:
+    """Return the PSF of the test lens as a density, per um^2, centred on its own chief ray."""
+    sigma, share = (0.95, 1.0, 1.15)[place], field / 3
+    return 0.75 * gaussian(radial, sigma) * gaussian(tangential, sigma) + 0.25 * gaussian(
+        radial - 3.0 * share, 1.2 * sigma
+    ) * gaussian(tangential - 2.0 * share, 1.2 * sigma)
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 30, 90, 180, 217, 270])
+@pytest.mark.parametrize("field", [0, 1, 3])
+def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int):
+    """x right, y down: the radial axis points away from the axis, the tangential 90 deg clockwise."""
+    kernels = everything(weights=np.array([[[1.0, 2.0, 0.5]]]), pitch_um=0.6)
+    angle = np.radians(azimuth_deg)
+    height = kernels.radius_um[field]
+    outward = np.array([np.cos(angle), np.sin(angle)])
+    found = sampled_kernels(kernels, *(height * outward), 0.6, 24, 1)[0, 0]
+    if height == 0:
+        outward = np.array([1.0, 0.0])
+    y, x = (np.indices((48, 48)) - 24) * 0.6
+    radial, tangential = x * outward[0] + y * outward[1], y * outward[0] - x * outward[1]
+    expected = 0.36 * sum(
+        weight
+        * LENS.relative_illumination[field, place]
+        * analytic(
+            place,
+            field,
+            radial - (LENS.real_height_um[field, place] - height),
+            tangential,
+        )
+        for place, weight in enumerate([1.0, 2.0, 0.5])
+    )
+    # Interpolation by cubic splines of a Gaussian of 1.9 samples: h^4 f'''' / 384 = 3 / (384 * 1.9^4) an
+    # axis = 6e-4 of the peak... of the worst phase; the band's end takes exp(-2 pi^2 (0.95 * 0.71)^2).
+    assert_close(found, expected, atol=2e-3 * expected.max())
+
+
+def test_a_quarter_turn_is_exact():
+    kernels = everything(pitch_um=0.6)
+    height = float(kernels.radius_um[2])
+    right, down, left = (
+        sampled_kernels(kernels, height * x, height * y, 0.6, 20, 2) for x, y in ((1, 0), (0, 1), (-1, 0))
+    )
+    # K_right[y, x] = h(radial x, tangential y); downwards the radius is y and the tangent -x.
+    turned = np.rot90(right[..., 1:, 1:], -1, axes=(2, 3))
+    assert_close(down[..., 1:, 1:], turned.copy(), atol=1e-9 * right.max())  # float64, but for cos(90 deg)
+    assert_close(left[..., 1:, 1:], right[..., :0:-1, :0:-1].copy(), atol=1e-9 * right.max())
+    # Outwards: the displaced quarter of the light drags the centre of gravity along.
+    assert centroid(right[0, 0])[0] > 0.5 and centroid(down[0, 0])[1] > 0.5 and centroid(left[0, 0])[0] < -0.5
+
+
+def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay():
+    kernels = everything(pitch_um=0.6)
+    radius = kernels.radius_um
+
+    def at(height: float) -> np.ndarray:
+        return sampled_kernels(kernels, height, 0.0, 0.6, 20, 2)
+
+    for lower in range(3):
+        height = 0.7 * radius[lower] + 0.3 * radius[lower + 1]
+        mixed = 0.7 * at(radius[lower]) + 0.3 * at(radius[lower + 1])
+        assert_close(at(height), mixed, atol=1e-6 * mixed.max())  # sums of float32 splines
+    assert_close(at(2 * radius[-1]), at(radius[-1]), atol=1e-9 * mixed.max())
+
+
+def test_sampled_kernels_hold_the_energy():
+    kernels = everything(pitch_um=0.6)
+    expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[2])
+    height = kernels.radius_um[2]
+    found = sampled_kernels(kernels, 0.6 * height, -0.8 * height, 0.6, 24, 2)
+    # Sums over samples of a band-limited kernel are its integral, but for what lies in its band above
+    # 1/0.6 - 0.83 cycles/um: exp(-2 pi^2 (0.95 * 0.83)^2) = 5e-6; f32 of PSF and splines.
+    assert_close(found.sum(axis=(2, 3)), expected, rtol=3e-5)
+    assert sampled_kernels(kernels, 1.0, 1.0, 0.6, 24, 1).shape == (1, 3, 48, 48)
+
+
+def test_the_aperture_is_an_average_over_a_square_at_the_pixels_centre():
+    """Against erf: a Gaussian blob through the aperture, divided by the scene's Gaussian."""
+    length, width, sigma, shift, blob = 64, 2.5, 0.8, 0.5, 3.0
+    at = np.fft.fftfreq(length) * length
+    line = gaussian(at, blob)
+    found = np.fft.ifft(np.fft.fft(line) * aperture_spectrum(length, width, sigma, shift))
+    narrow = np.sqrt(blob**2 - sigma**2)  # the scene's Gaussian divided out
+    edges = (at + shift + width / 2) / narrow, (at + shift - width / 2) / narrow
+    expected = (ndtr(edges[0]) - ndtr(edges[1])) / width
+    # Periodic images 11 standard deviations away; above Nyquist exp(-2 pi^2 9 / 4): nothing.
+    assert_close(found.real, expected, atol=1e-12)
+    assert_close(found.imag, np.zeros(length), atol=1e-12)
+    assert aperture_spectrum(length, width, sigma, shift)[length // 2] == 0
+
+
+def unpacked(spectra: np.ndarray, length: int) -> np.ndarray:
+    """Return [plane, kx, output, ky] from the lanes' order: ky = (2 a + b) T/8 + lane."""
+    planes, half, outputs = spectra.shape[:3]
+    result = np.empty((planes, half, outputs, length), np.complex128)
+    for a in range(4):
+        for b in range(2):
+            first = (2 * a + b) * (length // 8)
+            result[..., first : first + length // 8] = spectra[:, :, :, a, :, b]
+    return result
+
+
+def test_spectra_give_each_output_at_its_pixel():
+    length, blob = 64, (2.6, 3.4)
+    at = np.arange(32) - 16.0
+    sampled = np.empty((2, 2, 32, 32))
+    for plane in range(2):
+        for channel in range(2):
+            offset = plane - 2 * channel
+            sampled[plane, channel] = (1 + plane + 3 * channel) * np.outer(
+                gaussian(at + 1, blob[1]), gaussian(at - offset, blob[0])
+            )
+    outputs = [(1, 0.5, -0.25), (0, 2.0, 0.0), (1, 0.0, 1.5)]
+    spectra = kernel_spectra(sampled, length, 2.2, 0.7, outputs)
+    assert spectra.shape == (2, 33, 3, 4, 8, 2) and spectra.dtype == np.complex64
+    full = unpacked(spectra, length)
+    narrow = np.sqrt(np.array(blob) ** 2 - 0.7**2)
+    for plane in range(2):
+        for place, (channel, shift_x, shift_y) in enumerate(outputs):
+            image = np.fft.irfft2(full[plane, :, place].T, s=(64, 64)) * length**2
+            along = []
+            for shift, centre, sd in (
+                (shift_y, 16 - 1, narrow[1]),
+                (shift_x, 16 + plane - 2 * channel, narrow[0]),
+            ):
+                away = (np.arange(64) + shift - centre + 32) % 64 - 32
+                along.append((ndtr((away + 1.1) / sd) - ndtr((away - 1.1) / sd)) / 2.2)
+            expected = (1 + plane + 3 * channel) * np.outer(*along)
+            # The blobs are cut off 4 standard deviations out, where they are 3e-4 of their peak.
+            assert_close(image, expected, atol=3e-4 * expected.max())
+
+
+def test_the_constant_term_is_the_energy():
+    kernels = everything(pitch_um=0.775)
+    height = kernels.radius_um[1]
+    sampled = sampled_kernels(kernels, height, 0.0, 0.775, 32, 2)
+    spectra = kernel_spectra(sampled, 256, 2.0, 0.8, [(c, 0.5, 0.5) for c in range(3)])
+    found = unpacked(spectra, 256)[:, 0, :, 0] * 256**2
+    expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[1])
+    assert_close(found.real, expected, rtol=1e-4)  # the kernel's own energy, see above, and complex64
+    assert_close(found.imag, np.zeros((2, 3)), atol=1e-12 * expected.max())
+
+
+def test_the_nyquist_terms_are_zero():
+    sampled = np.random.default_rng(1).normal(size=(1, 1, 32, 32))
+    full = unpacked(kernel_spectra(sampled, 64, 1.0, 0.8, [(0, 0.5, 0.5)]), 64)
+    assert not full[:, 32].any() and not full[..., 32].any() and full[:, 31].any()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_nodes_err_least_in_the_mean_square(axis: int):
+    """On a parabola along one axis: 1/6 h^2 off the mean, so sqrt(6) = 2.45 times less than samples."""
+
+    def value(x: float, y: float) -> float:
+        return 3.0 + 0.5 * x - 0.2 * y + 2.0 * (x, y)[axis] ** 2
+
+    def node(x: int, y: int) -> float:
+        return float(node_kernels(lambda dx, dy: np.array(value(x + dx, y + dy))))
+
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    s, weights = (nodes + 1) / 2, weights / 2
+    rms = {}
+    for name, at in (("samples", value), ("nodes", node)):
+        line = [at(*p) for p in (((4, 7), (5, 7)), ((4, 7), (4, 8)))[axis]]
+        exact = [value(4 + t, 7) if axis == 0 else value(4, 7 + t) for t in s]
+        error = (1 - s) * line[0] + s * line[1] - exact
+        rms[name] = np.sqrt(np.sum(weights * error**2))
+    assert rms["samples"] / rms["nodes"] == pytest.approx(np.sqrt(6), rel=1e-9)
+
+
+def test_a_plane_over_the_field_needs_no_correction():
+    found = node_kernels(lambda dx, dy: np.array([1.0 + 0.3 * dx, 2.0 - 0.7 * dy]))
+    assert_close(found, np.array([1.0, 2.0]), atol=1e-12)
