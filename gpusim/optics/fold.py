@@ -144,7 +144,8 @@ def reduce_spectra(
     turn = _commonest_first((vectors / material_scale[:, None])[common_first])
     coefficients = vectors / material_scale[:, None] @ turn
     size = np.linalg.norm(coefficients, axis=1, keepdims=True)
-    coefficients[np.abs(coefficients) < ROUNDING * size] = 0.0
+    # Of a black material the decomposition leaves subnormal numbers.
+    coefficients[np.abs(coefficients) < np.maximum(ROUNDING * size, np.finfo(float).tiny)] = 0.0
     return Basis(
         coefficients=coefficients,
         weights=np.einsum("jk,jcl->kcl", turn, planes_seen) / channel_scale[:, None],

@@ -117,7 +117,7 @@ def monochrome(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
         wavelengths_nm=green.wavelengths_nm, channels={"W": green.channels["G"]}
     )
     pattern = ColourFilterArray(pattern=[["W"]])
-    return sensor(rows, cols, cfa=pattern, quantum_efficiency=one, **changes)
+    return sensor(rows, cols, **{"cfa": pattern, "quantum_efficiency": one, **changes})
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,122 @@
+"""Columns: against the definitions, for every length, stride, period, and number of channels.
+
+Tolerance, as a norm along ky, where each step is a rotation (times sqrt T or sqrt M) and the roundings
+of its elements keep their share of its norm: 108 roundings of the forward transform (see
+test_line_fft) after 6 of sides and weights; the product with a kernel 3, the sum over planes and nodes
+4 J; the shift to the site 4, folding 3; 6 log2 M of the inverse transform. In units of 2^-24 of
+
+    sqrt(T) max|H| sum over planes and nodes of sqrt(T) |A r|_2,
+
+which bounds every result: it is a sum of T products of X = DFT(A r) and H.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from optics.made import ULP, complex_noise, convolve_for, twiddles
+
+from gpusim.gpu import Device, Kernel
+from gpusim.optics.grid import SimGrid
+from gpusim.reference.columns import columns
+
+F32 = np.float32
+NODES = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
+
+
+def packed(kernels: np.ndarray) -> np.ndarray:
+    """Return [plane, kx, channel, ky] in the lanes' order: ky = (2 a + b) T/8 + lane."""
+    planes, half, channels, length = kernels.shape
+    out = np.empty((planes, half, channels, 4, length // 8, 2), np.complex64)
+    for a in range(4):
+        for b in range(2):
+            first = (2 * a + b) * (length // 8)
+            out[:, :, :, a, :, b] = kernels[..., first : first + length // 8]
+    return out
+
+
+def case(device, length, stride, period, channels, height, planes, needed=None, first_s=0.1):
+    """Run the shader on noise; return what it gave, the reference, the bound and the tail of the buffer."""
+    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
+    # Channels in an order of their own; where sites lie between samples, each is a channel.
+    site_channels = [(3 * site + site // 4 + 1) % channels for site in range(period**2)]
+    made = convolve_for(device, grid, site_channels, channels)
+    kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height})
+    outputs, step = kernel.overrides["C"], kernel.overrides["STEP"]
+    rng = np.random.default_rng(length + stride)
+    spectra = complex_noise(rng, planes, height, length)
+    kernels = [complex_noise(rng, planes, length // 2 + 1, outputs, length) for _ in range(4)]
+    first_s, step_s = float(F32(first_s)), float(F32(0.85 / height))
+    needed = planes if needed is None else needed
+    shape = (grid.sites, length // 2 + 1, grid.window)
+    result = run_stage(
+        kernel,
+        (length // 2 + 1, 1, 1),
+        {
+            "first_s": first_s,
+            "step_s": step_s,
+            "planes": needed,
+            "site_channels": made.site_channels,
+        },
+        {"twiddle": twiddles(length), "spectra": spectra}
+        | {name: packed(one) for name, one in zip(NODES, kernels, strict=True)},
+        {"folded": (int(np.prod(shape)) + 70, np.complex64)},
+    )["folded"]
+    assert unwritten(result[-70:]).all()
+    sites = [
+        (channel, site % period * step, site // period * step)
+        if step
+        else (site, 0, 0)
+        for site, channel in enumerate(site_channels)
+    ]
+    spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
+    expected = columns(spectra, kernels, first_s, step_s, sites, stride)
+    s = first_s + step_s * np.arange(height)
+    largest = max(np.abs(one).max() for one in kernels)
+    # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
+    norm = sum(np.sqrt(length * np.sum(2 * weight**2)) for weight in (1 - s, 1 - s, s, s)) * needed
+    roundings = 6 + 108 + 3 + 4 * needed + 7 + 6 * np.log2(grid.window)
+    bound = roundings * ULP * np.sqrt(length) * largest * norm
+    return result[:-70].reshape(shape), expected, bound, made
+
+
+@pytest.mark.parametrize(
+    ("length", "stride", "period", "channels", "height", "planes"),
+    [
+        (256, 1, 1, 1, 13, 2),
+        (256, 2, 2, 2, 31, 1),
+        (256, 4, 2, 3, 45, 2),
+        (256, 1, 2, 3, 17, 1),  # four sites half a pixel's samples apart: a kernel each
+        (512, 8, 4, 4, 70, 1),  # sixteen sites, all together
+        (1024, 8, 4, 3, 140, 1),  # sixteen sites, eight at a time
+        (512, 4, 2, 3, 336, 2),
+    ],
+)
+def test_folded_spectra_are_those_of_the_reference(
+    device: Device, length, stride, period, channels, height, planes
+):
+    found, expected, bound, _ = case(device, length, stride, period, channels, height, planes)
+    assert_close(found, expected, atol=bound)
+
+
+def test_a_block_as_high_as_the_transform(device: Device):
+    found, expected, bound, _ = case(device, 256, 1, 1, 1, 256, 1)
+    assert_close(found, expected, atol=bound)
+
+
+def test_planes_that_are_not_needed_are_left_out(device: Device):
+    found, expected, bound, _ = case(device, 256, 2, 2, 2, 31, 3, needed=2, first_s=0.0)
+    assert_close(found, expected, atol=bound)
+    none, _, _, _ = case(device, 256, 2, 2, 2, 31, 3, needed=0)
+    assert_close(none, np.zeros(none.shape), atol=0)
+
+
+def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device):
+    made = case(device, 512, 8, 4, 4, 70, 1)[3]
+    words = made.site_channels
+    channels = [words[site // 8] >> 4 * (site % 8) & 15 for site in range(16)]
+    assert channels == [(3 * site + site // 4 + 1) % 4 for site in range(16)]
+    assert set(channels) == {0, 1, 2, 3}
+
+
+def test_the_dispatch_is_as_the_header_says():
+    assert Kernel("optics/columns", T=256, LANES=32, FIRST_RADIX=4, M=64).workgroup_size == (32, 1, 1)

@@ -1,0 +1,68 @@
+"""Lattice: against the definitions, for windows over every border of the planes.
+
+Tolerance: a result is a sum over T frequencies of two sites that share a transform. T/M terms are
+folded (one rounding each), 6 log2 M follow in the transform, one where it is added: in units of 2^-24
+of the sum of all |parts|; and one of what is there already.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage
+from optics.made import ULP, complex_noise, convolve_for, twiddles
+
+from gpusim.gpu import Device, Kernel
+from gpusim.optics.grid import SimGrid
+from gpusim.reference.lattice import lattice
+
+F32 = np.float32
+
+
+def case(device: Device, length, stride, period, origin, size, seed=0):
+    """Add one window of noise to planes of noise; return the result, the reference and the bound."""
+    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
+    kernel = convolve_for(device, grid, [0] * period**2, 1).lattice
+    rng = np.random.default_rng(seed)
+    folded = complex_noise(rng, grid.sites, length // 2 + 1, grid.window)
+    folded[:, [0, -1]] = folded[:, [0, -1]].real  # the planes are real
+    rates = rng.uniform(0, 100, (grid.sites, *size)).astype(F32)
+    found = run_stage(
+        kernel,
+        (grid.window, -(-grid.sites // 2), 1),
+        {"origin": origin, "size": size[::-1]},
+        {"twiddle": twiddles(length), "folded": folded, "rates": rates},
+        {"rates": (rates.shape, F32)},
+    )["rates"]
+    amount = np.abs(folded.view(F32)).sum(axis=(1, 2), dtype=float) / grid.window
+    pairs = np.add.reduceat(amount, range(0, grid.sites, 2)).max()  # the mean of the lattice rows...
+    worst = 2 * pairs * 1.5  # ...is within a half of each; frequencies count with their mirrors
+    roundings = length // grid.window + 6 * np.log2(grid.window) + 1
+    return found, lattice(folded, rates, origin), roundings * ULP * worst + ULP * 2 * 400, rates
+
+
+@pytest.mark.parametrize(
+    ("length", "stride", "period", "origin", "size"),
+    [
+        (256, 4, 2, (5, 3), (80, 90)),  # inside
+        (256, 4, 2, (-7, -3), (43, 51)),  # beyond every border
+        (256, 2, 1, (-100, 20), (31, 29)),  # one site, without a partner
+        (512, 8, 4, (30, -60), (50, 95)),
+        (1024, 8, 2, (-70, -1), (70, 60)),
+        (256, 1, 2, (-3, -200), (60, 40)),
+        (256, 4, 2, (0, 0), (1, 1)),
+        (256, 4, 2, (-63, -63), (9, 12)),  # its last photosite alone
+    ],
+)
+def test_windows_are_added_as_by_the_reference(device: Device, length, stride, period, origin, size):
+    found, expected, bound, _ = case(device, length, stride, period, origin, size)
+    assert_close(found, expected, atol=bound)
+
+
+@pytest.mark.parametrize("origin", [(-64, 0), (0, -64), (12, 0), (0, 9)])
+def test_a_window_beside_the_planes_changes_nothing(device: Device, origin):
+    found, _, _, rates = case(device, 256, 4, 2, origin, (9, 12))
+    assert_close(found, rates, atol=0)
+
+
+def test_the_dispatch_is_as_the_header_says():
+    kernel = Kernel("optics/lattice", T=256, LANES=32, M=64, SCRATCH=128)
+    assert kernel.workgroup_size == (32, 1, 1)
