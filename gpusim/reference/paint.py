@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import i0e, ndtr
 
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(200)
+
 
 def rectangle_coverage(
     d: np.ndarray, half_size: tuple[float, float], angle: float, covariance: np.ndarray
@@ -37,12 +39,11 @@ def disc_coverage(r: np.ndarray, radius: float, sigma: float) -> np.ndarray:
     The Rice integral: int_0^R (q/s^2) exp(-(q^2 + r^2)/(2 s^2)) I_0(q r/s^2) dq, by Gauss-Legendre
     quadrature over 200 nodes (Rice 1945, eq. 3.10-11).
     """
-    nodes, weights = np.polynomial.legendre.leggauss(200)
     r = np.asarray(r, np.float64)[..., None]
     low = np.clip(r - 12 * sigma, 0.0, radius)
-    q = low + (radius - low) * (nodes + 1) / 2
+    q = low + (radius - low) * (NODES + 1) / 2
     density = q / sigma**2 * np.exp(-((q - r) ** 2) / (2 * sigma**2)) * i0e(q * r / sigma**2)
-    return np.sum(density * weights, axis=-1) * (radius - low[..., 0]) / 2
+    return np.sum(density * WEIGHTS, axis=-1) * (radius - low[..., 0]) / 2
 
 
 def paint(

@@ -4,8 +4,8 @@
 //   a(x) <- a(x) + (m - a(x)) w(u(x)),   w = the primitive's indicator convolved with the Gaussian
 // The Gaussian has standard deviation `sigma` samples on the *real* plane; along the unit vector e of the ideal
 // plane that is sigma |M^T e|, M = du/dx. Rectangle: product of two differences of Phi (exact for every angle).
-// Disc: Phi((R - r)/s - s/(2r)): to first order in s/R the curved edge drifts inward by s^2/(2r), the f'/r term of
-// the heat equation in polar coordinates.
+// Disc: Phi((R - r)/s - s/(2R)): to first order in s/R the curved edge drifts inward by s^2/(2R), the f'/r term of
+// the heat equation in polar coordinates; what is left is below 0.1 (s/R)^2 for R > 4 s.
 // Beyond the image circle the plane is black, its rim low-passed likewise.
 // The kernels of the convolution divide the Gaussian out again: it only keeps the samples free of aliases.
 // Units: samples from the optical axis; coefficients in radiance units of the basis.
@@ -64,9 +64,9 @@ fn slab(distance: f32, half_width: f32, width: f32) -> f32 {
 fn coverage(shape: Primitive, x: vec2f, p: IdealPoint) -> f32 {
     let d = p.u - shape.centre;
     if (shape.kind == DISC) {
-        let r = max(length(d), 1e-3);
-        let width = width_along(d / r, x, p);
-        return normal_cdf((shape.half_size.x - r) / width - 0.5 * width / r);
+        // At the very centre any direction does.
+        let width = width_along(normalize(select(d, shape.axis, all(d == vec2f(0.0)))), x, p);
+        return normal_cdf((shape.half_size.x - length(d)) / width - 0.5 * width / shape.half_size.x);
     }
     let across = vec2f(-shape.axis.y, shape.axis.x);
     return slab(dot(d, shape.axis), shape.half_size.x, width_along(shape.axis, x, p))

@@ -19,6 +19,9 @@ from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, l
 
 ULP = 2.0**-24  # largest relative error of one rounding to f32
 
+# Blocks of 336 x 336 samples, for which the shaders' overrides have their defaults.
+DEFAULT_GRID = SimGrid(248, 248, stride=4, period=2, length=512, half_size=88, cells=(2, 2))
+
 
 def gaussian(position_um: np.ndarray, sigma_um: float) -> np.ndarray:
     """Return a normal density, per um."""

@@ -13,7 +13,7 @@ which bounds every result: it is a sum of T products of X = DFT(A r) and H.
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import ULP, complex_noise, convolve_for, twiddles
+from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
 from gpusim.optics.grid import SimGrid
@@ -68,10 +68,10 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
         else (site, 0, 0)
         for site, channel in enumerate(site_channels)
     ]
+    largest = max(np.abs(one).max() for one in kernels)
     spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
     expected = columns(spectra, kernels, first_s, step_s, sites, stride)
     s = first_s + step_s * np.arange(height)
-    largest = max(np.abs(one).max() for one in kernels)
     # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
     norm = sum(np.sqrt(length * np.sum(2 * weight**2)) for weight in (1 - s, 1 - s, s, s)) * needed
     roundings = 6 + 108 + 3 + 4 * needed + 7 + 6 * np.log2(grid.window)
@@ -116,6 +116,11 @@ def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device)
     channels = [words[site // 8] >> 4 * (site % 8) & 15 for site in range(16)]
     assert channels == [(3 * site + site // 4 + 1) % 4 for site in range(16)]
     assert set(channels) == {0, 1, 2, 3}
+
+
+def test_the_defaults_are_of_one_grid(device: Device):
+    made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
+    assert Kernel("optics/columns").overrides == made.columns.overrides
 
 
 def test_the_dispatch_is_as_the_header_says():

@@ -8,7 +8,7 @@ of the sum of all |parts|; and one of what is there already.
 import numpy as np
 import pytest
 from harness import assert_close, run_stage
-from optics.made import ULP, complex_noise, convolve_for, twiddles
+from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
 from gpusim.optics.grid import SimGrid
@@ -32,11 +32,12 @@ def case(device: Device, length, stride, period, origin, size, seed=0):
         {"twiddle": twiddles(length), "folded": folded, "rates": rates},
         {"rates": (rates.shape, F32)},
     )["rates"]
-    amount = np.abs(folded.view(F32)).sum(axis=(1, 2), dtype=float) / grid.window
-    pairs = np.add.reduceat(amount, range(0, grid.sites, 2)).max()  # the mean of the lattice rows...
-    worst = 2 * pairs * 1.5  # ...is within a half of each; frequencies count with their mirrors
+    # Of each lattice row and site: the inner frequencies count with their mirrors.
+    amount = 2 * np.abs(folded.view(F32)).sum(axis=1, dtype=float)
+    amount = amount.reshape(grid.sites, grid.window, 2).sum(axis=2)
+    paired = np.add.reduceat(amount, range(0, grid.sites, 2))
     roundings = length // grid.window + 6 * np.log2(grid.window) + 1
-    return found, lattice(folded, rates, origin), roundings * ULP * worst + ULP * 2 * 400, rates
+    return found, lattice(folded, rates, origin), roundings * ULP * paired.max() + ULP * 100, rates
 
 
 @pytest.mark.parametrize(
@@ -61,6 +62,11 @@ def test_windows_are_added_as_by_the_reference(device: Device, length, stride, p
 def test_a_window_beside_the_planes_changes_nothing(device: Device, origin):
     found, _, _, rates = case(device, 256, 4, 2, origin, (9, 12))
     assert_close(found, rates, atol=0)
+
+
+def test_the_defaults_are_of_one_grid(device: Device):
+    made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
+    assert Kernel("optics/lattice").overrides == made.lattice.overrides
 
 
 def test_the_dispatch_is_as_the_header_says():

@@ -8,7 +8,7 @@ at most S = sum |a| (|1 - s| + |s|) along the row: 112 * 2^-24 S.
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import ULP, convolve_for, twiddles
+from optics.made import DEFAULT_GRID, ULP, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
 from gpusim.optics.convolve import FIRST_RADIX
@@ -84,12 +84,9 @@ def test_the_host_makes_the_kernel_for_its_grid(device: Device, length: int):
     kernel = convolve_for(device, grid, [0, 1, 1, 2], 3).rows
     assert kernel.workgroup_size == (length // 8, 1, 1)
     assert (kernel.overrides["BX"], kernel.overrides["BY"]) == grid.block
-    assert (
-        kernel.overrides["FIRST_RADIX"]
-        * 8 ** round(np.log(length / kernel.overrides["FIRST_RADIX"]) / np.log(8))
-        == length
-    )
+    assert length in kernel.overrides["FIRST_RADIX"] * 8 ** np.arange(5)
 
 
-def test_the_dispatch_is_as_the_header_says():
-    assert Kernel("optics/rows", T=256, LANES=32, FIRST_RADIX=4).workgroup_size == (32, 1, 1)
+def test_the_defaults_are_of_one_grid(device: Device):
+    made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
+    assert Kernel("optics/rows").overrides == made.rows.overrides

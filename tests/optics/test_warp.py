@@ -9,10 +9,10 @@ Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import ULP, bank
+from optics.made import DEFAULT_GRID, ULP, bank
 from scipy.ndimage import map_coordinates, spline_filter
 
-from gpusim.gpu import Device, Recording
+from gpusim.gpu import Device, Kernel, Recording
 from gpusim.optics.chief_ray import FIT_ERROR_UM, chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -93,12 +93,11 @@ def test_at_its_samples_the_spline_is_the_raster():
 
 
 def test_the_image_circle_belongs_to_the_image_and_beyond_is_black():
-    """Radius 8, samples at whole numbers: (8, 0) and (0, 8) lie on the circle, exactly."""
-    found = on_device(np.ones((4, 4)), (0.0, 0.0), (12, 12), (1.5, 1.5), 0.1, IDENTITY, 8.0)[0]
-    y, x = np.mgrid[:12, :12]
-    lit = (x**2 + y**2 <= 64).astype(float)
-    assert_close(found, lit, atol=24 * ULP)
-    assert found[0, 8] > 0 and found[0, 9] == 0
+    """Radius 16, samples at whole numbers: (16, 0) lies on the circle, (16, 1) 0.2 % beyond."""
+    found = on_device(np.ones((4, 4)), (0.0, 0.0), (19, 20), (1.5, 1.5), 0.1, IDENTITY, 16.0)[0]
+    y, x = np.mgrid[:19, :20]
+    assert_close(found, (x**2 + y**2 <= 256).astype(float), atol=24 * ULP)
+    assert found[0, 16] > 0 and found[1, 16] == 0
 
 
 def test_one_plane_of_several_is_written():
@@ -153,3 +152,12 @@ def test_the_host_places_the_raster(device: Device):
     # The polynomial is within FIT_ERROR_UM of the bank's map; f32 adds 1e-4 raster samples at most.
     off = FIT_ERROR_UM / placed.pitch_um + 1e-4
     assert_close(found, expected, atol=2 * 1.5 * off * np.abs(splines).max())
+
+
+def test_the_defaults_are_of_the_default_grid(device: Device):
+    placed = Raster(np.ones((1, 4, 4), F32)).placed(100.0, 100.0, 1.0)
+    scale = Scale("test", DEFAULT_GRID, 1.0, 0.0, NO_KERNELS)
+    stage = Warp(device, placed, np.ones((1, 1)), scale, chief_ray_map(bank()))
+    stage.release()
+    assert Kernel("optics/warp").overrides == stage.kernel.overrides
+    assert stage.kernel.workgroup_size == (16, 16, 1)

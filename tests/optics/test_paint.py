@@ -1,0 +1,348 @@
+"""Paint: against convolution with the Gaussian, shape by shape, in float64.
+
+Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The distance
+to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of the map, see
+test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a Gaussian of at
+least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The width takes some 40
+roundings: nothing beside it. WEIGHT = 5e-4. A disc: the shader's first-order term leaves 0.1 (s/R)^2 of
+the Rice integral (for R > 4 s) besides; so discs are 12 s and more. Weights act on differences of
+materials, and at most two shapes have an edge at one place.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from optics.made import DEFAULT_GRID, bank, scene, shapes
+
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.optics.chief_ray import chief_ray_map
+from gpusim.optics.convolve import Scale
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels
+from gpusim.optics.paint import PRIMITIVE, SIGMA, Paint, primitives_by_block
+from gpusim.reference.paint import disc_coverage, paint
+from gpusim.scene.chart import Chart, Disc, Rect
+
+F32 = np.float32
+WEIGHT = 5e-4
+IDENTITY = np.eye(8)[0]
+BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
+NO_KERNELS = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), np.array([0.0, 1.0]), 0.5)
+
+
+def materials(count: int, planes: int) -> np.ndarray:
+    """Return coefficients from -1 to 1, as the reduced basis has them."""
+    return np.random.default_rng(9).uniform(-1, 1, (count, planes)).astype(F32).astype(float)
+
+
+def on_device(
+    shapes: list[Rect | Disc],
+    table: np.ndarray,
+    origin: tuple[float, float],
+    shape: tuple[int, int],
+    background: int = 0,
+    sigma: float = 0.8,
+    distortion: np.ndarray = IDENTITY,
+    radius: float = 1e4,
+) -> np.ndarray:
+    """Paint shapes in the order given; in the table they lie in another order, among others."""
+    rng = np.random.default_rng(len(shapes))
+    place = rng.permutation(len(shapes) + 3)[: len(shapes)]
+    rows = np.zeros(len(shapes) + 3, PRIMITIVE)
+    rows["half_size"] = rows["axis"] = np.nan  # of those that the block does not see
+    for at, one in zip(place, shapes, strict=True):
+        disc = isinstance(one, Disc)
+        angle = 0.0 if disc else one.angle_rad
+        rows[at] = (
+            (one.cx, one.cy),
+            (one.radius, np.nan) if disc else (one.half_w, one.half_h),
+            (np.cos(angle), np.sin(angle)),
+            disc,
+            one.material,
+        )
+    eight = np.full((len(table), 8), np.nan, F32)
+    eight[:, : table.shape[1]] = table
+    result = run_stage(
+        "optics/paint",
+        (-(-shape[1] // 16), -(-shape[0] // 16), 1),
+        {
+            "g_low": distortion[:4],
+            "g_high": distortion[4:],
+            "origin": origin,
+            "inverse_radius2": radius**-2,
+            "sigma": sigma,
+            "first": 5,
+            "count": len(shapes),
+            "background": background,
+        },
+        {
+            "primitives": rows.view(np.uint32),
+            "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
+            "materials": eight,
+        },
+        {"planes": (table.shape[1] * shape[0] * shape[1] + 400, F32)},
+        BX=shape[1],
+        BY=shape[0],
+        J=table.shape[1],
+    )["planes"]
+    assert unwritten(result[-400:]).all()
+    return result[:-400].reshape(-1, *shape)
+
+
+def reference(shapes, table, origin, shape, background=0, sigma=0.8, distortion=IDENTITY, radius=1e4):
+    rows = [
+        {
+            "kind": "disc" if isinstance(one, Disc) else "rectangle",
+            "centre": (one.cx, one.cy),
+            "half_size": (one.radius,) if isinstance(one, Disc) else (one.half_w, one.half_h),
+            "angle": None if isinstance(one, Disc) else one.angle_rad,
+            "material": one.material,
+        }
+        for one in shapes
+    ]
+    return paint(rows, table, background, origin, shape, sigma, distortion, radius)
+
+
+def check(shapes, table, *place, **more) -> np.ndarray:
+    """Compare; return what the device painted."""
+    found = on_device(shapes, table, *place, **more)
+    curved = sum(
+        0.1 * (more.get("sigma", 0.8) / one.radius) ** 2 for one in shapes if isinstance(one, Disc)
+    )
+    contrast = np.ptp(np.append(table, 0))  # also to the black beyond the rim
+    expected = reference(shapes, table, *place, **more)
+    assert_close(found, expected, atol=(2 * WEIGHT + curved) * contrast)
+    return found
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, np.pi / 4, np.pi / 2, 2.5, -1.0])
+def test_rectangles_at_any_angle(angle: float):
+    found = check([Rect(-4.3, 6.1, 11.7, 6.2, angle, 1)], materials(2, 1), (-25.5, -13.5), (37, 45))
+    assert np.ptp(found) > 0.5  # both materials are there
+
+
+def test_thin_rectangles_keep_their_area():
+    """A line a tenth of a sample wide: the sum over samples is its area, for the Gaussian is wide."""
+    table = np.array([[0.0], [1.0]])
+    found = check([Rect(3.2, -1.7, 12.0, 0.05, 0.3, 1)], table, (-19.5, -19.5), (40, 45), sigma=1.0)
+    # The alias of the sum is exp(-2 pi^2) = 3e-9; weights are good to 5e-4 in a hundred samples.
+    assert found.sum() == pytest.approx(24 * 0.1, abs=100 * 4e-6 + 0.01 * 2.4)
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.3])
+def test_discs(sigma: float):
+    found = check([Disc(2.4, -3.3, 16.0, 1)], materials(2, 1), (-20.5, -22.5), (40, 47), sigma=sigma)
+    assert np.ptp(found) > 0.5
+
+
+def test_what_the_curvature_leaves():
+    """The first-order term against the Rice integral, over all distances: the shader's header."""
+    from scipy.special import ndtr
+
+    for ratio in (4.0, 6.0, 10.0, 30.0):
+        r = np.linspace(0, ratio + 8, 2000)
+        shaded = ndtr(ratio - r - 0.5 / ratio)
+        assert np.abs(shaded - disc_coverage(r, ratio, 1.0)).max() < 0.1 / ratio**2
+        without = np.abs(ndtr(ratio - r) - disc_coverage(r, ratio, 1.0)).max()
+        assert without > 0.19 / ratio  # a control: 0.4 / (2 R) without the term
+
+
+def test_a_disc_has_no_hole_where_a_sample_meets_its_centre():
+    for off in (0.0, 1e-4, 1e-3, 0.02):
+        disc = [Disc(2.0 + off, 3.0, 10.0, 1)]
+        found = on_device(disc, np.array([[0.0], [1.0]]), (0.0, 0.0), (6, 5), distortion=BENT)
+        assert found.min() > 1 - WEIGHT
+
+
+def test_shapes_within_shapes_in_painters_order():
+    stack = [
+        Rect(0, 0, 24, 17, 0.2, 1),
+        Disc(-4, 1, 14, 2),
+        Rect(-4, 1, 7, 5, -0.5, 3),
+        Rect(17, 3, 3, 4, 0.9, 2),
+    ]
+    table = materials(4, 3)
+    found = check(stack, table, (-31.5, -20.5), (41, 63), background=3)
+    turned = on_device(stack[::-1], table, (-31.5, -20.5), (41, 63), background=3)
+    assert np.abs(found - turned).max() > 0.3  # a control: the order does matter
+
+
+@pytest.mark.parametrize("planes", range(1, 9))
+def test_planes_from_one_to_eight(planes: int):
+    check([Rect(1, 2, 6, 5, 0.3, 2)], materials(3, planes), (-9.5, -7.5), (17, 19), background=1)
+
+
+def test_the_background_alone():
+    table = materials(3, 2)
+    found = on_device([], table, (-3.5, 8.5), (5, 33), background=2)
+    assert_close(found, np.broadcast_to(table[2][:, None, None], found.shape), atol=2.0**-24)
+
+
+def test_the_chart_is_warped_and_so_is_the_gaussian():
+    """Off the axis, where the map shrinks by 20 % along the radius, and turns what is straight."""
+    stack = [Rect(30, 20, 22, 14, 0.4, 1), Disc(31, 22, 11, 2)]
+    place = ((14.5, 3.5), (43, 38))
+    check(stack, materials(3, 2), *place, distortion=BENT, radius=55.0)
+    # A control: the bound is below what the stretch of the Gaussian makes.
+    round_blur = reference(stack, materials(3, 2), *place, distortion=BENT, radius=55.0, sigma=0.72)
+    expected = reference(stack, materials(3, 2), *place, distortion=BENT, radius=55.0)
+    assert np.abs(round_blur - expected).max() > 0.02
+
+
+def test_beyond_the_image_circle_it_is_black():
+    stack = [Rect(30, 20, 22, 14, 0.4, 1)]
+    found = check(stack, 1 + materials(2, 2), (20.5, 10.5), (37, 40), radius=42.0)
+    y, x = np.mgrid[:37, :40] + np.array([10.5, 20.5])[:, None, None]
+    assert np.abs(found[:, np.hypot(x, y) > 42 + 6 * 0.8]).max() < 1e-6
+    assert np.abs(found[:, np.hypot(x, y) < 42 - 6 * 0.8]).min() > 0.01
+
+
+def nested(count: int, largest: float, smallest: float) -> list[Rect]:
+    """Return rectangles one within another, each of another material than the one around it."""
+    sizes = np.linspace(largest, smallest, count)
+    return [Rect(7.3, 8.1, s, 0.9 * s, 0.35, 1 + k % 6) for k, s in enumerate(sizes)]
+
+
+@pytest.mark.parametrize("count", [63, 64, 65, 128, 129])
+def test_more_shapes_than_a_list_holds(count: int):
+    """All of them have edges in the tile; sixty-four are listed at a time."""
+    table = materials(7, 2)
+    expected = reference(nested(count, 18, 1), table, (0.5, 0.5), (16, 16))
+    found = on_device(nested(count, 18, 1), table, (0.5, 0.5), (16, 16))
+    # Edges 0.14 samples apart: 12 lie within the Gaussian.
+    assert_close(found, expected, atol=12 * WEIGHT * np.ptp(table))
+
+
+def test_shapes_that_cover_a_tile_replace_what_is_under_it():
+    """In the first list and behind it, straight and round; around them shapes that they hide."""
+    table = materials(7, 2)
+    place = ((0.5, 0.5), (19, 30))
+    cover = [Rect(10, 12, 90, 80, 0.7, 4), Disc(5, 5, 95, 5), Rect(12, 9, 60, 55, -0.2, 6)]
+    inside = [Rect(9, 9, 4, 3, 0.3, 1), Rect(20, 9, 2, 3, 1.3, 2)]
+    check([*inside, *cover, *inside[::-1]], table, *place)
+    check([*inside, *cover], table, *place)
+    many = nested(80, 14, 1)
+    for covering in cover:
+        found = on_device([*many, covering, *inside], table, *place)
+        expected = reference([*many, covering, *inside], table, *place)
+        assert_close(found, expected, atol=(12 * WEIGHT + 1e-5) * np.ptp(table))
+
+
+def test_edges_at_every_distance_from_a_tile_are_seen():
+    """A straight edge wanders through a tile and away, from -45 to 45 samples, both sides lit."""
+    table = np.array([[0.2], [1.0]])
+    for edge in np.arange(-45, 46, 3.0):
+        for angle in (0.0, 0.8):
+            centre = np.array([8.0, 8.0]) + (edge + 500) * np.array([np.cos(angle), np.sin(angle)])
+            half_plane = [Rect(*centre, 500.0, 900.0, angle, 1)]
+            y, x = np.mgrid[:16, :16] + 0.5
+            d = (x - 8) * np.cos(angle) + (y - 8) * np.sin(angle) - edge
+            found = on_device(half_plane, table, (0.5, 0.5), (16, 16), sigma=2.0)[0]
+            from scipy.special import ndtr
+
+            # f32 of a centre 550 samples away: 3 * 2^-24 * 550 = 1e-4 samples, over 2 of sigma.
+            assert_close(found, 0.2 + 0.8 * ndtr(d / 2.0), atol=0.8 * 1e-4)
+
+
+def test_the_defaults_are_of_the_default_grid(device: Device):
+    scale = Scale("test", DEFAULT_GRID, 1.0, 0.0, NO_KERNELS)
+    stage = Paint(device, scene().source.placed(50.0), np.ones((4, 3)), scale, chief_ray_map(bank()))
+    stage.release()
+    assert Kernel("optics/paint").overrides == stage.kernel.overrides
+    assert stage.kernel.workgroup_size == (16, 16, 1)
+
+
+LENS = bank(circle_um=100.0, distortion=-0.04)
+GRID = SimGrid(48, 64, 4, 2, 256, 104, (2, 1))  # blocks of 48 samples, well beyond the sensor
+PITCH_UM = 0.775
+
+
+def test_the_host_paints_blocks_of_the_real_plane(device: Device):
+    chief_ray = chief_ray_map(LENS)
+    chart = scene(shapes()).source.placed(48 * 1.55 / 2)
+    coefficients = np.array([[1.0, 0.0], [0.3, 0.0], [0.5, 0.5], [0.2, -0.4]])
+    stage = Paint(
+        device, chart, coefficients, Scale("test", GRID, PITCH_UM, SIGMA, NO_KERNELS), chief_ray
+    )
+    for block in [(2, 3), (3, 2)]:
+        rec = Recording(device)
+        out = rec.buffer("planes", (2, GRID.block[1], GRID.block[0]), F32)
+        stage.record(rec, block, out)
+        label = rec.download(out)
+        found = rec.run()[label]
+        samples = [
+            Disc(s.cx / PITCH_UM, s.cy / PITCH_UM, s.radius / PITCH_UM, s.material)
+            if isinstance(s, Disc)
+            else Rect(
+                s.cx / PITCH_UM,
+                s.cy / PITCH_UM,
+                s.half_w / PITCH_UM,
+                s.half_h / PITCH_UM,
+                s.angle_rad,
+                s.material,
+            )
+            for s in chart.primitives
+        ]
+        origin = np.array(GRID.block_origin(block)) + 0.5 - GRID.centre
+        expected = reference(
+            samples,
+            coefficients,
+            origin,
+            GRID.block[::-1],
+            sigma=SIGMA,
+            distortion=chief_ray.coefficients,
+            radius=chief_ray.radius_um / PITCH_UM,
+        )
+        assert np.ptp(expected) > 0.5
+        # Discs of 7.2 samples and more, that is 9 sigma.
+        assert_close(found, expected, atol=(2 * WEIGHT + 0.1 / 9**2) * 1.5)
+    stage.release()
+
+
+def material_planes(chart: Chart, block: tuple[int, int], margin: float) -> np.ndarray:
+    """Return the materials in a block and `margin` samples around, by a dense look at the chart."""
+    corner = np.array(GRID.block_origin(block)) - GRID.centre - margin
+    x, y = (
+        np.linspace(corner[axis], corner[axis] + GRID.block[axis] + 2 * margin, 120) * PITCH_UM
+        for axis in (0, 1)
+    )
+    x, y = np.meshgrid(x, y)
+    radius = np.hypot(x, y)
+    ideal, inside = LENS.ideal_from_real(radius)
+    return chart.material_at(x * ideal / radius, y * ideal / radius)[inside]
+
+
+def test_blocks_know_which_shapes_and_planes_they_see():
+    chart = scene(shapes()).source.placed(48 * 1.55 / 2)
+    coefficients = np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.5, 0.5, 0.0], [0.2, -0.4, 0.1]])
+    seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray_map(LENS))
+    assert set(seen) == set(needed) == set(np.ndindex(GRID.blocks))
+    planes = np.array([0, 1, 2, 3])  # of each material
+    for block, numbers in seen.items():
+        assert list(numbers) == sorted(numbers)
+        around = np.unique(material_planes(chart, block, 6 * SIGMA))  # what the Gaussian reaches
+        drawn = {chart.primitives[n].material for n in numbers} | {chart.background}
+        assert set(around) <= drawn
+        assert needed[block] >= planes[around].max(initial=0)
+        far = [
+            n
+            for n, shape in enumerate(chart.primitives)
+            if min(shape.distance(*np.array(p)) for p in corners_um(block, 30.0)) > 60
+        ]
+        assert not set(far) & set(numbers)
+    # Nothing but the black background lies outside the field: no planes, no shapes.
+    assert needed[0, 0] == 0 and len(seen[0, 0]) == 0
+    assert max(needed.values()) == 3 and len({*needed.values()}) > 2
+
+
+def corners_um(block: tuple[int, int], spacing: float) -> list[tuple[float, float]]:
+    origin = (np.array(GRID.block_origin(block)) - GRID.centre) * PITCH_UM
+    steps = np.array(GRID.block) * PITCH_UM
+    return [tuple(origin + steps * (i / 3, j / 3)) for i in range(4) for j in range(4)]
+
+
+def test_a_chart_without_shapes_needs_its_backgrounds_planes():
+    chart = scene(background=2).source.placed(50.0)
+    coefficients = np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0], [1.0, 1.0]])
+    seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray_map(LENS))
+    assert set(needed.values()) == {1} and not any(len(numbers) for numbers in seen.values())
