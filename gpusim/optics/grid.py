@@ -138,14 +138,9 @@ class SimGrid:
         """Return the blocks whose windows touch a rectangle of pixels, row by row."""
         chosen = []
         for axis, first, count in ((0, col0, cols), (1, row0, rows)):
-            low = first * self.oversampling - self.half_size
-            high = (first + count) * self.oversampling + self.half_size
-            chosen.append(
-                [
-                    i
-                    for i in range(self.blocks[axis])
-                    if i * self.block[axis] - self.half_size < high
-                    and (i + 1) * self.block[axis] - self.half_size > low
-                ]
-            )
+            # The whole window: where the kernels do not reach, it still holds their rounding errors, and the sum of
+            # a pixel must not depend on the rectangle.
+            origins = [i * self.block[axis] - 2 * self.half_size for i in range(self.blocks[axis])]
+            low, high = first * self.oversampling, (first + count) * self.oversampling
+            chosen.append([i for i, o in enumerate(origins) if o < high and o + self.length > low])
         return [(x, y) for y in chosen[1] for x in chosen[0]]

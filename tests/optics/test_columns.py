@@ -63,9 +63,7 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     )["folded"]
     assert unwritten(result[-70:]).all()
     sites = [
-        (channel, site % period * step, site // period * step)
-        if step
-        else (site, 0, 0)
+        (channel, site % period * step, site // period * step) if step else (site, 0, 0)
         for site, channel in enumerate(site_channels)
     ]
     largest = max(np.abs(one).max() for one in kernels)
@@ -124,4 +122,8 @@ def test_the_defaults_are_of_one_grid(device: Device):
 
 
 def test_the_dispatch_is_as_the_header_says():
-    assert Kernel("optics/columns", T=256, LANES=32, FIRST_RADIX=4, M=64).workgroup_size == (32, 1, 1)
+    assert Kernel("optics/columns", T=256, LANES=32, FIRST_RADIX=4, M=64).workgroup_size == (
+        32,
+        1,
+        1,
+    )

@@ -105,7 +105,11 @@ def test_shades_of_one_spectrum_need_one_plane():
     shades = np.outer([1.0, 0.2, 0.05, 0.9], RED)
     basis = reduced(shades, 1e-6)
     assert basis.coefficients.shape == (4, 1) and basis.residual < 1e-12
-    assert_close(basis.coefficients[:, 0] / basis.coefficients[0, 0], np.array([1, 0.2, 0.05, 0.9]), rtol=1e-12)
+    assert_close(
+        basis.coefficients[:, 0] / basis.coefficients[0, 0],
+        np.array([1, 0.2, 0.05, 0.9]),
+        rtol=1e-12,
+    )
 
 
 def test_without_chromatic_aberration_three_channels_need_three_planes():

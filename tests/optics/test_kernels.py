@@ -100,7 +100,7 @@ def analytic(place: int, field: int, radial: np.ndarray, tangential: np.ndarray)
 @pytest.mark.parametrize("azimuth_deg", [0, 30, 90, 180, 217, 270])
 @pytest.mark.parametrize("field", [0, 1, 3])
 def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int):
-    """x right, y down: the radial axis points away from the axis, the tangential 90 deg clockwise."""
+    """X right, y down: the radial axis points away from the axis, the tangential 90 deg clockwise."""
     kernels = everything(weights=np.array([[[1.0, 2.0, 0.5]]]), pitch_um=0.6)
     angle = np.radians(azimuth_deg)
     height = kernels.radius_um[field]
@@ -130,14 +130,21 @@ def test_a_quarter_turn_is_exact():
     kernels = everything(pitch_um=0.6)
     height = float(kernels.radius_um[2])
     right, down, left = (
-        sampled_kernels(kernels, height * x, height * y, 0.6, 20, 2) for x, y in ((1, 0), (0, 1), (-1, 0))
+        sampled_kernels(kernels, height * x, height * y, 0.6, 20, 2)
+        for x, y in ((1, 0), (0, 1), (-1, 0))
     )
     # K_right[y, x] = h(radial x, tangential y); downwards the radius is y and the tangent -x.
     turned = np.rot90(right[..., 1:, 1:], -1, axes=(2, 3))
-    assert_close(down[..., 1:, 1:], turned.copy(), atol=1e-9 * right.max())  # float64, but for cos(90 deg)
+    assert_close(
+        down[..., 1:, 1:], turned.copy(), atol=1e-9 * right.max()
+    )  # float64, but for cos(90 deg)
     assert_close(left[..., 1:, 1:], right[..., :0:-1, :0:-1].copy(), atol=1e-9 * right.max())
     # Outwards: the displaced quarter of the light drags the centre of gravity along.
-    assert centroid(right[0, 0])[0] > 0.5 and centroid(down[0, 0])[1] > 0.5 and centroid(left[0, 0])[0] < -0.5
+    assert (
+        centroid(right[0, 0])[0] > 0.5
+        and centroid(down[0, 0])[1] > 0.5
+        and centroid(left[0, 0])[0] < -0.5
+    )
 
 
 def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay():
@@ -228,7 +235,9 @@ def test_the_constant_term_is_the_energy():
     spectra = kernel_spectra(sampled, 256, 2.0, 0.8, [(c, 0.5, 0.5) for c in range(3)])
     found = unpacked(spectra, 256)[:, 0, :, 0] * 256**2
     expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[1])
-    assert_close(found.real, expected, rtol=1e-4)  # the kernel's own energy, see above, and complex64
+    assert_close(
+        found.real, expected, rtol=1e-4
+    )  # the kernel's own energy, see above, and complex64
     assert_close(found.imag, np.zeros((2, 3)), atol=1e-12 * expected.max())
 
 

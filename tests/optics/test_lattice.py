@@ -53,7 +53,9 @@ def case(device: Device, length, stride, period, origin, size, seed=0):
         (256, 4, 2, (-63, -63), (9, 12)),  # its last photosite alone
     ],
 )
-def test_windows_are_added_as_by_the_reference(device: Device, length, stride, period, origin, size):
+def test_windows_are_added_as_by_the_reference(
+    device: Device, length, stride, period, origin, size
+):
     found, expected, bound, _ = case(device, length, stride, period, origin, size)
     assert_close(found, expected, atol=bound)
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
 from optics.made import DEFAULT_GRID, bank, scene, shapes
+from scipy.special import ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.optics.chief_ray import chief_ray_map
@@ -89,7 +90,9 @@ def on_device(
     return result[:-400].reshape(-1, *shape)
 
 
-def reference(shapes, table, origin, shape, background=0, sigma=0.8, distortion=IDENTITY, radius=1e4):
+def reference(
+    shapes, table, origin, shape, background=0, sigma=0.8, distortion=IDENTITY, radius=1e4
+):
     rows = [
         {
             "kind": "disc" if isinstance(one, Disc) else "rectangle",
@@ -131,14 +134,14 @@ def test_thin_rectangles_keep_their_area():
 
 @pytest.mark.parametrize("sigma", [0.8, 1.3])
 def test_discs(sigma: float):
-    found = check([Disc(2.4, -3.3, 16.0, 1)], materials(2, 1), (-20.5, -22.5), (40, 47), sigma=sigma)
+    found = check(
+        [Disc(2.4, -3.3, 16.0, 1)], materials(2, 1), (-20.5, -22.5), (40, 47), sigma=sigma
+    )
     assert np.ptp(found) > 0.5
 
 
 def test_what_the_curvature_leaves():
     """The first-order term against the Rice integral, over all distances: the shader's header."""
-    from scipy.special import ndtr
-
     for ratio in (4.0, 6.0, 10.0, 30.0):
         r = np.linspace(0, ratio + 8, 2000)
         shaded = ndtr(ratio - r - 0.5 / ratio)
@@ -150,8 +153,8 @@ def test_what_the_curvature_leaves():
 def test_a_disc_has_no_hole_where_a_sample_meets_its_centre():
     for off in (0.0, 1e-4, 1e-3, 0.02):
         disc = [Disc(2.0 + off, 3.0, 10.0, 1)]
-        found = on_device(disc, np.array([[0.0], [1.0]]), (0.0, 0.0), (6, 5), distortion=BENT)
-        assert found.min() > 1 - WEIGHT
+        found = on_device(disc, np.array([[0.0], [1.0]]), (0.0, 0.0), (6, 5))
+        assert_close(found, np.ones(found.shape), atol=WEIGHT)
 
 
 def test_shapes_within_shapes_in_painters_order():
@@ -228,25 +231,71 @@ def test_shapes_that_cover_a_tile_replace_what_is_under_it():
         assert_close(found, expected, atol=(12 * WEIGHT + 1e-5) * np.ptp(table))
 
 
-def test_edges_at_every_distance_from_a_tile_are_seen():
-    """A straight edge wanders through a tile and away, from -45 to 45 samples, both sides lit."""
-    table = np.array([[0.2], [1.0]])
-    for edge in np.arange(-45, 46, 3.0):
-        for angle in (0.0, 0.8):
-            centre = np.array([8.0, 8.0]) + (edge + 500) * np.array([np.cos(angle), np.sin(angle)])
-            half_plane = [Rect(*centre, 500.0, 900.0, angle, 1)]
-            y, x = np.mgrid[:16, :16] + 0.5
-            d = (x - 8) * np.cos(angle) + (y - 8) * np.sin(angle) - edge
-            found = on_device(half_plane, table, (0.5, 0.5), (16, 16), sigma=2.0)[0]
-            from scipy.special import ndtr
+@pytest.mark.parametrize("angle", [0.0, 0.8, 2.0, -2.2])
+def test_edges_at_every_distance_from_a_tile_are_seen(angle: float):
+    """A straight edge wanders through a tile and away, where the map stretches 1.9-fold.
 
-            # f32 of a centre 550 samples away: 3 * 2^-24 * 550 = 1e-4 samples, over 2 of sigma.
-            assert_close(found, 0.2 + 0.8 * ndtr(d / 2.0), atol=0.8 * 1e-4)
+    It is the end of a rectangle's width, then of its height. Lists that end too soon lose it.
+    """
+    table = np.array([[0.2], [1.0]])
+    stretched = 1.9 * IDENTITY
+    outward = np.array([np.cos(angle), np.sin(angle)])
+    x = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1) + 0.5
+    for edge in np.arange(-42.0, 43, 4):
+        # Of the ideal plane; the tile's middle is at 1.9 (8, 8).
+        centre = 1.9 * 8 + (edge - 400) * outward
+        z = (edge - 1.9 * (x - 8) @ outward) / (1.9 * 2.0)
+        for rect in (
+            Rect(*centre, 400.0, 900.0, angle, 1),
+            Rect(*centre, 900.0, 400.0, angle - np.pi / 2, 1),
+        ):
+            place = ((0.5, 0.5), (16, 16))
+            found = on_device([rect], table, *place, sigma=2.0, distortion=stretched)[0]
+            # f32 of a centre 450 samples away: 3 * 2^-24 * 450 = 8e-5 samples, over 3.8 of sigma.
+            assert_close(found, 0.2 + 0.8 * ndtr(z), atol=0.8 * 2e-5)
+
+
+def test_tiles_far_from_the_first_know_where_they_are():
+    """The last of a hundred tiles in a row, and in a column, where the map stretches 1.9-fold."""
+    table = np.array([[0.2], [1.0]])
+    edge = 1.9 * 1590.0
+    for shape, half_size in (((3, 1611), (edge, 1e4)), ((1611, 3), (1e4, edge))):
+        rect = Rect(0.0, 0.0, *half_size, 0.0, 1)
+        found = on_device([rect], table, (0.5, 0.5), shape, distortion=1.9 * IDENTITY)[0]
+        z = (1590 - (np.arange(1611) + 0.5)) / 0.8
+        expected = np.broadcast_to(0.2 + 0.8 * ndtr(z), (3, 1611))
+        # f32 at 3000 samples: 4 * 2^-24 * 3000 = 7e-4, over 1.5 of sigma, with a density of 0.4.
+        assert_close(found if shape[0] == 3 else found.T, expected, atol=2e-4)
+
+
+def test_what_covers_a_tile_by_its_size_alone_need_not_cover_it():
+    """A bar as long as it is thin; a disc whose square would hold the tile."""
+    table = materials(3, 2)
+    place = ((0.5, 0.5), (16, 16))
+    for angle in (0.0, 0.7, 1.9):
+        check([Rect(8, 8, 150, 3, angle, 1), Rect(8, 8, 2, 150, angle + 0.4, 2)], table, *place)
+    for angle in (0.8, 2.4, -0.8, -2.4):
+        away = 8 - 150 * np.array([np.cos(angle), np.sin(angle)])
+        check([Disc(*away, 150.0, 1)], table, *place)
+
+
+def test_the_term_of_the_curvature():
+    """A disc of two sigma, where the term is large; against the formula itself."""
+    x = np.stack(np.meshgrid(np.arange(19), np.arange(17)), axis=-1) + 0.5
+    r = np.hypot(*np.moveaxis(x - [9.2, 7.7], -1, 0))
+    for radius in (6.0, 9.0):
+        disc = [Disc(9.2, 7.7, radius, 1)]
+        found = on_device(disc, np.array([[0.0], [1.0]]), (0.5, 0.5), (17, 19), sigma=3.0)[0]
+        expected = ndtr((radius - r) / 3.0 - 0.5 * 3.0 / radius)
+        # Phi to 1e-6; positions to 30 * 2^-24 * 30 samples, over 3 of sigma.
+        assert_close(found, expected, atol=1e-5)
 
 
 def test_the_defaults_are_of_the_default_grid(device: Device):
     scale = Scale("test", DEFAULT_GRID, 1.0, 0.0, NO_KERNELS)
-    stage = Paint(device, scene().source.placed(50.0), np.ones((4, 3)), scale, chief_ray_map(bank()))
+    stage = Paint(
+        device, scene().source.placed(50.0), np.ones((4, 3)), scale, chief_ray_map(bank())
+    )
     stage.release()
     assert Kernel("optics/paint").overrides == stage.kernel.overrides
     assert stage.kernel.workgroup_size == (16, 16, 1)

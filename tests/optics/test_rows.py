@@ -68,7 +68,7 @@ def test_a_plane_that_is_not_needed_is_left_out():
 
 
 def test_the_right_node_is_the_imaginary_part():
-    """s = 1 everywhere: the real rows, times i; so Re of the transform's inverse is zero."""
+    """S = 1 everywhere: the real rows, times i; so Re of the transform's inverse is zero."""
     a = planes(1, 2, 100)
     found = on_device(a, 256, 1.0, 0.0).reshape(2, 256)
     back = np.fft.ifft(found.astype(complex))

@@ -1,0 +1,239 @@
+"""The truth model against closed forms: a lens of Gaussians, straight edges, one spectrum."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from harness import assert_close
+from optics.made import FLAT, bank, monochrome, sensor
+from scipy.special import ndtr
+
+from gpusim.reference.truth import Truth
+from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.raster import PlacedRaster
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.sensor import QuantumEfficiency
+
+PITCH = 1.55
+HC = 6.62607015e-34 * 299792458.0
+# Round, of one width, and the same over the field: what is left is the geometry.
+PLAIN = {
+    "sigma_um": (1.0, 1.0, 1.0),
+    "coma_um": 0.0,
+    "lateral": (0.0, 0.0, 0.0),
+    "distortion": 0.0,
+    "falloff": 0.0,
+}
+# PSFs are f32 and cut off at 16 um; quarters of them at 1.2 sigma: 0.75 x 1 and 0.25 x 1.2 um wide.
+SHARES = ((0.75, 1.0), (0.25, 1.2))
+# Cubic splines through samples half a sigma apart err by up to 3 / 16 / 384 = 5e-4 of the peak, as often
+# above as below. Sums over a whole PSF do not see it, but where its azimuth turns under the sum, within
+# a PSF's width of the axis; there a fifth of it is left.
+TURNED = 1e-4
+
+
+def grey_sensor(**changes):
+    """Return a sensor with a QE of one half at all wavelengths."""
+    half = QuantumEfficiency(wavelengths_nm=[400, 700], channels={"W": [0.5, 0.5]})
+    return monochrome(quantum_efficiency=half, **changes)
+
+
+def even_rate(lens, fill_factor: float = 1.0) -> float:
+    """Return electrons/s of an even field of spectrum FLAT, by hand: see test_fold."""
+    spectral = WAVELENGTHS_NM * 1e-9 / HC * 0.5 * FLAT
+    steradian = np.interp(
+        WAVELENGTHS_NM, lens.wavelengths_nm, lens.projected_solid_angle_sr * lens.transmission
+    )
+    rule = np.full(61, 5.0)
+    rule[[0, -1]] = 2.5
+    return float(np.sum(rule * spectral * steradian) * fill_factor * (PITCH * 1e-6) ** 2)
+
+
+def truth(lens, camera, spectra=None) -> Truth:
+    return Truth(
+        lens, camera, np.stack([FLAT, 0 * FLAT]) if spectra is None else spectra, WAVELENGTHS_NM
+    )
+
+
+def chart(*primitives, background=0) -> Chart:
+    return Chart(("white", "black"), background, primitives)
+
+
+@pytest.mark.parametrize("fill_factor", [1.0, 0.5])
+def test_an_even_field_gives_the_weights(fill_factor: float):
+    lens = bank(**PLAIN | {"distortion": -0.02})
+    camera = grey_sensor(fill_factor=fill_factor)
+    pixels = np.array([[48, 64], [10, 5], [80, 100]])
+    found = truth(lens, camera).chart(chart(), pixels)
+    assert_close(found, np.full(3, even_rate(lens, fill_factor)), rtol=TURNED)
+    # Away from the axis: f32 PSFs sum to 1 within 1e-6, and midpoint sums of a Gaussian are exact.
+    assert_close(found[1:], np.full(2, even_rate(lens, fill_factor)), rtol=5e-6)
+
+
+def test_channels_have_their_own_efficiency():
+    lens, camera = bank(**PLAIN), sensor()
+    # Rows of B G / G R.
+    found = truth(lens, camera).chart(chart(), np.array([[48, 64], [48, 65], [49, 64], [49, 65]]))
+    spectral = WAVELENGTHS_NM * 1e-9 / HC * FLAT
+    steradian = np.interp(
+        WAVELENGTHS_NM, lens.wavelengths_nm, lens.projected_solid_angle_sr * lens.transmission
+    )
+    rates = [
+        np.trapezoid(spectral * steradian * camera.qe[name], WAVELENGTHS_NM) * (PITCH * 1e-6) ** 2
+        for name in "BGGR"
+    ]
+    assert_close(found, np.array(rates), rtol=TURNED)
+
+
+def edge_profile(distance: np.ndarray, angle: float, width: float) -> np.ndarray:
+    """Return the share of light of a half-plane, at aperture centres `distance` inside it."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    x, y = np.meshgrid(nodes * width / 2, nodes * width / 2)
+    along = x * np.cos(angle) + y * np.sin(angle)
+    total = np.zeros(len(distance))
+    for share, sigma in SHARES:
+        response = ndtr((distance[:, None, None] - along) / sigma)
+        total += share * np.einsum("i,j,pij->p", weights, weights, response) / 4
+    return total
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 5.0, 45.0, -130.0])
+def test_a_straight_edge_is_the_normal_distribution_averaged_over_the_aperture(angle_deg: float):
+    lens, camera = bank(**PLAIN), grey_sensor(fill_factor=0.8)
+    angle = np.radians(angle_deg)
+    outward = np.array([np.cos(angle), np.sin(angle)])
+    where = np.array([11.3, -7.7])  # a point of the edge, um
+    centre = where - 400 * outward
+    white = Rect(*centre, 400.0, 900.0, angle, 0)
+    cols, rows = np.meshgrid(np.arange(66, 77, 2), [40, 43])
+    pixels = np.stack([rows.ravel(), cols.ravel()], axis=1)
+    at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
+    distance = -(at - where) @ outward
+    found = truth(lens, camera).chart(chart(white, background=1), pixels)
+    width = PITCH * np.sqrt(0.8)
+    expected = edge_profile(distance, angle, width) * even_rate(lens, 0.8)
+    assert expected.min() < 0.05 * expected.max() or angle_deg == -130.0
+    assert np.ptp(expected) > 0.2 * even_rate(lens, 0.8)
+    assert_close(found, expected, atol=TURNED * even_rate(lens, 0.8))
+
+
+def gaussian_box(d: np.ndarray, sigma: float, width: float) -> np.ndarray:
+    return ndtr((d + width / 2) / sigma) - ndtr((d - width / 2) / sigma)
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 40, 90, 180, 250])
+@pytest.mark.parametrize("place", [1, 2])
+def test_a_dot_off_axis_flares_outwards_and_is_displaced_by_lateral_colour(azimuth_deg, place):
+    """Against sums over the dot of isotropic Gaussians, whose integral over the aperture is erf.
+
+    x right, y down; neither mirrored nor transposed: for every azimuth the flare goes with the radius.
+    """
+    lens = bank(
+        **PLAIN | {"coma_um": 3.0, "lateral": (0.0, 0.0, 0.008), "sigma_um": (1.0, 1.0, 1.1)}
+    )
+    # The same PSF in all fields, the rim's; so that interpolation between fields changes nothing.
+    psf = np.broadcast_to(lens.psf[-1], lens.psf.shape)
+    lens = replace(lens, psf=np.ascontiguousarray(psf))
+    sigma = (1.0, 1.0, 1.1)[place]
+    line = np.where(WAVELENGTHS_NM == (400, 550, 700)[place], 1e-3, 0.0)
+    camera = grey_sensor()
+    angle = np.radians(azimuth_deg)
+    centre = 55.0 * np.array([np.cos(angle), np.sin(angle)])
+    dot = Disc(*centre, 1.2, 0)
+    col, row = np.floor(centre / PITCH + [64, 48]).astype(int)
+    pixels = np.array([[row + dy, col + dx] for dy in (-2, 0, 2) for dx in (-2, -1, 0, 2)])
+    found = truth(lens, camera, np.stack([line, 0 * line])).chart(chart(dot, background=1), pixels)
+
+    steps = (np.arange(60) + 0.5) / 60
+    r, phi = np.meshgrid(1.2 * np.sqrt(steps), 2 * np.pi * steps)  # equal areas
+    points = centre + np.stack([r * np.cos(phi), r * np.sin(phi)], axis=-1).reshape(-1, 2)
+    outward = points / np.hypot(*points.T)[:, None]
+    shift = np.hypot(*points.T)[:, None] * (0, 0, 0.008)[place] * outward
+    at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
+    light = np.zeros(len(pixels))
+    for share, scale, flare in ((0.75, 1.0, 0.0), (0.25, 1.2, 3.0)):
+        d = at[:, None] - (points + shift + flare * outward)
+        boxes = gaussian_box(d[..., 0], scale * sigma, PITCH) * gaussian_box(
+            d[..., 1], scale * sigma, PITCH
+        )
+        light += share * boxes.mean(axis=1)
+    nm = WAVELENGTHS_NM[line > 0][0]
+    width = 2.5 if nm == 700 else 5.0
+    rate = nm * 1e-9 / HC * 0.5 * 1e-3 * width * 1e-12 * np.pi * 1.2**2
+    rate *= float(lens.projected_solid_angle_sr[place] * lens.transmission[place])
+    assert np.ptp(light) > 0.05
+    # Of a dot hardly wider than the PSF's samples the splines' error does not average out: 5e-4 of
+    # the peak in each direction, and 2.5 times that of the largest light, spread over a pixel.
+    assert_close(found, light * rate, atol=3e-3 * rate * light.max())
+
+
+def test_distortion_moves_an_edge_to_where_its_chief_ray_lands():
+    lens, camera = bank(**PLAIN | {"distortion": -0.05}), grey_sensor()
+    ideal = 80.0
+    real = float(lens.real_from_ideal(ideal)[0])
+    assert real < ideal - 0.5
+    white = Rect(ideal - 500, 0.0, 500.0, 900.0, 0.0, 0)
+    pixels = np.array([[48, col] for col in range(112, 120)])
+    found = truth(lens, camera).chart(chart(white, background=1), pixels)
+    at = (pixels[:, 1] + 0.5 - 64) * PITCH
+    expected = edge_profile(real - at, 0.0, PITCH) * even_rate(lens)
+    # The edge bends towards the axis, by y^2 / (2 r): dx/x = -0.05 (y/165)^2 is 4e-4 um at 3 um; half
+    # a pixel off the row of the axis; and stretches by 1 +- 0.03 over the PSF's 1 um at 0.4 per um.
+    assert_close(found, expected, atol=2e-3 * even_rate(lens))
+    shifted = edge_profile(ideal - at, 0.0, PITCH) * even_rate(lens)
+    assert np.abs(shifted - expected).max() > 0.2 * even_rate(lens)  # a control
+
+
+def test_illumination_falls_with_the_height():
+    lens, camera = bank(**PLAIN | {"falloff": 0.4}), grey_sensor()
+    pixels = np.array([[48, 64], [48, 110], [5, 20]])
+    found = truth(lens, camera).chart(chart(), pixels)
+    at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
+    heights = np.hypot(*at.T)
+    # By wavelength: as much light as the lens passes, times the illumination, linear between fields.
+    light = [
+        np.interp(heights, lens.real_height_um[:, 1], row) for row in lens.relative_illumination.T
+    ]
+    shares = np.array(
+        [
+            even_rate(replace(lens, projected_solid_angle_sr=lens.projected_solid_angle_sr * one))
+            for one in np.eye(3)
+        ]
+    )
+    # It bends at the fields and around the axis: 0.4 / 165 per um at most over the PSF's 1.1 um, of
+    # which a normal distribution leaves 0.8 at the axis.
+    assert_close(found, shares @ np.array(light), rtol=0.4 / 165 * 1.1)
+
+
+def test_beyond_the_image_circle_it_is_dark():
+    lens, camera = bank(**PLAIN | {"circle_um": 80.0}), grey_sensor()
+    # 80 um = 51.6 pixels: the circle's edge runs through pixel 64 + 51.
+    pixels = np.array([[48, 64 + 44], [48, 64 + 51], [48, 64 + 59]])
+    found = truth(lens, camera).chart(chart(), pixels) / even_rate(lens)
+    at = (51.5 * PITCH, 0.5 * PITCH)
+    middle = edge_profile(np.array([80 - np.hypot(*at)]), 0.0, PITCH)[0]
+    # The circle's bend: sigma^2 / (2 R) = 0.008 um of 0.4 per um; midpoint sums of a step: 1/32 um.
+    assert_close(found, np.array([1.0, middle, 0.0]), atol=0.015)
+
+
+def test_a_raster_is_its_spline():
+    lens, camera = bank(**PLAIN), grey_sensor()
+    rng = np.random.default_rng(3)
+    samples = np.stack(
+        [0.5 + 0.02 * np.arange(30) + np.zeros((24, 1)), rng.uniform(0, 1, (24, 30))]
+    )
+    pitch = 8.0
+    placed = PlacedRaster(samples.astype(np.float32), pitch, -120.0, -96.0, "")
+    both = np.stack([FLAT, 0.5 * FLAT])
+    pixels = np.array([[48, 64], [30, 90]])
+    ramp = replace(placed, planes=placed.planes * [[[1.0]], [[0.0]]])
+    found = truth(lens, camera, both).raster(ramp, pixels)
+    x = ((pixels[:, 1] + 0.5 - 64) * PITCH + 120) / pitch - 0.5
+    # A ramp stays a ramp: a symmetric PSF and aperture take its value at the centre.
+    assert_close(found, (0.5 + 0.02 * x) * even_rate(lens), rtol=TURNED)
+
+    mixed = truth(lens, camera, both).raster(placed, pixels)
+    noise = replace(placed, planes=placed.planes[::-1] * np.array([[[1.0]], [[0.0]]]))
+    alone = truth(lens, camera, both).raster(noise, pixels)
+    assert_close(mixed, found + 0.5 * alone, rtol=1e-6)  # linear, each plane with its own spectrum
+    assert np.abs(alone / even_rate(lens) - 0.5).min() > 0.005
