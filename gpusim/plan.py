@@ -252,8 +252,8 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     pitch_um = sensor.pixel_pitch_um / oversampling
     reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + np.ptp(bank.real_height_um, axis=1).max()
 
-    # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have kernels
-    # of its own, and shaders/optics/columns sums four.
+    # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
+    # kernels of its own, and shaders/optics/columns sums four.
     coarse_stride = 4 if period == 4 else 1
     coarse_pitch_um = sensor.pixel_pitch_um * period / coarse_stride
     cut = None

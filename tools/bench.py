@@ -1,11 +1,12 @@
 #!/usr/bin/env python
 """Time one named job, warm: tools/bench.py NAME --json prints one line, --list names the jobs.
 
-``render-demo`` times a whole capture of the demonstration camera, and its error is the certificate's. Each
-stage has a job of its own on a frame of 12 MP, against a copy of the same bytes on the same device, and
-against NumPy or SciPy where they do the same work; the error of a stage is the tests' matter.
-Times are wall clock around a run that waits for the device, but for rows, columns and lattice, which only
-run together: theirs are the device's own. Ratios hold better than seconds.
+``render-demo`` times a whole capture of the demonstration camera, and its error is the
+certificate's. Each stage has a job of its own on a frame of 12 MP, against a copy of the same bytes
+on the same device, and against NumPy or SciPy where they do the same work; the error of a stage is
+the tests' matter. Times are wall clock around a run that waits for the device, but for rows,
+columns and lattice, which only run together: theirs are the device's own. Ratios hold better than
+seconds.
 """
 
 from __future__ import annotations
@@ -152,7 +153,7 @@ def paint(device: Device) -> Job:
 
 
 def warp(device: Device) -> Job:
-    """Time a photograph of 12 MP in one plane; SciPy's cubic spline at as many points is the peer."""
+    """Time a photograph of 12 MP in one plane; the peer is SciPy's cubic spline."""
     grid, scale = frame()
     planes = np.random.default_rng(1).random((1, ROWS, COLS), np.float32)
     raster = PlacedRaster(planes, 1.55, -COLS * 0.775, -ROWS * 0.775, "")
@@ -169,19 +170,17 @@ def warp(device: Device) -> Job:
 
 
 def convolution(device: Device, stage: str) -> Job:
-    """Time one of rows, columns and lattice over all blocks of the frame, one plane to three channels."""
-    grid, scale = frame()
-    shared = SimGrid(
-        ROWS, COLS, 4, 2, 256, 40, (1, 1)
-    )  # one cell: four nodes' kernels for all blocks
+    """Time one of rows, columns and lattice over the frame, one plane to three channels."""
+    _, scale = frame()
+    # One cell: the kernels of four nodes serve all blocks.
+    grid = SimGrid(ROWS, COLS, 4, 2, 256, 40, (1, 1))
     part = Convolve(
         device,
-        Scale("bench", shared, scale.pitch_um, scale.sigma, scale.kernels),
-        dict.fromkeys(np.ndindex(shared.blocks), 1),
+        Scale("bench", grid, scale.pitch_um, scale.sigma, scale.kernels),
+        dict.fromkeys(np.ndindex(grid.blocks), 1),
         1.55,
         [0, 1, 1, 2],
     )
-    grid = shared
     rec = Recording(device)
     scratch = Scratch(rec, "bench", grid, 1)
     rates = rec.buffer("rates", (4, ROWS // 2, COLS // 2), np.float32)

@@ -138,8 +138,8 @@ class SimGrid:
         """Return the blocks whose windows touch a rectangle of pixels, row by row."""
         chosen = []
         for axis, first, count in ((0, col0, cols), (1, row0, rows)):
-            # The whole window: where the kernels do not reach, it still holds their rounding errors, and the sum of
-            # a pixel must not depend on the rectangle.
+            # The whole window: where the kernels do not reach, it still holds their rounding
+            # errors, and the sum of a pixel must not depend on the rectangle.
             origins = [i * self.block[axis] - 2 * self.half_size for i in range(self.blocks[axis])]
             low, high = first * self.oversampling, (first + count) * self.oversampling
             chosen.append([i for i, o in enumerate(origins) if o < high and o + self.length > low])

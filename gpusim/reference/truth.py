@@ -24,10 +24,10 @@ from gpusim.reference.coverage import area, disc_area, rectangle_area
 H_J_S = 6.62607015e-34
 C_M_S = 299792458.0
 # The integral over t is a midpoint sum, in squares around the pixel: half side and step, um. In the
-# innermost lie nearly all of the PSF's energy and detail: at a step of 0.125 um the edges of apertures
-# still leave 1e-3 on the dark side of an edge. Where the step changes, the sum errs by h^2/24 times the
-# PSF's slope there (Euler and Maclaurin); a step of 0.5 um right outside 6 um changes even a flat
-# field by 3e-5.
+# innermost lie nearly all of the PSF's energy and detail: at a step of 0.125 um the edges of
+# apertures still leave 1e-3 on the dark side of an edge. Where the step changes, the sum errs by
+# h^2/24 times the PSF's slope there (Euler and Maclaurin); a step of 0.5 um right outside 6 um
+# changes even a flat field by 3e-5.
 ZONES_UM = ((6.0, 0.0625), (16.0, 0.125), (np.inf, 0.5))
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 KEPT_KERNELS = 200  # of 0.8 MiB each
