@@ -153,6 +153,9 @@ def alias_error(bank: Bank, oversampling: float, sensor: Sensor, sigma: float) -
 
     def transfer(frequency: np.ndarray) -> np.ndarray:
         mtf = np.abs(np.exp(-2j * np.pi * np.outer(frequency / pitch_um, positions_um)) @ psf)
+        # Beyond the bank's own Nyquist frequency the sum only repeats; the bank's PSFs end below
+        # it.
+        mtf[frequency / pitch_um > 0.5 / bank.pitch_um] = 0.0
         return mtf * np.sinc(frequency * oversampling * np.sqrt(sensor.fill_factor))
 
     folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass(

@@ -7,7 +7,9 @@ column spectra serve the four nodes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,42 +112,52 @@ class Convolve:
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
         self.nodes = {}
-        points: dict[tuple[int, int], np.ndarray] = {}
-        for y in range(grid.nodes[1]):
-            # A node needs its neighbours' kernels: those of three rows are at hand at a time.
-            points = {index: kernel for index, kernel in points.items() if index[1] >= y - 1}
-            for x in range(grid.nodes[0]):
-                planes = grid.planes_at((x, y), needed)
-                if planes:
-                    kernels = self._node(scale, (x, y), planes, points)
-                    spectra = kernel_spectra(
-                        kernels, grid.length, aperture_um / scale.pitch_um, scale.sigma, outputs
-                    )
-                    self.nodes[x, y] = device.resident(f"node {x},{y}", spectra.view(np.float32))
-                if progress is not None:
-                    progress()
+        for node, spectra in self._spectra(scale, needed, aperture_um / scale.pitch_um, outputs):
+            if spectra is not None:
+                label = f"node {node[0]},{node[1]}"
+                self.nodes[node] = device.resident(label, spectra.view(np.float32))
+            if progress is not None:
+                progress()
 
-    def _node(
+    def _spectra(
         self,
         scale: Scale,
-        node: tuple[int, int],
-        planes: int,
-        points: dict[tuple[int, int], np.ndarray],
-    ) -> np.ndarray:
-        """Return the kernels of a node, from those of the field points around it."""
+        needed: dict[tuple[int, int], int],
+        width: float,
+        outputs: list[tuple[int, float, float]],
+    ) -> Iterator[tuple[tuple[int, int], np.ndarray | None]]:
+        """Yield every node with its kernels' spectra, None where no block needs them."""
+        grid = self.grid
+        cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+        points: dict[tuple[int, int], np.ndarray] = {}
 
-        def sample(dx: int, dy: int) -> np.ndarray:
-            index = (node[0] + dx, node[1] + dy)
-            if index not in points or len(points[index]) < planes:
-                x_um, y_um = (
-                    np.array(self.grid.node_position(index)) - self.grid.centre
-                ) * scale.pitch_um
-                points[index] = sampled_kernels(
-                    scale.kernels, x_um, y_um, scale.pitch_um, self.grid.half_size, planes
-                )
-            return points[index][:planes]
+        def sample(index: tuple[int, int], planes: int) -> np.ndarray:
+            x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
+            size = grid.half_size
+            return sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
 
-        return node_kernels(sample)
+        def transform(node: tuple[int, int], planes: int) -> np.ndarray | None:
+            if not planes:
+                return None
+            x, y = node
+            kernels = node_kernels(lambda dx, dy: points[x + dx, y + dy][:planes])
+            return kernel_spectra(kernels, grid.length, width, scale.sigma, outputs)
+
+        # SciPy and NumPy let go of the interpreter in their loops.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for y in range(grid.nodes[1]):
+                # A node needs its neighbours' kernels: those of three rows are at hand at a time.
+                points = {index: kernel for index, kernel in points.items() if index[1] >= y - 1}
+                row = {(x, y): grid.planes_at((x, y), needed) for x in range(grid.nodes[0])}
+                wanted: dict[tuple[int, int], int] = {}
+                for (x, _), planes in row.items():
+                    for dx, dy in cross if planes else ():
+                        index = (x + dx, y + dy)
+                        wanted[index] = max(wanted.get(index, 0), planes)
+                lacking = {i: n for i, n in wanted.items() if len(points.get(i, ())) < n}
+                found = pool.map(sample, lacking.keys(), lacking.values())
+                points.update(zip(lacking, found, strict=True))
+                yield from zip(row, pool.map(transform, row.keys(), row.values()), strict=True)
 
     def _outputs(
         self, site_channels: list[int], channels: int

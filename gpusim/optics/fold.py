@@ -132,7 +132,9 @@ def reduce_spectra(
     material_scale = 1 / np.maximum((signal * channel_scale).mean(axis=1), np.finfo(float).tiny)
     scaled = seen * material_scale[:, None, None] * channel_scale[:, None]
     features = np.einsum("mcl,lf->mcf", scaled, edges)
-    left, _, _ = np.linalg.svd(features.reshape(len(spectra), -1), full_matrices=False)
+    # The left singular vectors of A are those of R', A' = Q R: a small matrix.
+    triangle = np.linalg.qr(features.reshape(len(spectra), -1).T, mode="r")
+    left, _, _ = np.linalg.svd(triangle.T, full_matrices=False)
     for planes in range(1, min(left.shape[1], MAX_PLANES) + 1):
         vectors = left[:, :planes]
         planes_seen = np.einsum("mj,mcl->jcl", vectors, scaled)

@@ -250,7 +250,7 @@ def kernel_spectra(
         normalised.
     """
     half = length // 2 + 1
-    spectra = scipy.fft.rfft2(sampled, s=(length, length), workers=2)
+    spectra = scipy.fft.rfft2(sampled, s=(length, length))
     result = np.empty((len(sampled), half, len(outputs), 4, length // 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
         along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2

@@ -1,9 +1,10 @@
 """Columns: against the definitions, for every length, stride, period, and number of channels.
 
-Tolerance, as a norm along ky, where each step is a rotation (times sqrt T or sqrt M) and the roundings
-of its elements keep their share of its norm: 108 roundings of the forward transform (see
-test_line_fft) after 6 of sides and weights; the product with a kernel 3, the sum over planes and nodes
-4 J; the shift to the site 4, folding 3; 6 log2 M of the inverse transform. In units of 2^-24 of
+Tolerance, as a norm along ky, where each step is a rotation (times sqrt T or sqrt M) and the
+roundings of its elements keep their share of its norm: 108 roundings of the forward transform (see
+test_line_fft) after 6 of sides and weights; the product with a kernel 3, the sum over planes and
+nodes 4 J; the shift to the site 4, folding 3; 6 log2 M of the inverse transform. In units of 2^-24
+of
 
     sqrt(T) max|H| sum over planes and nodes of sqrt(T) |A r|_2,
 
@@ -35,7 +36,7 @@ def packed(kernels: np.ndarray) -> np.ndarray:
 
 
 def case(device, length, stride, period, channels, height, planes, needed=None, first_s=0.1):
-    """Run the shader on noise; return what it gave, the reference, the bound and the tail of the buffer."""
+    """Run the shader on noise; return its result, the reference, the bound, the host's part."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
     # Channels in an order of their own; where sites lie between samples, each is a channel.
     site_channels = [(3 * site + site // 4 + 1) % channels for site in range(period**2)]

@@ -1,4 +1,4 @@
-"""Complex numbers, on integers of eleven bits: every product and sum is exact in f32, fused or not."""
+"""Complex numbers, on integers of eleven bits: products and sums are exact in f32, fused or not."""
 
 import numpy as np
 from harness import assert_close, wgsl_eval

@@ -33,7 +33,8 @@ CASES = {
     "two samples a pixel": (SimGrid(33, 46, 4, 2, 256, 96, (2, 1)), 0.8),
     "one site": (SimGrid(30, 35, 2, 1, 256, 32, (1, 2)), 0.8),
     "sixteen sites": (SimGrid(29, 31, 8, 4, 512, 32, (2, 2)), 0.0),
-    # Kernels between samples are band-limited: the tails of a PSF, as the planner has it.
+    # On coarse grids kernels are band-limited: the tails of a PSF, as the planner has it.
+    "sixteen sites, a sample a pixel": (SimGrid(29, 31, 4, 4, 256, 16, (2, 1)), 0.8),
     "sites between samples": (SimGrid(34, 47, 1, 2, 256, 16, (2, 2)), 0.8),
 }
 
@@ -56,7 +57,7 @@ def source(grid: SimGrid, planes: int) -> dict[tuple[int, int], np.ndarray]:
 def camera(grid: SimGrid, sigma: float) -> tuple[Scale, list[int]]:
     """Return a scale of kernels, and the channel of each site."""
     pitch_um = PITCH_UM / grid.oversampling
-    lens = LENS if grid.oversampling >= 1 else BLURRED
+    lens = LENS if grid.oversampling > 1 else BLURRED
     images, radius_um = field_images(lens, WEIGHTS, 1e9)
     kernels = field_kernels(images, radius_um, 0.5, pitch_um, np.ones(images.shape[-2:]))
     return Scale("test", grid, pitch_um, sigma, kernels), [2, 1, 1, 0, 1, 2, 0, 1] * 2
@@ -150,8 +151,8 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(device: Device, name:
     found = on_device(device, scale, site_channels, blocks, needed, (0, 0, grid.rows, grid.cols))
     expected = in_space(scale, site_channels, blocks, needed)
     image = mosaic(found, grid.period, expected.shape)
-    # Three hundred roundings at most (108 and 6 log2 M of the transforms, 50 of sums and products), of
-    # sums of positive numbers, or nearly: kernels and sources have no large negative parts.
+    # Three hundred roundings at most (108 and 6 log2 M of the transforms, 50 of sums and products),
+    # of sums of positive numbers, or nearly: kernels and sources have no large negative parts.
     assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
 
 

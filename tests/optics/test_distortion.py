@@ -1,8 +1,8 @@
 """The chief-ray map of the shaders, against NumPy's polynomials.
 
-Tolerance of g and of its slope: Horner's scheme in f32 takes two roundings a step, 16 in all with the
-argument's own, each of sums that are at most the sum of |coefficient| (r2 <= 1.2, and its powers):
-20 * 2^-24 sum |c_k| r2^k.
+Tolerance of g and of its slope: Horner's scheme in f32 takes two roundings a step, 16 in all with
+the argument's own, each of sums that are at most the sum of |coefficient| (r2 <= 1.2, and its
+powers): 20 * 2^-24 sum |c_k| r2^k.
 """
 
 import numpy as np

@@ -29,7 +29,8 @@ def test_an_even_scene_gives_its_share_of_the_mean_signal_to_every_site():
     found = veiling_glare(lens, camera, scene().source.placed(74.4), WEIGHTS, COEFFICIENTS)
     mean = illumination(lens, camera)[2].mean(axis=(1, 2))
     by_channel = 0.03 * np.einsum("j,jcl,l->c", COEFFICIENTS[0], WEIGHTS, mean)
-    # Midpoint sums of a smooth function on 256 points a side: errors of 1/(24 * 256^2) of its change.
+    # Midpoint sums of a smooth function on 256 points a side: errors of 1/(24 * 256^2) of its
+    # change.
     expected = by_channel[[2, 1, 1, 0]]  # B G / G R; channels are R, G, B
     assert_close(found, expected, rtol=1e-5)
 

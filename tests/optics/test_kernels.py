@@ -100,7 +100,7 @@ def analytic(place: int, field: int, radial: np.ndarray, tangential: np.ndarray)
 @pytest.mark.parametrize("azimuth_deg", [0, 30, 90, 180, 217, 270])
 @pytest.mark.parametrize("field", [0, 1, 3])
 def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int):
-    """X right, y down: the radial axis points away from the axis, the tangential 90 deg clockwise."""
+    """X right, y down: radial is away from the axis, tangential 90 deg clockwise of it."""
     kernels = everything(weights=np.array([[[1.0, 2.0, 0.5]]]), pitch_um=0.6)
     angle = np.radians(azimuth_deg)
     height = kernels.radius_um[field]
@@ -121,8 +121,8 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
         )
         for place, weight in enumerate([1.0, 2.0, 0.5])
     )
-    # Interpolation by cubic splines of a Gaussian of 1.9 samples: h^4 f'''' / 384 = 3 / (384 * 1.9^4) an
-    # axis = 6e-4 of the peak... of the worst phase; the band's end takes exp(-2 pi^2 (0.95 * 0.71)^2).
+    # Cubic splines through a Gaussian of 1.9 samples err by h^4 f'''' / 384 = 3 / (384 * 1.9^4) =
+    # 6e-4 of the peak along each axis; the band's end takes exp(-2 pi^2 (0.95 * 0.71)^2) = 1e-4.
     assert_close(found, expected, atol=2e-3 * expected.max())
 
 
@@ -135,16 +135,13 @@ def test_a_quarter_turn_is_exact():
     )
     # K_right[y, x] = h(radial x, tangential y); downwards the radius is y and the tangent -x.
     turned = np.rot90(right[..., 1:, 1:], -1, axes=(2, 3))
-    assert_close(
-        down[..., 1:, 1:], turned.copy(), atol=1e-9 * right.max()
-    )  # float64, but for cos(90 deg)
-    assert_close(left[..., 1:, 1:], right[..., :0:-1, :0:-1].copy(), atol=1e-9 * right.max())
+    rounding = 1e-9 * right.max()  # float64, but for cos(90 deg)
+    assert_close(down[..., 1:, 1:], turned.copy(), atol=rounding)
+    assert_close(left[..., 1:, 1:], right[..., :0:-1, :0:-1].copy(), atol=rounding)
     # Outwards: the displaced quarter of the light drags the centre of gravity along.
-    assert (
-        centroid(right[0, 0])[0] > 0.5
-        and centroid(down[0, 0])[1] > 0.5
-        and centroid(left[0, 0])[0] < -0.5
-    )
+    assert centroid(right[0, 0])[0] > 0.5
+    assert centroid(down[0, 0])[1] > 0.5
+    assert centroid(left[0, 0])[0] < -0.5
 
 
 def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay():
@@ -166,8 +163,8 @@ def test_sampled_kernels_hold_the_energy():
     expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[2])
     height = kernels.radius_um[2]
     found = sampled_kernels(kernels, 0.6 * height, -0.8 * height, 0.6, 24, 2)
-    # Sums over samples of a band-limited kernel are its integral, but for what lies in its band above
-    # 1/0.6 - 0.83 cycles/um: exp(-2 pi^2 (0.95 * 0.83)^2) = 5e-6; f32 of PSF and splines.
+    # Sums over samples of a band-limited kernel are its integral, but for what lies in its band
+    # above 1/0.6 - 0.83 cycles/um: exp(-2 pi^2 (0.95 * 0.83)^2) = 5e-6; f32 of PSF and splines.
     assert_close(found.sum(axis=(2, 3)), expected, rtol=3e-5)
     assert sampled_kernels(kernels, 1.0, 1.0, 0.6, 24, 1).shape == (1, 3, 48, 48)
 
@@ -249,7 +246,7 @@ def test_the_nyquist_terms_are_zero():
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_nodes_err_least_in_the_mean_square(axis: int):
-    """On a parabola along one axis: 1/6 h^2 off the mean, so sqrt(6) = 2.45 times less than samples."""
+    """On a parabola along one axis, h^2 / 6 off: sqrt(6) = 2.45 times less than through samples."""
 
     def value(x: float, y: float) -> float:
         return 3.0 + 0.5 * x - 0.2 * y + 2.0 * (x, y)[axis] ** 2

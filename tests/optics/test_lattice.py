@@ -1,8 +1,8 @@
 """Lattice: against the definitions, for windows over every border of the planes.
 
 Tolerance: a result is a sum over T frequencies of two sites that share a transform. T/M terms are
-folded (one rounding each), 6 log2 M follow in the transform, one where it is added: in units of 2^-24
-of the sum of all |parts|; and one of what is there already.
+folded (one rounding each), 6 log2 M follow in the transform, one where it is added: in units of
+2^-24 of the sum of all |parts|; and one of what is there already.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ F32 = np.float32
 
 
 def case(device: Device, length, stride, period, origin, size, seed=0):
-    """Add one window of noise to planes of noise; return the result, the reference and the bound."""
+    """Add a window of noise to planes of noise; return result, reference, bound and the planes."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
     kernel = convolve_for(device, grid, [0] * period**2, 1).lattice
     rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 """The inverse transform of short lines together, against the sum that defines it.
 
-Tolerance: each of the log2 M passes adds twice at most, after a product (3 roundings) with a rounded
-twiddle (1): 6 log2 M * 2^-24 S, S the sum of all |parts| of the line (see test_line_fft).
+Tolerance: each of the log2 M passes adds twice at most, after a product (3 roundings) with a
+rounded twiddle (1): 6 log2 M * 2^-24 S, S the sum of all |parts| of the line (see test_line_fft).
 """
 
 import numpy as np

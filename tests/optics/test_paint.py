@@ -1,12 +1,12 @@
 """Paint: against convolution with the Gaussian, shape by shape, in float64.
 
-Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The distance
-to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of the map, see
-test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a Gaussian of at
-least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The width takes some 40
-roundings: nothing beside it. WEIGHT = 5e-4. A disc: the shader's first-order term leaves 0.1 (s/R)^2 of
-the Rice integral (for R > 4 s) besides; so discs are 12 s and more. Weights act on differences of
-materials, and at most two shapes have an edge at one place.
+Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The
+distance to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of
+the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
+Gaussian of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The
+width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc: the shader's first-order
+term leaves 0.1 (s/R)^2 of the Rice integral (for R > 4 s) besides; so discs are 12 s and more.
+Weights act on differences of materials, and at most two shapes have an edge at one place.
 """
 
 import numpy as np
@@ -125,7 +125,7 @@ def test_rectangles_at_any_angle(angle: float):
 
 
 def test_thin_rectangles_keep_their_area():
-    """A line a tenth of a sample wide: the sum over samples is its area, for the Gaussian is wide."""
+    """A line a tenth of a sample wide: the sum over samples is its area."""
     table = np.array([[0.0], [1.0]])
     found = check([Rect(3.2, -1.7, 12.0, 0.05, 0.3, 1)], table, (-19.5, -19.5), (40, 45), sigma=1.0)
     # The alias of the sum is exp(-2 pi^2) = 3e-9; weights are good to 5e-4 in a hundred samples.
@@ -172,7 +172,7 @@ def test_shapes_within_shapes_in_painters_order():
 
 @pytest.mark.parametrize("planes", range(1, 9))
 def test_planes_from_one_to_eight(planes: int):
-    check([Rect(1, 2, 6, 5, 0.3, 2)], materials(3, planes), (-9.5, -7.5), (17, 19), background=1)
+    check([Rect(1, 2, 6, 5, 0.3, 1)], materials(3, planes), (-9.5, -7.5), (17, 19), background=2)
 
 
 def test_the_background_alone():
@@ -194,7 +194,7 @@ def test_the_chart_is_warped_and_so_is_the_gaussian():
 
 def test_beyond_the_image_circle_it_is_black():
     stack = [Rect(30, 20, 22, 14, 0.4, 1)]
-    found = check(stack, 1 + materials(2, 2), (20.5, 10.5), (37, 40), radius=42.0)
+    found = check(stack, 1 + materials(2, 6), (20.5, 10.5), (37, 40), radius=42.0)
     y, x = np.mgrid[:37, :40] + np.array([10.5, 20.5])[:, None, None]
     assert np.abs(found[:, np.hypot(x, y) > 42 + 6 * 0.8]).max() < 1e-6
     assert np.abs(found[:, np.hypot(x, y) < 42 - 6 * 0.8]).min() > 0.01
@@ -235,7 +235,7 @@ def test_shapes_that_cover_a_tile_replace_what_is_under_it():
 def test_edges_at_every_distance_from_a_tile_are_seen(angle: float):
     """A straight edge wanders through a tile and away, where the map stretches 1.9-fold.
 
-    It is the end of a rectangle's width, then of its height. Lists that end too soon lose it.
+    It is each of the four sides of a rectangle. Lists that end too soon lose it.
     """
     table = np.array([[0.2], [1.0]])
     stretched = 1.9 * IDENTITY
@@ -245,14 +245,28 @@ def test_edges_at_every_distance_from_a_tile_are_seen(angle: float):
         # Of the ideal plane; the tile's middle is at 1.9 (8, 8).
         centre = 1.9 * 8 + (edge - 400) * outward
         z = (edge - 1.9 * (x - 8) @ outward) / (1.9 * 2.0)
-        for rect in (
-            Rect(*centre, 400.0, 900.0, angle, 1),
-            Rect(*centre, 900.0, 400.0, angle - np.pi / 2, 1),
-        ):
+        sides = [(400.0, 900.0, angle + turn) for turn in (0, np.pi)]
+        sides += [(900.0, 400.0, angle + turn) for turn in (-np.pi / 2, np.pi / 2)]
+        for side in sides:
+            rect = Rect(*centre, *side, 1)
             place = ((0.5, 0.5), (16, 16))
             found = on_device([rect], table, *place, sigma=2.0, distortion=stretched)[0]
             # f32 of a centre 450 samples away: 3 * 2^-24 * 450 = 8e-5 samples, over 3.8 of sigma.
             assert_close(found, 0.2 + 0.8 * ndtr(z), atol=0.8 * 2e-5)
+
+
+def test_the_corners_of_a_tile_are_seen_where_the_map_stretches_twofold():
+    """Sharp edges that cut off one corner's sample; they lie 11 samples from the tile's middle."""
+    table = np.array([[0.2], [1.0]])
+    place = ((0.5, 0.5), (16, 16))
+    for angle in np.pi / 4 + np.pi / 2 * np.arange(4):
+        # The corner's sample is at 1.99 x 7.5 sqrt 2 = 21.1, the next ones at 19.7.
+        centre = 1.99 * 8 + (20.6 + 300) * np.array([np.cos(angle), np.sin(angle)])
+        beyond = [Rect(*centre, 300.0, 900.0, angle, 1)]
+        found = on_device(beyond, table, *place, sigma=0.02, distortion=1.99 * IDENTITY)[0]
+        expected = np.full((16, 16), 0.2)
+        expected[15 if np.sin(angle) > 0 else 0, 15 if np.cos(angle) > 0 else 0] = 1.0
+        assert_close(found, expected, atol=1e-6)  # Phi at 12 sigma and more
 
 
 def test_tiles_far_from_the_first_know_where_they_are():

@@ -1,8 +1,8 @@
 """Rows: against the definition of the transform, for every length, odd blocks and several planes.
 
-Tolerance: 108 roundings of the transform (see test_line_fft), and before it three of the weight (the
-position s is a sum of a product, and 1 - s) and one of the product with it. Each is one of a sum of
-at most S = sum |a| (|1 - s| + |s|) along the row: 112 * 2^-24 S.
+Tolerance: 108 roundings of the transform (see test_line_fft), and before it three of the weight
+(the position s is a sum of a product, and 1 - s) and one of the product with it. Each is one of a
+sum of at most S = sum |a| (|1 - s| + |s|) along the row: 112 * 2^-24 S.
 """
 
 import numpy as np

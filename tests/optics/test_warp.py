@@ -1,9 +1,9 @@
-"""Warp: against SciPy's cubic splines, for rasters down to one sample, mirrored borders, and the rim.
+"""Warp: against SciPy's cubic splines, down to rasters of one sample, at borders and the rim.
 
 Tolerance. The point u = centre + scale x g: g is off by 20 roundings of sum |c_k| r2^k (see
 test_distortion), and four follow, of at most |scale x| sum |c_k| r2^k and of |u| + |centre|. The
-spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| (sum |beta3'| <= 1.5).
-Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
+spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| (sum |beta3'| <=
+1.5). Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Areas of shapes inside quadrilaterals: exact where geometry gives them, sampled where it does not."""
+"""Areas of shapes inside quadrilaterals: exact where geometry gives them, else sampled."""
 
 import numpy as np
 import pytest
@@ -35,8 +35,8 @@ def sampled(quad: np.ndarray, inside) -> float:
     return float(np.sum(np.abs(jacobian) * inside(points)) / SIDE**2)
 
 
-# A midpoint on the wrong side of an edge: the edges cross at most 4 SIDE cells, half of which are off
-# by half a cell each way, at random; a tenth of the worst case.
+# A midpoint on the wrong side of an edge: the edges cross at most 4 SIDE cells, half of which are
+# off by half a cell each way, at random; a tenth of the worst case.
 SAMPLING = 0.1 * 4 / SIDE
 
 

@@ -26,9 +26,9 @@ PLAIN = {
 }
 # PSFs are f32 and cut off at 16 um; quarters of them at 1.2 sigma: 0.75 x 1 and 0.25 x 1.2 um wide.
 SHARES = ((0.75, 1.0), (0.25, 1.2))
-# Cubic splines through samples half a sigma apart err by up to 3 / 16 / 384 = 5e-4 of the peak, as often
-# above as below. Sums over a whole PSF do not see it, but where its azimuth turns under the sum, within
-# a PSF's width of the axis; there a fifth of it is left.
+# Cubic splines through samples half a sigma apart err by up to 3 / 16 / 384 = 5e-4 of the peak, as
+# often above as below. Sums over a whole PSF do not see it, but where its azimuth turns under the
+# sum, within a PSF's width of the axis; there a fifth of it is left.
 TURNED = 1e-4
 
 
@@ -126,7 +126,8 @@ def gaussian_box(d: np.ndarray, sigma: float, width: float) -> np.ndarray:
 def test_a_dot_off_axis_flares_outwards_and_is_displaced_by_lateral_colour(azimuth_deg, place):
     """Against sums over the dot of isotropic Gaussians, whose integral over the aperture is erf.
 
-    x right, y down; neither mirrored nor transposed: for every azimuth the flare goes with the radius.
+    x right, y down; neither mirrored nor transposed: for every azimuth the flare goes with the
+    radius.
     """
     lens = bank(
         **PLAIN | {"coma_um": 3.0, "lateral": (0.0, 0.0, 0.008), "sigma_um": (1.0, 1.0, 1.1)}
@@ -177,8 +178,9 @@ def test_distortion_moves_an_edge_to_where_its_chief_ray_lands():
     found = truth(lens, camera).chart(chart(white, background=1), pixels)
     at = (pixels[:, 1] + 0.5 - 64) * PITCH
     expected = edge_profile(real - at, 0.0, PITCH) * even_rate(lens)
-    # The edge bends towards the axis, by y^2 / (2 r): dx/x = -0.05 (y/165)^2 is 4e-4 um at 3 um; half
-    # a pixel off the row of the axis; and stretches by 1 +- 0.03 over the PSF's 1 um at 0.4 per um.
+    # The edge bends towards the axis, by y^2 / (2 r): dx/x = -0.05 (y/165)^2 is 4e-4 um at 3 um;
+    # half a pixel off the row of the axis; and stretches by 1 +- 0.03 over the PSF's 1 um at 0.4
+    # per um.
     assert_close(found, expected, atol=2e-3 * even_rate(lens))
     shifted = edge_profile(ideal - at, 0.0, PITCH) * even_rate(lens)
     assert np.abs(shifted - expected).max() > 0.2 * even_rate(lens)  # a control
@@ -190,7 +192,8 @@ def test_illumination_falls_with_the_height():
     found = truth(lens, camera).chart(chart(), pixels)
     at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
     heights = np.hypot(*at.T)
-    # By wavelength: as much light as the lens passes, times the illumination, linear between fields.
+    # By wavelength: as much light as the lens passes, times the illumination, linear between
+    # fields.
     light = [
         np.interp(heights, lens.real_height_um[:, 1], row) for row in lens.relative_illumination.T
     ]

@@ -1,0 +1,291 @@
+"""The planner: what runs and why, and that a tighter tolerance never does less."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from optics.made import BLUE, FLAT, RED, bank, monochrome, scene, sensor, shapes
+
+from gpusim import gpu
+from gpusim import plan as plan_module
+from gpusim.errors import UserError
+from gpusim.gpu import Device
+from gpusim.optics.kernels import field_images, field_kernels
+from gpusim.plan import (
+    CUTS_UM,
+    KERNEL_BYTES,
+    Accuracy,
+    Plan,
+    alias_error,
+    cut_error,
+    edge_integral,
+    node_error,
+    plan_optics,
+)
+from gpusim.scene.raster import Raster
+from gpusim.scene.scene import Scene
+from gpusim.sensor.sensor import ColourFilterArray
+
+LENS = bank(coma_um=0.5, falloff=0.1)
+HALO = bank(coma_um=0.5, falloff=0.1, halo=0.02)
+COLOURED = scene(shapes())
+
+
+def photograph(count: int = 2) -> Scene:
+    planes = np.ones((count, 12, 16), np.float32)
+    spectra = np.stack([FLAT, RED, BLUE])[:count]
+    return Scene("photograph", spectra, Raster(planes), "D65", FLAT)
+
+
+def stages(plan: Plan) -> dict[str, bool]:
+    return {stage.name: stage.runs for stage in plan.stages}
+
+
+def test_every_stage_says_why_it_runs_or_not():
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    assert [stage.name for stage in plan.stages] == [
+        "illumination",
+        "paint",
+        "warp",
+        "rows",
+        "columns",
+        "lattice",
+        "mosaic",
+        "flare",
+        "cross-talk",
+        "exposure",
+        "noise",
+        "smear, cti",
+        "adc",
+    ]
+    assert all(stage.reason for stage in plan.stages)
+    costs = [stage.predicted_cost_s for stage in plan.stages if stage.runs]
+    assert None not in costs and min(costs) > 0
+    assert all(stage.predicted_cost_s is None for stage in plan.stages if not stage.runs)
+    lines = plan.text().splitlines()
+    for line, stage in zip(lines, plan.stages, strict=True):
+        assert line.startswith("run " if stage.runs else "skip") and stage.reason in line
+
+
+def test_a_chart_is_painted_and_a_photograph_warped():
+    painted = stages(plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2)))
+    assert painted["paint"] and not painted["warp"]
+    warped = stages(plan_optics(LENS, sensor(), photograph(), Accuracy(1e-2)))
+    assert warped["warp"] and not warped["paint"]
+
+
+def test_a_photograph_is_not_low_passed_again():
+    sigmas = {
+        what: {scale.sigma for scale in plan_optics(LENS, sensor(), what, Accuracy(1e-2)).scales}
+        for what in (COLOURED, photograph())
+    }
+    assert sigmas == {COLOURED: {0.8}, list(sigmas)[1]: {0.0}}
+
+
+def test_veiling_glare_is_there_where_the_sensor_has_it():
+    assert not stages(plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2)))["flare"]
+    glaring = plan_optics(LENS, sensor(veiling_glare=0.01), COLOURED, Accuracy(1e-2))
+    assert stages(glaring)["flare"] and "1.00%" in glaring.text()
+
+
+def test_one_spectrum_needs_one_plane():
+    shades = np.outer([1, 0.1, 0.5, 0.02], FLAT)
+    plan = plan_optics(LENS, sensor(), scene(shapes(), shades), Accuracy(1e-3))
+    assert plan.basis.coefficients.shape == (4, 1)
+    assert "1 of 4 spectra" in plan.text()
+    coloured = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-3))
+    assert coloured.basis.coefficients.shape[1] == 3
+
+
+def test_the_background_is_in_the_first_plane():
+    """Where nothing else lies, one plane does."""
+    plan = plan_optics(LENS, sensor(), scene(shapes(), background=3), Accuracy(1e-3))
+    assert plan.basis.coefficients.shape[1] > 1
+    assert not plan.basis.coefficients[3, 1:].any()
+
+
+@pytest.mark.parametrize("lens", [LENS, HALO], ids=["compact", "halo"])
+def test_a_tighter_tolerance_never_does_less(lens):
+    nodes, planes, predicted = [], [], []
+    for tolerance in (0.1, 3e-2, 1e-2, 3e-3, 1e-3, 5e-4):
+        plan = plan_optics(lens, sensor(), COLOURED, Accuracy(tolerance))
+        nodes.append(np.prod(plan.scales[0].grid.nodes))
+        planes.append(plan.basis.coefficients.shape[1])
+        errors = [
+            stage.predicted_error for stage in plan.stages if stage.predicted_error is not None
+        ]
+        predicted.append(max(errors[1:]))
+        # Of planes, five times: the worst spectrum in its weakest channel.
+        assert errors[0] <= 5 * tolerance and max(errors[1:]) <= 1.1 * tolerance
+    assert nodes == sorted(nodes) and nodes[-1] > 10 * nodes[0]
+    assert planes == sorted(planes) and planes[-1] > planes[0]
+    assert predicted == sorted(predicted, reverse=True)
+
+
+def test_the_tail_of_the_psf_goes_to_a_coarse_grid_where_that_suffices():
+    plan = plan_optics(HALO, sensor(), COLOURED, Accuracy(1e-2))
+    core, tail = plan.scales
+    assert (core.name, tail.name) == ("core", "tail")
+    assert core.pitch_um == pytest.approx(0.775) and tail.pitch_um == pytest.approx(3.1)
+    assert core.grid.half_size < tail.grid.half_size * 4  # shorter, in the same samples
+    whole = plan_optics(HALO, sensor(), COLOURED, Accuracy(5e-4)).scales
+    assert [scale.name for scale in whole] in (["whole"], ["core", "tail"])
+    # Together they hold the PSF: the splines of both, at the first field, are linear in it.
+    images, _ = field_images(HALO, plan.basis.weights, 1e9)
+    for part, share in ((core, 0.7), (tail, 0.0)):
+        total = part.kernels.splines[0].sum(axis=(2, 3), dtype=float)
+        fraction = total / images[0].sum(axis=(2, 3))
+        assert (fraction > share).all() and (fraction < 1).all()
+    both = sum(s.kernels.splines[0].sum(axis=(2, 3), dtype=float) for s in (core, tail))
+    # float32 splines of 128 x 128 samples, of rounding errors that are as often above as below.
+    assert both == pytest.approx(images[0].sum(axis=(2, 3)), rel=1e-5)
+
+
+def test_a_psf_narrower_than_a_sample_is_oversampled_more():
+    narrow = bank(sigma_um=(0.35, 0.35, 0.35), coma_um=0.0)
+    assert plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-3)).scales[0].grid.oversampling == 2
+    fine = plan_optics(narrow, sensor(), COLOURED, Accuracy(1e-3)).scales[0].grid
+    assert fine.oversampling == 4
+    assert plan_optics(narrow, sensor(), COLOURED, Accuracy(0.1)).scales[0].grid.oversampling == 2
+    # Photographs are smooth: there is nothing to alias.
+    assert (
+        plan_optics(narrow, sensor(), photograph(), Accuracy(1e-3)).scales[0].grid.oversampling == 2
+    )
+
+
+@pytest.mark.parametrize("pattern", [["W"], ["BG", "GR"], ["BBGG", "BBGG", "GGRR", "GGRR"]])
+def test_filter_patterns_of_one_two_and_four(pattern: list[str]):
+    if pattern == ["W"]:
+        camera = monochrome()
+    else:
+        camera = sensor(cfa=ColourFilterArray(pattern=[list(row) for row in pattern]))
+    plan = plan_optics(HALO, camera, COLOURED, Accuracy(1e-2))
+    assert len(plan.scales) == 2
+    for scale in plan.scales:
+        grid = scale.grid
+        assert grid.period == len(pattern) and grid.half_size % grid.stride == 0
+        assert grid.length in (256, 512, 1024)
+        # Sites a whole number of samples apart share kernels by channel; else each has its own, and
+        # shaders/optics/columns sums four at most.
+        assert grid.stride % grid.period == 0 or grid.sites <= 4
+        assert scale.pitch_um == pytest.approx(1.55 / grid.oversampling)
+
+
+def test_planning_opens_no_device(monkeypatch):
+    def refuse(*given: object, **more: object) -> None:
+        raise AssertionError("a device was opened")
+
+    monkeypatch.setattr(gpu.device, "_default", None)
+    monkeypatch.setattr(Device, "open", refuse)
+    monkeypatch.setattr(Device, "__init__", refuse)
+    with pytest.raises(AssertionError, match="was opened"):  # a control
+        gpu.default_device()
+    plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    plan_optics(LENS, sensor(), photograph(), Accuracy(1e-2))
+
+
+# Predicted errors
+
+
+def test_an_edge_sees_a_frequency_by_its_reciprocal():
+    f = np.linspace(0.1, 0.7, 4001)
+    assert edge_integral(f, 3.0 * f) == pytest.approx(2 * 3.0 * 0.6 / (2 * np.pi))
+    assert edge_integral(f, np.ones(4001)) == pytest.approx(np.log(7) / np.pi, rel=1e-5)
+    assert edge_integral(f, -f) > 0
+
+
+def test_aliases_of_a_gaussian():
+    """What folds back into the band, and what lies above it, of a PSF of two Gaussians."""
+    camera = monochrome()
+    previous = np.inf
+    for sigma in (0.5, 0.6, 0.8, 1.0):
+        lens = bank(sigma_um=(sigma,) * 3, coma_um=0.0)
+        found = alias_error(lens, 2, camera, 0.8)
+        assert 1e-6 < found < previous
+        assert alias_error(lens, 4, camera, 0.8) < 0.2 * found
+        previous = found
+    # What lies above alone, by hand, up to the bank's Nyquist frequency; the folded part adds to
+    # it.
+    f = np.linspace(0.5, 0.775, 2001)
+    blur = [
+        share * np.exp(-2 * np.pi**2 * (width / 0.775 * f) ** 2)
+        for share, width in ((0.75, 0.5), (0.25, 0.6))
+    ]
+    above = np.trapezoid(sum(blur) * np.abs(np.sinc(2 * f)) / (np.pi * f), f)
+    found = alias_error(bank(sigma_um=(0.5,) * 3, coma_um=0.0), 2, camera, 0.8)
+    assert above < found < 5 * above
+    # Without the low-pass of the scene all that the band's end lets through folds back.
+    assert alias_error(bank(sigma_um=(0.5,) * 3, coma_um=0.0), 2, camera, 0.0) > 3 * found
+
+
+def test_what_the_coarse_grid_loses_falls_with_the_cut():
+    weights = np.ones((1, 1, 3))
+    images, _ = field_images(HALO, weights, 1e9)
+    lost = [cut_error(images, 0.5, 3.1, monochrome(), cut) for cut in CUTS_UM[:4]]
+    assert lost == sorted(lost, reverse=True) and lost[0] > 1e-6
+    finer = cut_error(images, 0.5, 1.55, monochrome(), CUTS_UM[0])
+    assert finer < lost[0]
+    assert cut_error(3 * images, 0.5, 3.1, monochrome(), 6.0) == pytest.approx(lost[0])
+    small = np.zeros((1, 1, 1, 128, 128))
+    small[..., 64, 64] = 1.0
+    assert cut_error(small, 0.5, 3.1, monochrome(), 6.0) == 0
+
+
+def first_kernels(lens):
+    images, radius_um = field_images(lens, np.ones((1, 1, 3)), 1e9)
+    return field_kernels(images, radius_um, 0.5, 0.775, np.ones(images.shape[-2:]))
+
+
+def test_nodes_err_by_the_square_of_their_spacing():
+    half_um = (99.2, 74.4)
+    # The kernels of a field that never changes are alike at all nodes, but for splines in f32.
+    still = bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0))
+    assert node_error(first_kernels(still), 0.775, half_um, 20.0) < 1e-4
+    kernels = first_kernels(bank(coma_um=3.0, fields=24))
+    wide, close = (node_error(kernels, 0.775, half_um, spacing) for spacing in (24.0, 12.0))
+    assert wide > 10 * 1e-4
+    assert wide / close == pytest.approx(4, rel=0.3)  # kinks at the fields, 7 um apart, disturb it
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 9e-6, 0.11, -1e-3, float("nan")])
+def test_a_tolerance_out_of_range_is_refused(tolerance: float):
+    with pytest.raises(UserError, match="tolerance") as caught:
+        Accuracy(tolerance)
+    assert caught.value.field == "tolerance" and "1e-5" in caught.value.allowed
+
+
+def test_the_ends_of_the_range_are_in_it():
+    assert Accuracy(1e-5, 0).probes == 0 and Accuracy(0.1).tolerance == 0.1
+    assert Accuracy() == Accuracy(1e-3, 64)
+
+
+def test_fewer_probes_than_none_are_refused():
+    with pytest.raises(UserError, match="probes") as caught:
+        Accuracy(1e-3, -1)
+    assert caught.value.field == "certify"
+
+
+@pytest.mark.parametrize("pattern", [["RGB"], ["R", "G", "B"], ["RG", "GB", "RG"], ["RGB"] * 3])
+def test_patterns_that_do_not_halve_are_refused(pattern: list[str]):
+    camera = sensor(cfa=ColourFilterArray(pattern=[list(row) for row in pattern]))
+    with pytest.raises(UserError, match="1, 2 or 4") as caught:
+        plan_optics(LENS, camera, COLOURED, Accuracy(1e-2))
+    assert caught.value.field == "cfa.pattern"
+    assert caught.value.value == f"{len(pattern)} x {len(pattern[0])}"
+
+
+def test_a_lens_that_changes_too_fast_is_refused():
+    wild = bank(coma_um=8.0, fields=12)
+    with pytest.raises(UserError, match="do not fit") as caught:
+        plan_optics(wild, sensor(), COLOURED, Accuracy(2e-5))
+    assert caught.value.field == "tolerance" and f"{KERNEL_BYTES >> 20} MiB" in caught.value.allowed
+
+
+def test_a_psf_wider_than_the_longest_transform_is_refused(monkeypatch):
+    monkeypatch.setattr(plan_module, "TRANSFORMS", (56,))
+    with pytest.raises(UserError, match="too wide") as caught:
+        plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    assert "sim samples wide" in caught.value.value and "24 samples" in caught.value.allowed
