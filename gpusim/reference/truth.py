@@ -55,6 +55,16 @@ class Truth:
         self.radius_um = np.asarray(bank.real_height_um[:, self.reference], np.float64)
         self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.weights = self._weights(spectra, wavelengths_nm)
+        # Spectra that are multiples of one share its kernels: that spectrum, and the factor.
+        self.alike: list[tuple[int, float]] = []
+        for number, spectrum in enumerate(spectra):
+            for other in range(number):
+                factor = spectrum.max() / spectra[other].max() if spectra[other].any() else 0.0
+                if np.allclose(spectrum, factor * spectra[other], rtol=1e-12, atol=0):
+                    self.alike.append((other, factor))
+                    break
+            else:
+                self.alike.append((number, 1.0))
         self.splines: np.ndarray | None = None
         self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
@@ -178,7 +188,10 @@ class Truth:
         out = np.empty(len(pixels))
         for number, (row, col) in enumerate(pixels):
             source = self._position(row, col) - t
-            shares = self._chart_shares(chart, source)
+            shares: dict[int, np.ndarray] = {}
+            for material, share in self._chart_shares(chart, source).items():
+                spectrum, factor = self.alike[material]
+                shares[spectrum] = shares.get(spectrum, 0.0) + factor * share
             channel = self._channel(row, col)
             out[number] = sum(
                 np.sum(self._spread(channel, spectrum, t, source) * areas * share)
