@@ -67,9 +67,9 @@ def test_half_of_the_probes_lie_on_the_steepest_edges():
 def test_the_filter_pattern_is_no_edge():
     """Sites of different sensitivity, and one faint step between pixels of one colour."""
     rate = np.tile([[1.0, 5.0], [5.0, 20.0]], (20, 20))
-    rate[11, 17] += 1.0
+    rate[10, 16] += 0.3
     probe = choose_probes(rate, 2, 2)[1]
-    assert tuple(probe) in {(11, 17), (13, 17), (11, 19)}
+    assert tuple(probe) in {(10, 16), (12, 16), (10, 18)}
 
 
 def test_two_renders_are_probed_alike():

@@ -109,12 +109,14 @@ class Truth:
     def _kernel(self, channel: int, spectrum: int, field: int) -> np.ndarray:
         """Return spline coefficients of H at one bank field, in the meridional frame."""
         key = (channel, spectrum, field)
-        if key not in self.kernels:
-            if len(self.kernels) == KEPT_KERNELS:
-                del self.kernels[next(iter(self.kernels))]
+        kernel = self.kernels.get(key)
+        if kernel is None:
+            # Probes run in threads: another may make room, or this very kernel, at the same time.
+            while len(self.kernels) >= KEPT_KERNELS:
+                self.kernels.pop(list(self.kernels)[0], None)  # noqa: RUF015 (iterators see changes)
             density = np.tensordot(self.weights[channel, spectrum], self._shifted(field), axes=1)
-            self.kernels[key] = spline_filter(density, order=3)
-        return self.kernels[key]
+            kernel = self.kernels[key] = spline_filter(density, order=3)
+        return kernel
 
     def _spread(self, channel: int, spectrum: int, t: np.ndarray, source: np.ndarray) -> np.ndarray:
         """Return H (P,) at distances t (P, 2) from source points (P, 2), per um^2."""

@@ -1,13 +1,15 @@
 """The truth model against closed forms: a lens of Gaussians, straight edges, one spectrum."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import FLAT, bank, monochrome, sensor
+from optics.made import FLAT, RED, bank, monochrome, sensor
 from scipy.special import ndtr
 
+from gpusim.reference import truth as truth_module
 from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.raster import PlacedRaster
@@ -240,3 +242,18 @@ def test_a_raster_is_its_spline():
     alone = truth(lens, camera, both).raster(noise, pixels)
     assert_close(mixed, found + 0.5 * alone, rtol=1e-6)  # linear, each plane with its own spectrum
     assert np.abs(alone / even_rate(lens) - 0.5).min() > 0.005
+
+
+def test_probes_in_threads_share_few_kernels(monkeypatch):
+    """More kernels than are kept, made and dropped by threads at the same time."""
+    monkeypatch.setattr(truth_module, "KEPT_KERNELS", 2)
+    lens, camera = bank(size=32), sensor()
+    spectra = np.stack([FLAT, RED])
+    some = chart(Rect(3.0, 5.0, 60.0, 40.0, 0.2, 1))
+    pixels = np.array([[row, col] for row in (20, 41, 63) for col in (11, 60, 64, 111)])
+    alone = truth(lens, camera, spectra).chart(some, pixels)
+    shared = truth(lens, camera, spectra)
+    with ThreadPoolExecutor(4) as pool:
+        found = [pool.submit(shared.chart, some, pixel[None]) for pixel in pixels]
+    assert_close(np.concatenate([one.result() for one in found]), alone, atol=0)
+    assert len(shared.kernels) <= 2 + 3  # one more for each other thread
