@@ -18,8 +18,8 @@ from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, kernel_spectra, node_kernels, sampled_kernels
 
-WORKGROUP_SAMPLES = 2048  # complex samples in 16 KiB, the portable limit of workgroup memory
-FIRST_RADIX = {256: 4, 512: 8, 1024: 2}  # T = FIRST_RADIX 8^k
+# Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
+FIRST_RADIX = {32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,9 @@ class Scratch:
             f"planes {name}", (planes, grid.block[1], grid.block[0]), np.float32
         )
         self.spectra = rec.buffer(f"spectra {name}", (planes, grid.block[1], length, 2), np.float32)
+        pairs = -(-grid.sites // 2)
         self.folded = rec.buffer(
-            f"folded {name}", (grid.sites, length // 2 + 1, grid.window, 2), np.float32
+            f"folded {name}", (pairs, grid.window // 2 + 1, grid.window, 2, 2), np.float32
         )
 
 
@@ -89,7 +90,7 @@ class Convolve:
         outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
         line = {"T": grid.length, "LANES": grid.length // 8}
         radix = FIRST_RADIX[grid.length]
-        lines = min(grid.sites, WORKGROUP_SAMPLES // (2 * grid.window))
+        lattice = {"D": grid.stride, "M": grid.window, "SITE_RADIX": FIRST_RADIX[grid.window]}
         self.rows = Kernel(
             "optics/rows", **line, FIRST_RADIX=radix, BX=grid.block[0], BY=grid.block[1]
         )
@@ -99,16 +100,12 @@ class Convolve:
             FIRST_RADIX=radix,
             BY=grid.block[1],
             C=len(outputs),
-            D=grid.stride,
-            M=grid.window,
+            **lattice,
             PERIOD=grid.period,
             STEP=step,
-            LINES=lines,
-            SCRATCH=max(grid.length, 2 * lines * grid.window),
+            PAIRS=-(-grid.sites // 2),
         )
-        self.lattice = Kernel(
-            "optics/lattice", **line, M=grid.window, S=grid.sites, SCRATCH=2 * grid.window
-        )
+        self.lattice = Kernel("optics/lattice", **line, **lattice, S=grid.sites)
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
         self.nodes = {}
@@ -220,7 +217,7 @@ class Convolve:
         (first_x, step_x), (first_y, step_y) = grid.node_weights(block)
         self.rows.record(
             rec,
-            groups=(grid.block[1], needed, 1),
+            groups=(-(-grid.block[1] // 2), needed, 1),
             params={"first_s": first_x, "step_s": step_x},
             twiddle=self.twiddle,
             planes=scratch.planes,
@@ -229,7 +226,7 @@ class Convolve:
         x, y = grid.cell_of(block)
         self.columns.record(
             rec,
-            groups=(grid.length // 2 + 1, 1, 1),
+            groups=(grid.window // 2 + 1, 1, 1),
             params={
                 "first_s": first_y,
                 "step_s": step_y,
@@ -248,7 +245,7 @@ class Convolve:
         origin = grid.window_origin(block)
         self.lattice.record(
             rec,
-            groups=(grid.window, -(-grid.sites // 2), 1),
+            groups=(grid.window // grid.stride, -(-grid.sites // 4), 1),
             params={"origin": (origin[0] - col0, origin[1] - row0), "size": (cols, rows)},
             twiddle=self.twiddle,
             folded=scratch.folded,

@@ -23,6 +23,7 @@ PRIMITIVE = np.dtype(
 # cycles/sample is exp(-2 pi^2 0.8^2 (0.75^2 - 0.25^2)) = 0.2 % of what it disturbs, and the inverse
 # in the kernels stays below 24.
 SIGMA = 0.8
+TILE = 16  # side of the tiles of shaders/optics/paint, samples
 REACH = 8.0  # sim samples beyond which the Gaussian edge of a primitive (6 sigma) is zero, and more
 
 
@@ -80,6 +81,75 @@ def primitives_by_block(
     return seen, needed
 
 
+def tiles_by_block(
+    chart: Chart,
+    seen: dict[tuple[int, int], np.ndarray],
+    needed: dict[tuple[int, int], int],
+    scale: Scale,
+    chief_ray: ChiefRayMap,
+) -> tuple[np.ndarray, np.ndarray, dict[tuple[int, int], tuple[int, int, int]]]:
+    """List the primitives that have an edge in each tile of each block.
+
+    The last primitive that covers a whole tile is the tile's ground.
+
+    Parameters
+    ----------
+    chart : Chart
+        Placed, in um on the ideal plane.
+    seen, needed : dict
+        As `primitives_by_block` returns them.
+    scale : Scale
+    chief_ray : ChiefRayMap
+
+    Returns
+    -------
+    tiles : ndarray (T, 4), uint32
+        As shaders/optics/paint reads them. Of each block those without edges come first.
+    chosen : ndarray, uint32
+        Indices of primitives to which the tiles refer.
+    ranges : dict of (int, int, int)
+        By block: its first tile, its tiles without edges, its tiles with edges.
+    """
+    grid = scale.grid
+    g = np.polynomial.Polynomial(chief_ray.coefficients)
+    rho2 = np.linspace(0, 1, 257)
+    # Largest stretch of the map: along the radius, or across it.
+    stretch = np.maximum(np.abs(g(rho2)), np.abs(g(rho2) + 2 * rho2 * g.deriv()(rho2))).max()
+    # From a tile's middle to its corners, and the Gaussian's reach: Phi(-6) = 1e-9.
+    reach_um = (TILE / np.sqrt(2) + 6 * scale.sigma) * scale.pitch_um
+    margin_um = 1.01 * stretch * reach_um  # 1.01: f32, and the map's curvature within a tile
+    across, down = (np.arange(0, side, TILE) for side in grid.block)
+    corners = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
+    tiles: list[tuple[int, int, int, int]] = []
+    chosen: list[int] = []
+    ranges = {}
+    for block, numbers in seen.items():
+        corner = np.array(grid.block_origin(block)) - grid.centre
+        middle_um = (corner + corners + TILE / 2) * scale.pitch_um
+        radius_um = np.hypot(*middle_um.T)
+        bright = np.minimum((radius_um / chief_ray.radius_um) ** 2, 1.0)
+        u, v = (middle_um * g(bright)[:, None]).T
+        distance_um = np.reshape(
+            [chart.primitives[n].distance(u, v) for n in numbers], (len(numbers), len(corners))
+        )
+        rim = radius_um > chief_ray.radius_um - reach_um
+        with_edges = []
+        first = len(tiles)
+        for place, (x, y) in enumerate(corners):
+            ground, near = chart.background, []
+            for n, distance in zip(numbers, distance_um[:, place], strict=True):
+                if distance < -margin_um:  # so do those around it, which come before
+                    ground = chart.primitives[n].material
+                elif distance < margin_um:
+                    near.append(n)
+            tile = (x + 65536 * y, len(chosen), len(near), ground + 65536 * needed[block])
+            chosen += near
+            (with_edges if near or rim[place] else tiles).append(tile)
+        ranges[block] = (first, len(tiles) - first, len(with_edges))
+        tiles += with_edges
+    return np.array(tiles, np.uint32), np.array([*chosen, 0], np.uint32), ranges
+
+
 class Paint:
     """A chart on the device.
 
@@ -109,7 +179,6 @@ class Paint:
     ) -> None:
         self.grid, self.pitch_um, self.sigma = scale.grid, scale.pitch_um, scale.sigma
         self.chief_ray = chief_ray
-        self.background = chart.background
         table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
         for row, shape in zip(table, chart.primitives, strict=False):
             disc = isinstance(shape, Disc)
@@ -125,42 +194,39 @@ class Paint:
         seen, self.needed = primitives_by_block(
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )
-        starts = np.cumsum([0, *map(len, seen.values())])
-        self.ranges = {
-            block: (int(start), len(picked))
-            for (block, picked), start in zip(seen.items(), starts[:-1], strict=True)
-        }
-        chosen = np.concatenate([*seen.values(), [0]]).astype(np.uint32)
+        tiles, chosen, self.ranges = tiles_by_block(chart, seen, self.needed, scale, chief_ray)
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
         self.materials = device.resident("paint materials", materials)
         self.chosen = device.resident("paint chosen", chosen)
-        self.kernel = Kernel(
-            "optics/paint", BX=self.grid.block[0], BY=self.grid.block[1], J=coefficients.shape[1]
-        )
+        self.tiles = device.resident("paint tiles", tiles)
+        size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
+        self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.primitives, self.materials, self.chosen):
+        for resident in (self.primitives, self.materials, self.chosen, self.tiles):
             resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
         """Paint one block of the sim grid into `planes` (J, BY, BX)."""
         grid = self.grid
-        first, count = self.ranges[block]
+        first, plain, with_edges = self.ranges[block]
         corner = np.array(grid.block_origin(block)) + 0.5
-        self.kernel.record(
-            rec,
-            groups=(-(-grid.block[0] // 16), -(-grid.block[1] // 16), 1),
-            params={
-                **self.chief_ray.params(self.pitch_um),
-                "origin": corner - grid.centre,
-                "sigma": self.sigma,
-                "first": first,
-                "count": count,
-                "background": self.background,
-            },
-            primitives=self.primitives,
-            chosen=self.chosen,
-            materials=self.materials,
-            planes=planes,
-        )
+        for kernel, start, count in zip(
+            self.kernels, (first, first + plain), (plain, with_edges), strict=True
+        ):
+            kernel.record(
+                rec,
+                groups=(count, 1, 1),
+                params={
+                    **self.chief_ray.params(self.pitch_um),
+                    "origin": corner - grid.centre,
+                    "sigma": self.sigma,
+                    "first": start,
+                },
+                primitives=self.primitives,
+                chosen=self.chosen,
+                materials=self.materials,
+                tiles=self.tiles,
+                planes=planes,
+            )

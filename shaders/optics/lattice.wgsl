@@ -1,21 +1,19 @@
 // Last step of the space-variant convolution: inverse transform in x at the photosites, and overlap-add
 // of the block's window into the planes of the CFA sites.
 //
-//   F_s[q] = sum over k = q (mod M) of X_s[k],  X_s[T-k] = conj X_s[k] because both planes are real
-//   rates[site, origin_y + m, origin_x + n] += sum_q F_s[q] exp(2 pi i q n / M)
-// Two sites share one complex transform: F_s + i F_s'.
-// folded (S, T/2+1, M) electrons/s -> rates (S, rows, cols) electrons/s.
-// Dispatch: (M, ceil(S/2), 1) workgroups of LANES invocations: one lattice row of two sites each.
+//   rates[site, origin_y + m, origin_x + n] += sum_q F_s[q] exp(2 pi i q n / M),  F_s[M-q] = conj F_s[q]
+// Two sites share one complex transform, F_s + i F_s', and two of those share the lanes.
+// folded (ceil(S/2), M/2+1, M, 2) electrons/s -> rates (S, rows, cols) electrons/s.
+// Dispatch: (M/D, ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
-#include "line_ifft"
+#include "line_fft"
 
 override T: u32 = 512u;           // transform length, samples
 override LANES: u32 = 64u;        // T/8
+override D: u32 = 4u;             // samples from a photosite to the next of the same site
 override M: u32 = 128u;           // T/D, photosites of one site across the window
+override SITE_RADIX: u32 = 2u;    // 2, 4 or 8: M = SITE_RADIX 8^k
 override S: u32 = 4u;             // sites of the CFA period
-override SCRATCH: u32 = 256u;     // 2 M
-
-const LINES = 1u;                 // lines that line_ifft inverts together
 
 struct Params {
     origin: vec2i,                // (x, y) of the window's first photosite in the planes
@@ -24,54 +22,62 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> twiddle: array<vec2f>;
-@group(0) @binding(2) var<storage, read> folded: array<vec2f>;
+@group(0) @binding(2) var<storage, read> folded: array<vec4f>;
 @group(0) @binding(3) var<storage, read_write> rates: array<f32>;
 
-var<workgroup> sh_line: array<vec2f, SCRATCH>;
+var<workgroup> sh_line: array<vec4f, T>;
 
-fn half_spectrum(site: u32, k: u32, m: u32) -> vec2f {
-    return folded[(site * (T / 2u + 1u) + k) * M + m];
+// conj(F_s + i F_s') of two sites at bin q: the inverse transform is the conjugate of the conjugate's forward one.
+fn bin(pair: u32, q: u32, m: u32) -> vec2f {
+    if (2u * pair >= S) {
+        return vec2f(0.0);
+    }
+    let mirrored = q > M / 2u;
+    let f = folded[(pair * (M / 2u + 1u) + select(q, M - q, mirrored)) * M + m];
+    let g = select(f, pair_conj(f), mirrored);
+    return vec2f(g.x - g.w, -g.y - g.z);
 }
 
-fn folded_bin(site: u32, q: u32, m: u32) -> vec2f {
-    var sum = vec2f(0.0);
-    for (var k = q; k < T; k += M) {
-        if (k <= T / 2u) {
-            sum += half_spectrum(site, k, m);
-        } else {
-            sum += conj(half_spectrum(site, T - k, m));
-        }
+fn bins(pair: u32, q: u32, m: u32) -> vec4f {
+    return vec4f(bin(pair, q, m), bin(pair + 1u, q, m));
+}
+
+fn add(site: u32, n: u32, y: i32, pair: vec4f) {
+    let x = params.origin.x + i32(n);
+    if (x < 0 || x >= params.size.x || y < 0 || y >= params.size.y) {
+        return;
     }
-    return sum;
+    let plane = params.size.x * params.size.y;
+    let i = (i32(site) * params.size.y + y) * params.size.x + x;
+    rates[i] += pair.x;
+    if (site + 1u < S) { rates[i + plane] -= pair.y; }
+    if (site + 2u < S) { rates[i + 2 * plane] += pair.z; }
+    if (site + 3u < S) { rates[i + 3 * plane] -= pair.w; }
 }
 
 @compute @workgroup_size(LANES, 1, 1)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t: u32) {
-    let m = group.x;
-    let site = 2u * group.y;
-    let paired = site + 1u < S;
-    for (var q = t; q < M; q += LANES) {
-        var bin = folded_bin(site, q, m);
-        if (paired) {
-            bin += times_i(folded_bin(site + 1u, q, m));
-        }
-        sh_line[q] = bin;
-    }
-    workgroupBarrier();
-    let here = line_ifft(t);
+    let slot = t % D;
+    let lane = t / D;
+    let m = group.x * D + slot;
+    let site = 4u * group.y;
+    let v = line_fft(Octet(
+        bins(2u * group.y, lane, m),
+        bins(2u * group.y, lane + M / 8u, m),
+        bins(2u * group.y, lane + 2u * M / 8u, m),
+        bins(2u * group.y, lane + 3u * M / 8u, m),
+        bins(2u * group.y, lane + 4u * M / 8u, m),
+        bins(2u * group.y, lane + 5u * M / 8u, m),
+        bins(2u * group.y, lane + 6u * M / 8u, m),
+        bins(2u * group.y, lane + 7u * M / 8u, m),
+    ), lane, slot * M, M, SITE_RADIX);
     let y = params.origin.y + i32(m);
-    if (y < 0 || y >= params.size.y) {
-        return;
-    }
-    for (var n = t; n < M; n += LANES) {
-        let x = params.origin.x + i32(n);
-        if (x >= 0 && x < params.size.x) {
-            let value = sh_line[here + n];
-            let i = (i32(site) * params.size.y + y) * params.size.x + x;
-            rates[i] += value.x;
-            if (paired) {
-                rates[i + params.size.x * params.size.y] += value.y;
-            }
-        }
-    }
+    add(site, lane, y, v.v0);
+    add(site, lane + M / 8u, y, v.v1);
+    add(site, lane + 2u * M / 8u, y, v.v2);
+    add(site, lane + 3u * M / 8u, y, v.v3);
+    add(site, lane + 4u * M / 8u, y, v.v4);
+    add(site, lane + 5u * M / 8u, y, v.v5);
+    add(site, lane + 6u * M / 8u, y, v.v6);
+    add(site, lane + 7u * M / 8u, y, v.v7);
 }

@@ -9,18 +9,18 @@
 // Beyond the image circle the plane is black, its rim low-passed likewise.
 // The kernels of the convolution divide the Gaussian out again: it only keeps the samples free of aliases.
 // Units: samples from the optical axis; coefficients in radiance units of the basis.
-// Output planes (J, BY, BX). Dispatch: ceil(BX/16) x ceil(BY/16) workgroups of 16 x 16, one sample each.
+// The block is painted in tiles of 16 x 16 samples, of each of which the host has listed the primitives with an edge in it.
+// Output planes (J, BY, BX). Dispatch: one workgroup of 16 x 4 a tile, four samples an invocation, which
+// share the loads of the primitives; tiles with edges and tiles without apart.
 #include "normal"
 #include "distortion"
 
-override BX: u32 = 336u;  // block width, samples
-override BY: u32 = 336u;  // block height, samples
-override J: u32 = 3u;     // coefficient planes, 1 to 8
+override BX: u32 = 336u;       // block width, samples
+override BY: u32 = 336u;       // block height, samples
+override J: u32 = 3u;          // coefficient planes, 1 to 8
+override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
 
-const DISC = 1u;          // kind of primitive; 0 is a rectangle
-const REACH = 6.0;        // standard deviations; Phi(-6) = 1e-9
-const TILE = 16.0;        // side of a workgroup's tile, samples
-const LISTED = 64u;       // primitives listed at a time: a tile of 8 pixels sees fewer of a legible chart
+const DISC = 1u;               // kind of primitive; 0 is a rectangle
 
 struct Params {
     g_low: vec4f,             // chief-ray map, see common/distortion
@@ -28,9 +28,7 @@ struct Params {
     origin: vec2f,            // sample (0, 0) of the block
     inverse_radius2: f32,
     sigma: f32,
-    first: u32,               // the block's primitives in `chosen`
-    count: u32,
-    background: u32,          // material
+    first: u32,               // of the dispatch's tiles
 }
 
 struct Primitive {
@@ -41,16 +39,19 @@ struct Primitive {
     material: u32,
 }
 
+struct Tile {
+    corner: u32,              // x + 65536 y of its first sample in the block
+    first: u32,               // its primitives in `chosen`
+    count: u32,
+    ground: u32,              // material under them + 65536 times the planes that the block needs
+}
+
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> primitives: array<Primitive>;
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
 @group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two per material: up to 8 coefficients
-@group(0) @binding(4) var<storage, read_write> planes: array<f32>;
-
-var<workgroup> sh_list: array<u32, LISTED>;
-var<workgroup> sh_count: u32;
-var<workgroup> sh_next: u32;
-var<workgroup> sh_background: u32;
+@group(0) @binding(4) var<storage, read> tiles: array<Tile>;
+@group(0) @binding(5) var<storage, read_write> planes: array<f32>;
 
 // sigma along the unit vector e of the ideal plane: sigma |M^T e|
 fn width_along(e: vec2f, x: vec2f, p: IdealPoint) -> f32 {
@@ -73,84 +74,75 @@ fn coverage(shape: Primitive, x: vec2f, p: IdealPoint) -> f32 {
         * slab(dot(d, across), shape.half_size.y, width_along(across, x, p));
 }
 
-// Distance from a primitive's outline: exact or too small outside, exact or too large in amount inside (negative).
-fn outline_distance(shape: Primitive, u: vec2f) -> f32 {
-    let d = u - shape.centre;
-    if (shape.kind == DISC) {
-        return length(d) - shape.half_size.x;
-    }
-    let across = vec2f(-shape.axis.y, shape.axis.x);
-    return max(abs(dot(d, shape.axis)) - shape.half_size.x, abs(dot(d, across)) - shape.half_size.y);
+struct Sample {
+    at: vec2u,
+    x: vec2f,
+    ideal: IdealPoint,
+    low: vec4f,
+    high: vec4f,
 }
 
-// One invocation lists the primitives whose edge the workgroup's tile sees, from `first` on, and returns where it stopped.
-// In the first list, one that covers the whole tile becomes its background and empties the list.
-fn list_primitives(first: u32, centre: IdealPoint) -> u32 {
-    // From the tile's centre to its corners, and the Gaussian's reach: the map stretches less than twofold.
-    let margin = 2.0 * (0.5 * length(vec2f(TILE)) + REACH * params.sigma);
-    var i = first;
-    sh_count = 0u;
-    while (i < params.first + params.count && sh_count < LISTED) {
-        let distance = outline_distance(primitives[chosen[i]], centre.u);
-        if (distance < -margin && first == params.first) {
-            sh_background = primitives[chosen[i]].material;
-            sh_count = 0u;
-        } else if (distance < margin) {
-            sh_list[sh_count] = chosen[i];
-            sh_count++;
-        }
-        i++;
-    }
-    return i;
+fn begin(at: vec2u, low: vec4f, high: vec4f) -> Sample {
+    let x = params.origin + vec2f(at);
+    let ideal = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
+    return Sample(at, x, ideal, low, high);
 }
 
-@compute @workgroup_size(16, 16, 1)
-fn main(
-    @builtin(global_invocation_id) id: vec3u,
-    @builtin(workgroup_id) group: vec3u,
-    @builtin(local_invocation_index) lane: u32,
-) {
-    let x = params.origin + vec2f(id.xy);
-    let p = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
-    let middle = params.origin + TILE * (vec2f(group.xy) + 0.5) - 0.5;
-    let centre = ideal_point(middle, params.inverse_radius2, params.g_low, params.g_high);
-    if (lane == 0u) {
-        sh_background = params.background;
-        sh_next = list_primitives(params.first, centre);
-    }
-    workgroupBarrier();
-    var low = materials[2u * sh_background];
-    var high = materials[2u * sh_background + 1u];
-    for (;;) {
-        for (var i = 0u; i < sh_count; i++) {
-            let shape = primitives[sh_list[i]];
-            let w = coverage(shape, x, p);
-            low += w * (materials[2u * shape.material] - low);
-            high += w * (materials[2u * shape.material + 1u] - high);
-        }
-        if (workgroupUniformLoad(&sh_next) >= params.first + params.count) {
-            break;
-        }
-        if (lane == 0u) {
-            sh_next = list_primitives(sh_next, centre);
-        }
-        workgroupBarrier();
-    }
-    if (id.x >= BX || id.y >= BY) {
+fn painted(s: Sample, shape: Primitive, low: vec4f, high: vec4f) -> Sample {
+    let w = coverage(shape, s.x, s.ideal);
+    return Sample(s.at, s.x, s.ideal, s.low + w * (low - s.low), s.high + w * (high - s.high));
+}
+
+// Beyond the image circle, rho2 = 1, no light arrives.
+fn lit(s: Sample) -> Sample {
+    let rim = inverseSqrt(params.inverse_radius2) - length(s.x);
+    let share = normal_cdf(rim / params.sigma);
+    return Sample(s.at, s.x, s.ideal, share * s.low, share * s.high);
+}
+
+// `needed` comes with the tile: of a branch on params alone, lavapipe compiles a new shader for each dispatch (4 ms).
+fn keep(s: Sample, needed: u32) {
+    if (s.at.x >= BX || s.at.y >= BY) {
         return;
     }
-    // Beyond the image circle, rho2 = 1, no light arrives.
-    let rim = inverseSqrt(params.inverse_radius2) - length(x);
-    let lit = normal_cdf(rim / params.sigma);
-    low *= lit;
-    high *= lit;
-    let at = id.y * BX + id.x;
-    planes[at] = low.x;
-    if (J > 1u) { planes[at + BX * BY] = low.y; }
-    if (J > 2u) { planes[at + 2u * BX * BY] = low.z; }
-    if (J > 3u) { planes[at + 3u * BX * BY] = low.w; }
-    if (J > 4u) { planes[at + 4u * BX * BY] = high.x; }
-    if (J > 5u) { planes[at + 5u * BX * BY] = high.y; }
-    if (J > 6u) { planes[at + 6u * BX * BY] = high.z; }
-    if (J > 7u) { planes[at + 7u * BX * BY] = high.w; }
+    let d = s.at.y * BX + s.at.x;
+    planes[d] = s.low.x;
+    if (J > 1u && needed > 1u) { planes[d + BX * BY] = s.low.y; }
+    if (J > 2u && needed > 2u) { planes[d + 2u * BX * BY] = s.low.z; }
+    if (J > 3u && needed > 3u) { planes[d + 3u * BX * BY] = s.low.w; }
+    if (J > 4u && needed > 4u) { planes[d + 4u * BX * BY] = s.high.x; }
+    if (J > 5u && needed > 5u) { planes[d + 5u * BX * BY] = s.high.y; }
+    if (J > 6u && needed > 6u) { planes[d + 6u * BX * BY] = s.high.z; }
+    if (J > 7u && needed > 7u) { planes[d + 7u * BX * BY] = s.high.w; }
+}
+
+@compute @workgroup_size(16, 4, 1)
+fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local: vec3u) {
+    let tile = tiles[params.first + group.x];
+    let at = vec2u(tile.corner % 65536u, tile.corner / 65536u) + local.xy;
+    let ground = 2u * (tile.ground % 65536u);
+    let needed = tile.ground / 65536u;
+    var a = begin(at, materials[ground], materials[ground + 1u]);
+    var b = begin(at + vec2u(0u, 4u), a.low, a.high);
+    var c = begin(at + vec2u(0u, 8u), a.low, a.high);
+    var d = begin(at + vec2u(0u, 12u), a.low, a.high);
+    if (EDGES) {
+        for (var i = 0u; i < tile.count; i++) {
+            let shape = primitives[chosen[tile.first + i]];
+            let low = materials[2u * shape.material];
+            let high = materials[2u * shape.material + 1u];
+            a = painted(a, shape, low, high);
+            b = painted(b, shape, low, high);
+            c = painted(c, shape, low, high);
+            d = painted(d, shape, low, high);
+        }
+        a = lit(a);
+        b = lit(b);
+        c = lit(c);
+        d = lit(d);
+    }
+    keep(a, needed);
+    keep(b, needed);
+    keep(c, needed);
+    keep(d, needed);
 }

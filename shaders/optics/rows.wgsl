@@ -4,7 +4,7 @@
 // between the left and the right node (0..1), the real rows a_j (1 - s) and a_j s share one complex transform:
 //   spectra[j, y, k] = sum_x a_j[y, x] ((1 - s(x)) + i s(x)) exp(-2 pi i k x / T),   s(x) = first_s + x step_s
 // planes (J, BY, BX) in the planes' own unit -> spectra (J, BY, T), same unit.
-// Dispatch: (BY, planes that the block needs, 1) workgroups of LANES = T/8 invocations, one row each.
+// Dispatch: (ceil(BY/2), planes that the block needs, 1) workgroups of LANES = T/8 invocations, two rows each.
 #include "line_fft"
 
 override T: u32 = 512u;           // transform length, samples
@@ -23,34 +23,46 @@ struct Params {
 @group(0) @binding(2) var<storage, read> planes: array<f32>;
 @group(0) @binding(3) var<storage, read_write> spectra: array<vec2f>;
 
-var<workgroup> sh_line: array<vec2f, T>;
+var<workgroup> sh_line: array<vec4f, T>;
 
-fn weighted(row: u32, x: u32) -> vec2f {
-    let a = select(0.0, planes[row * BX + min(x, BX - 1u)], x < BX);
+// Of two rows: a (1 - s) and a s each.
+fn weighted(row: u32, next: u32, x: u32) -> vec4f {
+    if (x >= BX) {
+        return vec4f(0.0);
+    }
     let s = params.first_s + f32(x) * params.step_s;
-    return vec2f(a * (1.0 - s), a * s);
+    let a = planes[row * BX + x];
+    let b = planes[next * BX + x];
+    return vec4f(a * (1.0 - s), a * s, b * (1.0 - s), b * s);
+}
+
+fn keep(row: u32, next: u32, k: u32, pair: vec4f) {
+    spectra[row * T + k] = pair.xy;
+    if (next != row) {
+        spectra[next * T + k] = pair.zw;
+    }
 }
 
 @compute @workgroup_size(LANES, 1, 1)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t: u32) {
-    let row = group.y * BY + group.x;
+    let row = group.y * BY + 2u * group.x;
+    let next = select(row, row + 1u, 2u * group.x + 1u < BY);  // none after the last of an odd number
     let v = line_fft(Octet(
-        weighted(row, t),
-        weighted(row, t + LANES),
-        weighted(row, t + 2u * LANES),
-        weighted(row, t + 3u * LANES),
-        weighted(row, t + 4u * LANES),
-        weighted(row, t + 5u * LANES),
-        weighted(row, t + 6u * LANES),
-        weighted(row, t + 7u * LANES),
-    ), t);
-    let d = row * T + t;
-    spectra[d] = v.v0;
-    spectra[d + LANES] = v.v1;
-    spectra[d + 2u * LANES] = v.v2;
-    spectra[d + 3u * LANES] = v.v3;
-    spectra[d + 4u * LANES] = v.v4;
-    spectra[d + 5u * LANES] = v.v5;
-    spectra[d + 6u * LANES] = v.v6;
-    spectra[d + 7u * LANES] = v.v7;
+        weighted(row, next, t),
+        weighted(row, next, t + LANES),
+        weighted(row, next, t + 2u * LANES),
+        weighted(row, next, t + 3u * LANES),
+        weighted(row, next, t + 4u * LANES),
+        weighted(row, next, t + 5u * LANES),
+        weighted(row, next, t + 6u * LANES),
+        weighted(row, next, t + 7u * LANES),
+    ), t, 0u, T, FIRST_RADIX);
+    keep(row, next, t, v.v0);
+    keep(row, next, t + LANES, v.v1);
+    keep(row, next, t + 2u * LANES, v.v2);
+    keep(row, next, t + 3u * LANES, v.v3);
+    keep(row, next, t + 4u * LANES, v.v4);
+    keep(row, next, t + 5u * LANES, v.v5);
+    keep(row, next, t + 6u * LANES, v.v6);
+    keep(row, next, t + 7u * LANES, v.v7);
 }

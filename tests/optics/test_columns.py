@@ -3,8 +3,8 @@
 Tolerance, as a norm along ky, where each step is a rotation (times sqrt T or sqrt M) and the
 roundings of its elements keep their share of its norm: 108 roundings of the forward transform (see
 test_line_fft) after 6 of sides and weights; the product with a kernel 3, the sum over planes and
-nodes 4 J; the shift to the site 4, folding 3; 6 log2 M of the inverse transform. In units of 2^-24
-of
+nodes 4 J; folding 3 and up to 7 products with a turn (4 each), the shift to the site 4, the sum
+over D columns D; 108 of the inverse transform. In units of 2^-24, and times D for the columns, of
 
     sqrt(T) max|H| sum over planes and nodes of sqrt(T) |A r|_2,
 
@@ -25,14 +25,21 @@ NODES = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
 
 
 def packed(kernels: np.ndarray) -> np.ndarray:
-    """Return [plane, kx, channel, ky] in the lanes' order: ky = (2 a + b) T/8 + lane."""
+    """Return [plane, kx, channel, ky] in the lanes' order: ky = (2 a + b) T/8 + 8 g + l."""
     planes, half, channels, length = kernels.shape
-    out = np.empty((planes, half, channels, 4, length // 8, 2), np.complex64)
-    for a in range(4):
-        for b in range(2):
-            first = (2 * a + b) * (length // 8)
-            out[:, :, :, a, :, b] = kernels[..., first : first + length // 8]
+    out = np.empty((planes, half, length // 64, channels, 4, 8, 2), np.complex64)
+    for g, a, b in np.ndindex(length // 64, 4, 2):
+        first = (2 * a + b) * (length // 8) + 8 * g
+        out[:, :, g, :, a, :, b] = kernels[..., first : first + 8]
     return out
+
+
+def folded_across(spectra: np.ndarray) -> np.ndarray:
+    """Return (S, M/2+1, M): the sums over kx = q (mod M) of half spectra (S, T/2+1, M)."""
+    _, half, window = spectra.shape
+    mirrored = spectra[:, half - 2 : 0 : -1].conj()  # the result is real
+    whole = np.concatenate([spectra, mirrored], axis=1)
+    return whole.reshape(len(whole), -1, window, window).sum(axis=1)[:, : window // 2 + 1]
 
 
 def case(device, length, stride, period, channels, height, planes, needed=None, first_s=0.1):
@@ -48,10 +55,11 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     kernels = [complex_noise(rng, planes, length // 2 + 1, outputs, length) for _ in range(4)]
     first_s, step_s = float(F32(first_s)), float(F32(0.85 / height))
     needed = planes if needed is None else needed
-    shape = (grid.sites, length // 2 + 1, grid.window)
+    pairs = -(-grid.sites // 2)
+    shape = (pairs, grid.window // 2 + 1, grid.window, 2)
     result = run_stage(
         kernel,
-        (length // 2 + 1, 1, 1),
+        (grid.window // 2 + 1, 1, 1),
         {
             "first_s": first_s,
             "step_s": step_s,
@@ -69,13 +77,14 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     ]
     largest = max(np.abs(one).max() for one in kernels)
     spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
-    expected = columns(spectra, kernels, first_s, step_s, sites, stride)
+    expected = folded_across(columns(spectra, kernels, first_s, step_s, sites, stride))
     s = first_s + step_s * np.arange(height)
     # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
     norm = sum(np.sqrt(length * np.sum(2 * weight**2)) for weight in (1 - s, 1 - s, s, s)) * needed
-    roundings = 6 + 108 + 3 + 4 * needed + 7 + 6 * np.log2(grid.window)
+    roundings = 6 + 108 + 3 + 4 * needed + 35 + stride + 108
     bound = roundings * ULP * np.sqrt(length) * largest * norm
-    return result[:-70].reshape(shape), expected, bound, made
+    found = np.moveaxis(result[:-70].reshape(shape), 3, 1).reshape(2 * pairs, *shape[1:3])
+    return found[: grid.sites], expected, bound * stride, made
 
 
 @pytest.mark.parametrize(

@@ -29,3 +29,19 @@ def test_the_conjugate():
 def test_i_times():
     exact = 1j * (A @ [1, 1j])
     assert_close(wgsl_eval("complex", "times_i(a)", of(A), returns="vec2f"), pairs(exact), atol=0)
+
+
+def together(z: np.ndarray, w: np.ndarray) -> np.ndarray:
+    return np.concatenate([pairs(z), pairs(w)], axis=1)
+
+
+def test_pairs():
+    z, w, b = A @ [1, 1j], A[::-1] @ [1, 1j], B @ [1, 1j]
+    given = {"p": ("vec4f", together(z, w)), "b": ("vec2f", B)}
+    for call, exact in {
+        "pair_mul(p, b)": (z * b, w * b),
+        "pair_conj(p)": (z.conj(), w.conj()),
+        "pair_times_i(p)": (1j * z, 1j * w),
+    }.items():
+        found = wgsl_eval("complex", call, given, returns="vec4f")
+        assert_close(found, together(*exact), atol=0)

@@ -185,13 +185,12 @@ def test_the_aperture_is_an_average_over_a_square_at_the_pixels_centre():
 
 
 def unpacked(spectra: np.ndarray, length: int) -> np.ndarray:
-    """Return [plane, kx, output, ky] from the lanes' order: ky = (2 a + b) T/8 + lane."""
-    planes, half, outputs = spectra.shape[:3]
+    """Return [plane, kx, output, ky] from the lanes' order: ky = (2 a + b) T/8 + 8 g + l."""
+    planes, half, groups, outputs = spectra.shape[:4]
     result = np.empty((planes, half, outputs, length), np.complex128)
-    for a in range(4):
-        for b in range(2):
-            first = (2 * a + b) * (length // 8)
-            result[..., first : first + length // 8] = spectra[:, :, :, a, :, b]
+    for g, a, b in np.ndindex(groups, 4, 2):
+        first = (2 * a + b) * (length // 8) + 8 * g
+        result[..., first : first + 8] = spectra[:, :, g, :, a, :, b]
     return result
 
 
@@ -207,7 +206,7 @@ def test_spectra_give_each_output_at_its_pixel():
             )
     outputs = [(1, 0.5, -0.25), (0, 2.0, 0.0), (1, 0.0, 1.5)]
     spectra = kernel_spectra(sampled, length, 2.2, 0.7, outputs)
-    assert spectra.shape == (2, 33, 3, 4, 8, 2) and spectra.dtype == np.complex64
+    assert spectra.shape == (2, 33, 1, 3, 4, 8, 2) and spectra.dtype == np.complex64
     full = unpacked(spectra, length)
     narrow = np.sqrt(np.array(blob) ** 2 - 0.7**2)
     for plane in range(2):

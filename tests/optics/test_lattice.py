@@ -1,7 +1,7 @@
 """Lattice: against the definitions, for windows over every border of the planes.
 
-Tolerance: a result is a sum over T frequencies of two sites that share a transform. T/M terms are
-folded (one rounding each), 6 log2 M follow in the transform, one where it is added: in units of
+Tolerance: a result is a sum over M frequencies of two sites that share a transform. They are added
+(one rounding), 108 follow in the transform (see test_line_fft), one where it is added: in units of
 2^-24 of the sum of all |parts|; and one of what is there already.
 """
 
@@ -22,21 +22,25 @@ def case(device: Device, length, stride, period, origin, size, seed=0):
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
     kernel = convolve_for(device, grid, [0] * period**2, 1).lattice
     rng = np.random.default_rng(seed)
-    folded = complex_noise(rng, grid.sites, length // 2 + 1, grid.window)
+    pairs = -(-grid.sites // 2)
+    folded = complex_noise(rng, grid.sites, grid.window // 2 + 1, grid.window)
     folded[:, [0, -1]] = folded[:, [0, -1]].real  # the planes are real
     rates = rng.uniform(0, 100, (grid.sites, *size)).astype(F32)
+    side_by_side = np.zeros((2 * pairs, *folded.shape[1:]), np.complex64)
+    side_by_side[: grid.sites] = folded
+    side_by_side = np.moveaxis(side_by_side.reshape(pairs, 2, *folded.shape[1:]), 1, 3)
     found = run_stage(
         kernel,
-        (grid.window, -(-grid.sites // 2), 1),
+        (grid.window // stride, -(-grid.sites // 4), 1),
         {"origin": origin, "size": size[::-1]},
-        {"twiddle": twiddles(length), "folded": folded, "rates": rates},
+        {"twiddle": twiddles(length), "folded": side_by_side.copy(), "rates": rates},
         {"rates": (rates.shape, F32)},
     )["rates"]
     # Of each lattice row and site: the inner frequencies count with their mirrors.
     amount = 2 * np.abs(folded.view(F32)).sum(axis=1, dtype=float)
     amount = amount.reshape(grid.sites, grid.window, 2).sum(axis=2)
     paired = np.add.reduceat(amount, range(0, grid.sites, 2))
-    roundings = length // grid.window + 6 * np.log2(grid.window) + 1
+    roundings = 1 + 108 + 1
     return found, lattice(folded, rates, origin), roundings * ULP * paired.max() + ULP * 100, rates
 
 
@@ -72,5 +76,5 @@ def test_the_defaults_are_of_one_grid(device: Device):
 
 
 def test_the_dispatch_is_as_the_header_says():
-    kernel = Kernel("optics/lattice", T=256, LANES=32, M=64, SCRATCH=128)
+    kernel = Kernel("optics/lattice", T=256, LANES=32, M=64)
     assert kernel.workgroup_size == (32, 1, 1)

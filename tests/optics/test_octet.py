@@ -1,4 +1,4 @@
-"""Transforms of four and eight numbers, against the sum that defines them.
+"""Transforms of four and eight pairs of numbers, against the sum that defines them.
 
 fft4 only adds: exact on integers. fft8, tolerance of a result: three additions of fft4 and after
 it, one more before the product with cos(pi/4), the product and the constant itself: 6 roundings of
@@ -23,35 +23,44 @@ def transformed(parts: np.ndarray) -> np.ndarray:
     return np.stack([result.real, result.imag], axis=2).reshape(parts.shape)
 
 
-def on_device(call: str, struct: str, parts: np.ndarray) -> np.ndarray:
-    names = "abcd"[: parts.shape[1] // 4]
+def on_device(call: str, struct: str, parts: np.ndarray) -> list[np.ndarray]:
+    """Return the transforms of the numbers, and of the numbers in the opposite order."""
+    n = parts.shape[1] // 2
     given = {
-        name: ("vec4f", parts[:, 4 * place : 4 * place + 4]) for place, name in enumerate(names)
+        name: ("vec4f", parts[:, 4 * place : 4 * place + 4])
+        for place, name in enumerate("abcd"[: n // 2])
     }
-    values = ", ".join(f"{name}.{half}" for name in names for half in ("xy", "zw"))
-    return np.concatenate(
-        [
-            wgsl_eval(
-                "octet",
-                f"vec4f(f.v{2 * place}, f.v{2 * place + 1})",
-                given,
-                returns="vec4f",
-                statements=f"let f = {call}({struct.format(values)});",
-            )
-            for place in range(len(names))
-        ],
-        axis=1,
-    )
+    numbers = [f"{name}.{half}" for name in given for half in ("xy", "zw")]
+    pairs = [f"vec4f({one}, {other})" for one, other in zip(numbers, numbers[::-1], strict=True)]
+    found = [
+        wgsl_eval(
+            "octet",
+            f"f.v{place}",
+            given,
+            returns="vec4f",
+            statements=f"let f = {call}({struct.format(', '.join(pairs))});",
+        )
+        for place in range(n)
+    ]
+    return [
+        np.concatenate([pair[:, half] for pair in found], axis=1) for half in (np.s_[:2], np.s_[2:])
+    ]
+
+
+def both(parts: np.ndarray) -> list[np.ndarray]:
+    opposite = parts.reshape(len(parts), -1, 2)[:, ::-1].reshape(parts.shape)
+    return [transformed(parts), transformed(opposite)]
 
 
 def test_four():
     parts = inputs(2000, 4)
-    exact = np.round(transformed(parts))  # whole numbers, up to the rounding of the roots of one
-    assert_close(on_device("fft4", "{}", parts), exact, atol=0)
+    for found, exact in zip(on_device("fft4", "{}", parts), both(parts), strict=True):
+        # Whole numbers, up to the rounding of the roots of one.
+        assert_close(found, np.round(exact), atol=0)
 
 
 def test_eight():
     parts = inputs(2000, 8)
     bound = 7 * ULP * np.abs(parts).sum(axis=1, keepdims=True)
-    found = on_device("fft8", "Octet({})", parts)
-    assert_close(found, transformed(parts), atol=np.broadcast_to(bound, parts.shape))
+    for found, exact in zip(on_device("fft8", "Octet({})", parts), both(parts), strict=True):
+        assert_close(found, exact, atol=np.broadcast_to(bound, parts.shape))

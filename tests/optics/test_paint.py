@@ -20,7 +20,7 @@ from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
-from gpusim.optics.paint import PRIMITIVE, SIGMA, Paint, primitives_by_block
+from gpusim.optics.paint import PRIMITIVE, SIGMA, Paint, primitives_by_block, tiles_by_block
 from gpusim.reference.paint import disc_coverage, paint
 from gpusim.scene.chart import Chart, Disc, Rect
 
@@ -46,7 +46,10 @@ def on_device(
     distortion: np.ndarray = IDENTITY,
     radius: float = 1e4,
 ) -> np.ndarray:
-    """Paint shapes in the order given; in the table they lie in another order, among others."""
+    """Paint shapes in the order given; in the table they lie in another order, among others.
+
+    Every tile has all shapes.
+    """
     rng = np.random.default_rng(len(shapes))
     place = rng.permutation(len(shapes) + 3)[: len(shapes)]
     rows = np.zeros(len(shapes) + 3, PRIMITIVE)
@@ -63,28 +66,33 @@ def on_device(
         )
     eight = np.full((len(table), 8), np.nan, F32)
     eight[:, : table.shape[1]] = table
+    planes = table.shape[1]
+    tiles = [
+        (x + 65536 * y, 5, len(shapes), background + 65536 * planes)
+        for y in range(0, shape[0], 16)
+        for x in range(0, shape[1], 16)
+    ]
     result = run_stage(
         "optics/paint",
-        (-(-shape[1] // 16), -(-shape[0] // 16), 1),
+        (len(tiles), 1, 1),
         {
             "g_low": distortion[:4],
             "g_high": distortion[4:],
             "origin": origin,
             "inverse_radius2": radius**-2,
             "sigma": sigma,
-            "first": 5,
-            "count": len(shapes),
-            "background": background,
+            "first": 2,
         },
         {
             "primitives": rows.view(np.uint32),
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
+            "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
         },
-        {"planes": (table.shape[1] * shape[0] * shape[1] + 400, F32)},
+        {"planes": (planes * shape[0] * shape[1] + 400, F32)},
         BX=shape[1],
         BY=shape[0],
-        J=table.shape[1],
+        J=planes,
     )["planes"]
     assert unwritten(result[-400:]).all()
     return result[:-400].reshape(-1, *shape)
@@ -206,67 +214,12 @@ def nested(count: int, largest: float, smallest: float) -> list[Rect]:
     return [Rect(7.3, 8.1, s, 0.9 * s, 0.35, 1 + k % 6) for k, s in enumerate(sizes)]
 
 
-@pytest.mark.parametrize("count", [63, 64, 65, 128, 129])
-def test_more_shapes_than_a_list_holds(count: int):
-    """All of them have edges in the tile; sixty-four are listed at a time."""
+def test_as_many_shapes_as_one_likes():
     table = materials(7, 2)
-    expected = reference(nested(count, 18, 1), table, (0.5, 0.5), (16, 16))
-    found = on_device(nested(count, 18, 1), table, (0.5, 0.5), (16, 16))
+    expected = reference(nested(129, 18, 1), table, (0.5, 0.5), (16, 16))
+    found = on_device(nested(129, 18, 1), table, (0.5, 0.5), (16, 16))
     # Edges 0.14 samples apart: 12 lie within the Gaussian.
     assert_close(found, expected, atol=12 * WEIGHT * np.ptp(table))
-
-
-def test_shapes_that_cover_a_tile_replace_what_is_under_it():
-    """In the first list and behind it, straight and round; around them shapes that they hide."""
-    table = materials(7, 2)
-    place = ((0.5, 0.5), (19, 30))
-    cover = [Rect(10, 12, 90, 80, 0.7, 4), Disc(5, 5, 95, 5), Rect(12, 9, 60, 55, -0.2, 6)]
-    inside = [Rect(9, 9, 4, 3, 0.3, 1), Rect(20, 9, 2, 3, 1.3, 2)]
-    check([*inside, *cover, *inside[::-1]], table, *place)
-    check([*inside, *cover], table, *place)
-    many = nested(80, 14, 1)
-    for covering in cover:
-        found = on_device([*many, covering, *inside], table, *place)
-        expected = reference([*many, covering, *inside], table, *place)
-        assert_close(found, expected, atol=(12 * WEIGHT + 1e-5) * np.ptp(table))
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.8, 2.0, -2.2])
-def test_edges_at_every_distance_from_a_tile_are_seen(angle: float):
-    """A straight edge wanders through a tile and away, where the map stretches 1.9-fold.
-
-    It is each of the four sides of a rectangle. Lists that end too soon lose it.
-    """
-    table = np.array([[0.2], [1.0]])
-    stretched = 1.9 * IDENTITY
-    outward = np.array([np.cos(angle), np.sin(angle)])
-    x = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1) + 0.5
-    for edge in np.arange(-42.0, 43, 4):
-        # Of the ideal plane; the tile's middle is at 1.9 (8, 8).
-        centre = 1.9 * 8 + (edge - 400) * outward
-        z = (edge - 1.9 * (x - 8) @ outward) / (1.9 * 2.0)
-        sides = [(400.0, 900.0, angle + turn) for turn in (0, np.pi)]
-        sides += [(900.0, 400.0, angle + turn) for turn in (-np.pi / 2, np.pi / 2)]
-        for side in sides:
-            rect = Rect(*centre, *side, 1)
-            place = ((0.5, 0.5), (16, 16))
-            found = on_device([rect], table, *place, sigma=2.0, distortion=stretched)[0]
-            # f32 of a centre 450 samples away: 3 * 2^-24 * 450 = 8e-5 samples, over 3.8 of sigma.
-            assert_close(found, 0.2 + 0.8 * ndtr(z), atol=0.8 * 2e-5)
-
-
-def test_the_corners_of_a_tile_are_seen_where_the_map_stretches_twofold():
-    """Sharp edges that cut off one corner's sample; they lie 11 samples from the tile's middle."""
-    table = np.array([[0.2], [1.0]])
-    place = ((0.5, 0.5), (16, 16))
-    for angle in np.pi / 4 + np.pi / 2 * np.arange(4):
-        # The corner's sample is at 1.99 x 7.5 sqrt 2 = 21.1, the next ones at 19.7.
-        centre = 1.99 * 8 + (20.6 + 300) * np.array([np.cos(angle), np.sin(angle)])
-        beyond = [Rect(*centre, 300.0, 900.0, angle, 1)]
-        found = on_device(beyond, table, *place, sigma=0.02, distortion=1.99 * IDENTITY)[0]
-        expected = np.full((16, 16), 0.2)
-        expected[15 if np.sin(angle) > 0 else 0, 15 if np.cos(angle) > 0 else 0] = 1.0
-        assert_close(found, expected, atol=1e-6)  # Phi at 12 sigma and more
 
 
 def test_tiles_far_from_the_first_know_where_they_are():
@@ -280,17 +233,6 @@ def test_tiles_far_from_the_first_know_where_they_are():
         expected = np.broadcast_to(0.2 + 0.8 * ndtr(z), (3, 1611))
         # f32 at 3000 samples: 4 * 2^-24 * 3000 = 7e-4, over 1.5 of sigma, with a density of 0.4.
         assert_close(found if shape[0] == 3 else found.T, expected, atol=2e-4)
-
-
-def test_what_covers_a_tile_by_its_size_alone_need_not_cover_it():
-    """A bar as long as it is thin; a disc whose square would hold the tile."""
-    table = materials(3, 2)
-    place = ((0.5, 0.5), (16, 16))
-    for angle in (0.0, 0.7, 1.9):
-        check([Rect(8, 8, 150, 3, angle, 1), Rect(8, 8, 2, 150, angle + 0.4, 2)], table, *place)
-    for angle in (0.8, 2.4, -0.8, -2.4):
-        away = 8 - 150 * np.array([np.cos(angle), np.sin(angle)])
-        check([Disc(*away, 150.0, 1)], table, *place)
 
 
 def test_the_term_of_the_curvature():
@@ -311,8 +253,10 @@ def test_the_defaults_are_of_the_default_grid(device: Device):
         device, scene().source.placed(50.0), np.ones((4, 3)), scale, chief_ray_map(bank())
     )
     stage.release()
-    assert Kernel("optics/paint").overrides == stage.kernel.overrides
-    assert stage.kernel.workgroup_size == (16, 16, 1)
+    plain, with_edges = stage.kernels
+    assert Kernel("optics/paint").overrides == with_edges.overrides
+    assert plain.overrides == with_edges.overrides | {"EDGES": False}
+    assert plain.workgroup_size == (16, 4, 1)
 
 
 LENS = bank(circle_um=100.0, distortion=-0.04)
@@ -409,3 +353,55 @@ def test_a_chart_without_shapes_needs_its_backgrounds_planes():
     coefficients = np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0], [1.0, 1.0]])
     seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray_map(LENS))
     assert set(needed.values()) == {1} and not any(len(numbers) for numbers in seen.values())
+
+
+def test_tiles_know_their_ground_and_their_edges():
+    """Painting only what is listed gives what painting all shapes gives, ground or not."""
+    chief_ray = chief_ray_map(LENS)
+    scale = Scale("test", GRID, PITCH_UM, SIGMA, NO_KERNELS)
+    bars = tuple(Rect(0.3 * k - 1, 0.1, 0.05, 0.6, 0.3, 1 + k % 3) for k in range(7))
+    inside = (Rect(0.0, 0.0, 1.2, 0.9, 0.02, 1), Disc(0.1, 0.1, 0.5, 2), Disc(0.15, 0.1, 0.4, 0))
+    coefficients = np.array([[1.0, 0.0], [0.3, 0.0], [0.5, 0.5], [0.2, -0.4]])
+    for primitives, fewest in ((shapes(), 1), (bars, 1), (inside, 2), ((), 1)):
+        chart = scene(primitives).source.placed(48 * 1.55 / 2)
+        seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray)
+        tiles, chosen, ranges = tiles_by_block(chart, seen, needed, scale, chief_ray)
+        assert sorted(ranges) == sorted(np.ndindex(GRID.blocks))
+        assert sum(plain + edges for _, plain, edges in ranges.values()) == len(tiles)
+        grounds = set()
+        for block, (first, plain, edges) in ranges.items():
+            for place, (corner, start, count, ground) in enumerate(tiles[first:][: plain + edges]):
+                at = np.array([corner % 65536, corner // 65536])
+                x, y = np.meshgrid(*(one + 0.5 + np.arange(16) for one in at))
+                x, y = (
+                    (one + start_ - centre) * PITCH_UM
+                    for one, start_, centre in zip(
+                        (x, y), GRID.block_origin(block), GRID.centre, strict=True
+                    )
+                )
+                radius = np.hypot(x, y)
+                assert ground // 65536 == needed[block]
+                if place < plain:
+                    assert count == 0
+                    assert radius.max() < chief_ray.radius_um - 6 * SIGMA * PITCH_UM
+                g = np.polynomial.Polynomial(chief_ray.coefficients)
+                factor = g(np.minimum(radius / chief_ray.radius_um, 1) ** 2)
+                listed = chosen[start : start + count]
+                # What is not listed has no edge within six sigma of any sample...
+                for number in set(range(len(primitives))) - set(listed):
+                    distance = chart.primitives[number].distance(x * factor, y * factor)
+                    assert np.abs(distance).min() > 5.9 * SIGMA * PITCH_UM or np.any(
+                        [
+                            chart.primitives[later].distance(x * factor, y * factor).max()
+                            < -5.9 * SIGMA * PITCH_UM
+                            for later in range(number + 1, len(primitives))
+                        ]
+                    )
+                assert list(listed) == sorted(listed)
+                # ... and where no shape is listed the material is the ground everywhere.
+                if not count:
+                    found = np.unique(chart.material_at(x * factor, y * factor))
+                    assert list(found) == [ground % 65536]
+                    grounds.add(int(found[0]))
+        # The control: shapes that cover tiles are there, and the background is.
+        assert len(grounds) >= fewest

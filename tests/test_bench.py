@@ -1,0 +1,104 @@
+"""tools/bench.py: its jobs on small frames, what it prints, and how it refuses."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from gpusim.gpu import Device
+
+TOOLS = Path(__file__).parent.parent / "tools"
+STAGES = ["paint", "warp", "rows", "columns", "lattice", "mosaic", "exposure", "noise", "adc"]
+SMALL = (128, 168)  # a fraction of a second for each stage
+# Largest difference from the reference over its largest value. Rounding to f32 is below 2e-6 in
+# transforms of 256 and in sums of that many; coordinates of a few hundred samples times a spline's
+# slope give 2e-5 more for warp, and paint's formula for discs errs by 0.1 (0.8/38.7)^2 = 5e-5.
+WORST = {"paint": 1e-4, "warp": 4e-5} | dict.fromkeys(STAGES[2:], 4e-6)
+
+
+@pytest.fixture(scope="module")
+def jobs() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("bench_jobs", TOOLS / "bench_jobs.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bench_jobs"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def own_device() -> Device:
+    """Return a device whose memory goes with this module: the jobs keep theirs to their end."""
+    return Device.open(os.environ.get("GPUSIM_ADAPTER"))
+
+
+def bench(*arguments: object) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, str(TOOLS / "bench.py"), *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_the_list_names_every_job_in_a_line_of_its_own():
+    done = bench("--list")
+    assert done.returncode == 0
+    lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
+    assert [name for name, _ in lines] == ["render-demo", *STAGES]
+    assert all(what for _, what in lines)
+
+
+def test_a_job_prints_one_line_of_json_and_appends_it_to_a_file(tmp_path: Path):
+    file = tmp_path / "figures.jsonl"
+    file.write_text("before\n")
+    done = bench("adc", "--json", "--megapixels", 0.05, "--out", file)
+    assert done.returncode == 0, done.stderr
+    assert file.read_text() == "before\n" + done.stdout
+    found = json.loads(done.stdout)
+    assert found["name"] == "adc"
+    assert 0 < found["best_s"] <= found["median_s"]
+    assert 0.045e6 < found["pixels"] <= 0.05e6
+    assert found["ratio"] == pytest.approx(found["best_s"] / found["peers"]["copy"])
+    assert found["bytes"] == 8 * found["pixels"]
+    assert found["bytes_per_s"] == pytest.approx(found["bytes"] / found["best_s"])
+    assert found["error"]["worst"] == 0.0
+    assert all(isinstance(found[name], str) for name in ("adapter", "driver"))
+    assert found["commit"] is None or isinstance(found["commit"], str)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_runs_and_is_compared_with_its_reference(
+    jobs: ModuleType, own_device: Device, stage: str
+):
+    job = jobs.JOBS[stage][1](own_device, SMALL)
+    job.run()
+    assert job.pixels == SMALL[0] * SMALL[1]
+    assert job.nbytes >= 4 * job.samples > 0
+    assert 0 <= job.error["worst"] <= WORST[stage]
+    for run, share in job.peers.values():
+        run()
+        assert share >= 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["columsn"], "columns"),
+        ([], "render-demo"),
+        (["adc", "--megapixels", "0"], "0.02 to 12.3"),
+    ],
+)
+def test_what_is_wrong_is_said_without_a_traceback(arguments: list[str], said: str):
+    done = bench(*arguments)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""

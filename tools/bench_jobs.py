@@ -1,0 +1,352 @@
+"""The jobs of tools/bench.py: what each times, its peers, and its error against the reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates
+
+from gpusim.camera import load_camera
+from gpusim.chain import Renderer
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.optics.chief_ray import ChiefRayMap
+from gpusim.optics.convolve import Convolve, Scale, Scratch
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels
+from gpusim.optics.paint import Paint
+from gpusim.optics.warp import Warp
+from gpusim.plan import Accuracy
+from gpusim.reference.adc import adc
+from gpusim.reference.columns import columns
+from gpusim.reference.exposure import exposure
+from gpusim.reference.lattice import lattice
+from gpusim.reference.mosaic import mosaic
+from gpusim.reference.noise import noise
+from gpusim.reference.paint import paint
+from gpusim.reference.rows import rows
+from gpusim.reference.warp import warp
+from gpusim.scene import Chart, Disc, PlacedRaster, make_scene
+from gpusim.sensor.adc import record_adc
+from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.mosaic import record_mosaic
+from gpusim.sensor.noise import record_noise
+
+EXPOSURE_S = 1 / 60
+PITCH_UM, SIM_PITCH_UM, SIGMA = 1.55, 0.775, 0.8
+CHIEF_RAY = ChiefRayMap(np.array([1.0, 0.03, 0, 0, 0, 0, 0, 0]), 5000.0)  # barrel, some per cent
+RADIUS = CHIEF_RAY.radius_um / SIM_PITCH_UM
+SITES = [0, 1, 1, 2]  # channels of a Bayer pattern
+DOT_UM = 30.0  # radius of the dots that paint paints
+PART = 64  # side of what a sensor stage's error is found on, pixels
+Run = Callable[[], object]
+
+
+@dataclass
+class Job:
+    """What is timed, and with what it is compared.
+
+    Attributes
+    ----------
+    run : callable
+        Waits for the device.
+    pixels : int
+        Of the frame.
+    error : dict
+    nbytes, samples : int
+        That a run reads and writes, and that it computes; without bytes there is no copy.
+    peers : dict of (callable, float)
+        Runs of others, and how many of them do the same work.
+    facts : callable
+        Returns what else is reported of the best run, from what it returned.
+    """
+
+    run: Run
+    pixels: int
+    error: dict[str, object]
+    nbytes: int = 0
+    samples: int = 0
+    peers: dict[str, tuple[Run, float]] = field(default_factory=dict)
+    facts: Callable[[object], dict[str, object]] = lambda best: {}
+
+
+class OneStage(Recording):
+    """A recording that keeps the dispatches of one stage, and leaves the others out."""
+
+    def __init__(self, device: Device, path: str) -> None:
+        super().__init__(device)
+        self._path = path
+
+    def dispatch(self, kernel: Kernel, *rest: object) -> None:
+        """Append a dispatch of the stage."""
+        if kernel.path == self._path:
+            super().dispatch(kernel, *rest)
+
+
+def error(actual: np.ndarray, expected: np.ndarray) -> dict[str, object]:
+    """Return the largest difference over the largest value of the reference."""
+    worst = np.abs(actual - expected).max() / np.abs(expected).max()
+    return {"measure": "largest difference over largest value", "worst": float(worst)}
+
+
+def render_demo(device: Device, frame: tuple[int, int]) -> Job:
+    """Time a capture of the demonstration camera, whose frame is its own."""
+    camera = load_camera("demo")
+    renderer = Renderer(camera, make_scene("demo"), Accuracy(probes=64), device)
+    certificate = renderer.capture(EXPOSURE_S).certificate
+    renderer.accuracy = Accuracy(probes=0)
+    return Job(
+        lambda: renderer.capture(EXPOSURE_S),
+        camera.sensor.rows * camera.sensor.cols,
+        {
+            "measure": f"relative to the true signal at {certificate.probes} probes",
+            "worst": certificate.worst_relative,
+            "rms": certificate.rms_relative,
+        },
+        facts=lambda capture: {
+            "times_s": capture.times_s,
+            "prepare_s": capture.prepare_s,
+            "certify_s": certificate.seconds,
+        },
+    )
+
+
+def sim_grid(frame: tuple[int, int]) -> SimGrid:
+    """Return the sim grid of a frame, in blocks and with a reach as the planner chooses them."""
+    cells = tuple(math.ceil((2 * side + 80) / 176) for side in frame[::-1])
+    return SimGrid(*frame, stride=4, period=2, length=256, half_size=40, cells=cells)
+
+
+def scale_of(grid: SimGrid) -> Scale:
+    """Return a scale with kernels of one plane and three channels, alike over the field."""
+    line = (np.arange(96) - 48) * 0.5
+    blob = np.exp(-(line**2 + line[:, None] ** 2) / (2 * 2.0**2)).astype(np.float32)
+    kernels = FieldKernels(np.tile(blob, (2, 1, 3, 1, 1)), np.array([0.0, 1e4]), 0.5)
+    return Scale("bench", grid, SIM_PITCH_UM, SIGMA, kernels)
+
+
+def source_stage(
+    device: Device, stage: Paint | Warp, block: tuple[int, int], place: tuple, expected: np.ndarray
+) -> Job:
+    """Time paint or warp over all blocks; `expected` is the reference at a place of one block."""
+    grid = stage.grid
+    planes = device.empty("planes", (1, grid.block[1], grid.block[0]), np.float32)
+    sample, rec = Recording(device), Recording(device)
+    stage.record(sample, block, planes)
+    sample.run()
+    for other in grid.blocks_for(0, 0, grid.rows, grid.cols):
+        stage.record(rec, other, planes)
+    samples = planes.nbytes // 4 * grid.blocks[0] * grid.blocks[1]
+    found = error(device.read(planes)[0][place], expected)
+    return Job(rec.run, grid.rows * grid.cols, found, 4 * samples, samples)
+
+
+def paint_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time a chart of dots, 150 um apart, in one coefficient plane."""
+    grid = sim_grid(frame)
+    across, down = (int(side * PITCH_UM / 300) for side in frame[::-1])
+    dots = [
+        Disc(150.0 * x, 150.0 * y, DOT_UM, 1)
+        for y in range(-down, down + 1)
+        for x in range(-across, across + 1)
+    ]
+    coefficients = np.array([[1.0], [0.05]])
+    chart = Chart(("white", "black"), 0, tuple(dots))
+    stage = Paint(device, chart, coefficients, scale_of(grid), CHIEF_RAY)
+    # The dot on the axis, where its edge is farthest down.
+    edge = np.add(grid.centre, (0, DOT_UM / SIM_PITCH_UM)) + grid.half_size
+    block = tuple(int(at // side) for at, side in zip(edge, grid.block, strict=True))
+    x, y = (int(at % side) // 8 * 8 for at, side in zip(edge, grid.block, strict=True))
+    dot = {
+        "kind": "disc",
+        "centre": (0.0, 0.0),
+        "half_size": (DOT_UM / SIM_PITCH_UM, 0.0),
+        "material": 1,
+    }
+    expected = paint(
+        [dot],
+        coefficients,
+        0,
+        tuple(np.add(grid.block_origin(block), (x + 0.5, y + 0.5)) - grid.centre),
+        (8, 8),
+        SIGMA,
+        CHIEF_RAY.coefficients,
+        RADIUS,
+    )[0]
+    return source_stage(device, stage, block, np.s_[y : y + 8, x : x + 8], expected)
+
+
+def warp_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time a photograph in one coefficient plane; SciPy samples an eighth of the points."""
+    grid = sim_grid(frame)
+    # Of low contrast: Warp keeps splines from ringing below zero, which the reference does not.
+    planes = 1 + 0.1 * np.random.default_rng(1).random((1, *frame), np.float32)
+    left, top = -frame[1] * PITCH_UM / 2, -frame[0] * PITCH_UM / 2
+    stage = Warp(
+        device, PlacedRaster(planes, PITCH_UM, left, top, ""), np.eye(1), scale_of(grid), CHIEF_RAY
+    )
+    block = (0, 0)
+    corner = np.array(grid.block_origin(block)) + 0.5 - grid.centre
+    expected = warp(
+        # The spline of a part is that of the whole 64 samples off the cut: 0.27^64 = 1e-36.
+        planes[0, :512, :512],
+        tuple(corner),
+        grid.block[::-1],
+        (frame[1] / 2 - 0.5, frame[0] / 2 - 0.5),
+        SIM_PITCH_UM / PITCH_UM,
+        CHIEF_RAY.coefficients,
+        RADIUS,
+    )
+    job = source_stage(device, stage, block, np.s_[:, :], expected)
+    job.nbytes += planes.nbytes
+    coefficients = device.read(stage.planes[0])
+    points = np.mgrid[0 : frame[0] / 8 : 0.5, 0 : frame[1] : 0.5].astype(np.float32)
+    sample = partial(map_coordinates, coefficients, points, np.float32, prefilter=False)
+    job.peers["scipy"] = (sample, 8.0)
+    return job
+
+
+def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
+    """Time rows, columns or lattice alone over all blocks: one plane, three channels."""
+    grid = sim_grid(frame)
+    length, half, window = grid.length, grid.length // 2 + 1, grid.window
+    part = Convolve(device, scale_of(grid), {}, PITCH_UM, SITES)
+    # The kernels of 64 nodes serve all: 50 MiB, so that they come from memory as in a render.
+    few = SimGrid(64, 64, 4, 2, length, grid.half_size, (7, 7))
+    one = dict.fromkeys(np.ndindex(few.blocks), 1)
+    nodes = Convolve(device, scale_of(few), one, PITCH_UM, SITES).nodes
+    part.nodes = {(x, y): nodes[x % 8, y % 8] for x, y in np.ndindex(grid.nodes)}
+    scratch = Scratch(SimpleNamespace(buffer=device.empty), "bench", grid, 1)
+    sites = (4, frame[0] // 2, frame[1] // 2)
+    rates = device.resident("rates", np.zeros(sites, np.float32))
+    rng = np.random.default_rng(1)
+    planes, spectra, folded = (
+        rng.standard_normal(array.shape, np.float32)
+        for array in (scratch.planes, scratch.spectra, scratch.folded)
+    )
+    folded[:, [0, -1], :, :, 1] = 0  # frequencies that are their own mirror images
+    device.write(scratch.planes, planes)
+    device.write(scratch.spectra, spectra)
+    device.write(scratch.folded, folded)
+
+    sample, rec = (OneStage(device, f"optics/{stage}") for _ in range(2))
+    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    sample.run()
+    for block in grid.blocks_for(0, 0, *frame):
+        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+    (first_x, step_x), (first_y, step_y) = grid.node_weights((0, 0))
+    peers: dict[str, tuple[Run, float]] = {}
+    blocks = grid.blocks[0] * grid.blocks[1]
+    if stage == "rows":
+        lines = complex_of(spectra)[0]
+        found = error(
+            complex_of(device.read(scratch.spectra))[:, :8],
+            rows(planes[:, :8], first_x, step_x, length),
+        )
+        nbytes, samples = planes.nbytes + spectra.nbytes, lines.size
+        peers["scipy"] = (lambda: scipy.fft.fft(lines, workers=2), blocks)
+    elif stage == "columns":
+        packed = [device.read(part.nodes[x, y]) for y in (0, 1) for x in (0, 1)]
+        kernels = [unpacked(node, half, length) for node in packed]
+        places = [(channel, 2 * (s % 2), 2 * (s // 2)) for s, channel in enumerate(SITES)]
+        sites_apart = columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride)
+        mirrored = sites_apart[:, half - 2 : 0 : -1].conj()
+        whole = np.concatenate([sites_apart, mirrored], axis=1).reshape(4, -1, window, window)
+        found = error(by_site(device.read(scratch.folded)), whole.sum(axis=1)[:, : window // 2 + 1])
+        nbytes = spectra.nbytes + 4 * packed[0].nbytes + folded.nbytes
+        samples = half * length
+        lines = np.resize(complex_of(spectra), (4, half, length))
+        four = np.ascontiguousarray(np.swapaxes(np.stack(kernels)[:, :, 0], 1, 2))
+
+        def peer() -> None:
+            products = (four * scipy.fft.fft(lines, workers=2)[:, None]).sum(axis=0)
+            scipy.fft.ifft(products[SITES, :, :window], workers=2)
+
+        peers["scipy"] = (peer, blocks)
+    else:
+        found = error(
+            device.read(rates)[:, :window, :window],
+            lattice(by_site(folded), np.zeros((4, window, window)), grid.window_origin((0, 0))),
+        )
+        samples = 4 * window**2
+        nbytes = folded.nbytes + 2 * 4 * samples
+    return Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)
+
+
+def complex_of(pairs: np.ndarray) -> np.ndarray:
+    """Return the complex numbers of pairs (..., 2)."""
+    return pairs.view(np.complex64)[..., 0]
+
+
+def unpacked(packed: np.ndarray, half: int, length: int) -> np.ndarray:
+    """Return one plane's kernel spectra (kx, 1, channel, ky), as `kernel_spectra` packs them."""
+    lanes = packed.view(np.complex64).reshape(half, 1, length // 64, 3, 4, 8, 2)
+    return lanes.transpose(0, 1, 3, 4, 6, 2, 5).reshape(half, 1, 3, length)
+
+
+def by_site(folded: np.ndarray) -> np.ndarray:
+    """Return (S, M/2+1, M) from (S/2, M/2+1, M, 2, 2): two sites side by side, two parts each."""
+    pairs = complex_of(folded)
+    return np.moveaxis(pairs, 3, 1).reshape(-1, *pairs.shape[1:3])
+
+
+def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
+    """Time a stage of the sensor, at signals from darkness to 2000 electrons."""
+    sensor = load_camera("demo").sensor
+    plane = 2000 * np.random.default_rng(1).random(frame, np.float32)
+    sites = plane.reshape(4, frame[0] // 2, frame[1] // 2)
+    part = plane[:PART, :PART]
+    glare = np.arange(1, 5, dtype=np.float32)
+    keyed = {
+        "serial_number": sensor.serial_number,
+        "origin": (sensor.first_row, sensor.first_col),
+    }
+    peers: dict[str, tuple[Run, float]] = {}
+    source = device.resident("plane", sites if stage == "mosaic" else plane)
+    if stage == "mosaic":
+        light = device.resident("glare", glare)
+        record = partial(record_mosaic, planes=source, glare=light, sensor=sensor, shape=frame)
+        expected = mosaic(sites[:, : PART // 2, : PART // 2], glare, (2, 2))
+    elif stage == "exposure":
+        record = partial(record_exposure, rate=source, sensor=sensor, exposure_s=EXPOSURE_S)
+        current = sensor.dark_current_at(sensor.reference_temperature_c)
+        prnu = sensor.prnu_percent / 100
+        expected = exposure(part, EXPOSURE_S, prnu=prnu, dark_current_e_per_s=current, **keyed)
+    elif stage == "noise":
+        record = partial(record_noise, mean=source, sensor=sensor, seed=1)
+        names = ("full_well_e", "temporal_dark_noise_e", "dsnu_e")
+        figures = {name: getattr(sensor, name) for name in names}
+        expected = noise(part, seed=1, frame=0, **figures, **keyed)
+        rng = np.random.default_rng(1)
+        peers["numpy"] = (lambda: rng.poisson(plane) + rng.standard_normal(frame, np.float32), 1.0)
+    else:
+        record = partial(record_adc, electrons=source, sensor=sensor)
+        gain, black = sensor.system_gain_dn_per_e, sensor.black_level_dn
+        expected = adc(part, gain, black, sensor.bit_depth).astype(float)
+    sample, rec = Recording(device), Recording(device)
+    label = sample.download(record(sample))
+    record(rec)
+    found = error(sample.run()[label][:PART, :PART], expected)
+    return Job(rec.run, plane.size, found, 2 * plane.nbytes, plane.size, peers)
+
+
+JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
+    "render-demo": ("a capture of the demonstration camera, source to raw", render_demo),
+    "paint": ("a chart onto the sim grid, one plane", paint_job),
+    "warp": ("a photograph onto the sim grid, one plane", warp_job),
+    "rows": ("row transforms, one plane", partial(convolution_job, "rows")),
+    "columns": (
+        "column transforms and kernel products, one plane to three channels",
+        partial(convolution_job, "columns"),
+    ),
+    "lattice": ("inverse row transforms and overlap-add", partial(convolution_job, "lattice")),
+    "mosaic": ("filter sites to pixels", partial(sensor_job, "mosaic")),
+    "exposure": ("exposure time, PRNU, dark current", partial(sensor_job, "exposure")),
+    "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
+    "adc": ("quantisation", partial(sensor_job, "adc")),
+}
