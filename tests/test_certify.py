@@ -234,11 +234,11 @@ def test_light_that_lands_a_tenth_of_a_pixel_off_is_seen(monkeypatch, sound_rms:
     [
         (
             "optics/rows",
-            "return vec2f(a * (1.0 - s), a * s);",
-            "return vec2f(a * (0.97 - s), a * s);",
+            "return vec4f(a * (1.0 - s), a * s, b * (1.0 - s), b * s);",
+            "return vec4f(a * (0.97 - s), a * s, b * (0.97 - s), b * s);",
         ),
-        ("optics/paint", "low *= lit;", "low *= 0.99 * lit;"),
-        ("optics/lattice", "rates[i] += value.x;", "rates[i] += value.x;"),
+        ("optics/paint", "planes[d] = s.low.x;", "planes[d] = 0.99 * s.low.x;"),
+        ("optics/lattice", "rates[i] += pair.x;", "rates[i] += pair.x;"),
     ],
     ids=["a weight", "a factor", "nothing"],
 )
