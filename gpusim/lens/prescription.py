@@ -123,7 +123,7 @@ class Prescription(_Strict):
     f_number: float | None = Field(None, gt=0)
     entrance_pupil_diameter_mm: float | None = Field(None, gt=0)
     stop_semi_diameter_mm: float | None = Field(None, gt=0)
-    max_field_deg: float = Field(ge=0, lt=90)
+    max_field_deg: float = Field(ge=0, lt=120)
     focus: Literal["best", "paraxial", "as-given"]
     stop: int
     surfaces: tuple[Surface, ...] = Field(min_length=1)

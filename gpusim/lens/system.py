@@ -10,7 +10,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.lens import glass
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.trace import Geometry, aim, entrance_pupil, paraxial, trace
+from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,8 @@ def _stop_radius(prescription: Prescription) -> float:
     order = first_order(prescription)
     half = np.array([[order.entrance_pupil_diameter_mm / 2]])
     index = indices(prescription, prescription.reference_nm)
-    rays = trace(geometry, index, 0.0, np.zeros((1, 1)), half, through=geometry.stop + 1)
+    axis = Launch(0.0, np.zeros((3, 1)))
+    rays = trace(geometry, index, axis, np.zeros((1, 1)), half, through=geometry.stop + 1)
     if not rays.ok.all():
         raise UserError(
             "the marginal ray of the axial beam does not reach the stop",
@@ -196,9 +197,10 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
     needed = np.zeros(len(prescription.surfaces))
     for field in np.radians(np.linspace(0, prescription.max_field_deg, 9)):
         x, y = np.append(radius * np.cos(angle), 0.0), np.append(radius * np.sin(angle), 0.0)
-        px, py, found = aim(geometry, index, field, x, y, 1e-9 * radius)
-        rays = trace(geometry, index, field, px, py)
-        if not (found & rays.ok).all():
+        launch, reached = launch_field(geometry, index, field, 1e-9 * radius)
+        px, py, found = aim(geometry, index, launch, x, y, 1e-9 * radius)
+        rays = trace(geometry, index, launch, px, py)
+        if not (reached.all() and (found & rays.ok).all()):
             raise UserError(
                 "clear apertures cannot be computed: the full beam does not pass the lens at "
                 f"{np.degrees(field):.4g} deg",

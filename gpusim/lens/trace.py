@@ -4,6 +4,9 @@ Coordinates: z along the axis in the direction of light, the first vertex at z =
 in the y-z plane, so that a field angle theta > 0 sends the chief ray to y > 0 in the image. All
 lengths in mm. Ray arrays have the shape (L, R): wavelengths, rays. A ray that misses a surface or
 is totally reflected gets ``ok = False`` and keeps finite, meaningless numbers: never NaN.
+
+The rays of a field start on a plane perpendicular to it (``Launch``), never on the plane of the
+first vertex: tan(theta) appears nowhere, and fields of 90 deg and more are like any other.
 """
 
 from __future__ import annotations
@@ -35,22 +38,63 @@ class Geometry:
 
 
 @dataclass(frozen=True)
+class Launch:
+    """The plane from which the rays of one field start: a wavefront, where their path is 0.
+
+    A ray starts at E + px e1 + py e2 along d = (0, sin theta, cos theta), with
+    e1 = (1, 0, 0) and e2 = (0, cos theta, -sin theta).
+
+    Attributes
+    ----------
+    theta : float
+        Field angle, rad; any from -pi to pi.
+    base : ndarray, shape (3, L)
+        E of each wavelength, mm. ``launch_field`` puts it where the chief ray meets the first
+        surface, so that (px, py) = 0 is the chief ray.
+    """
+
+    theta: float
+    base: np.ndarray
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Direction cosines d of the field, shape (3,)."""
+        return np.array([0.0, np.sin(self.theta), np.cos(self.theta)])
+
+    @property
+    def e1(self) -> np.ndarray:
+        """Unit vector of px, shape (3,)."""
+        return np.array([1.0, 0.0, 0.0])
+
+    @property
+    def e2(self) -> np.ndarray:
+        """Unit vector of py, shape (3,)."""
+        return np.array([0.0, np.cos(self.theta), -np.sin(self.theta)])
+
+    def points(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
+        """Return where rays start, shape (3, L, R), for px and py of shape (L, R)."""
+        e1, e2 = self.e1[:, None, None], self.e2[:, None, None]
+        return self.base[:, :, None] + px * e1 + py * e2
+
+
+@dataclass(frozen=True)
 class Rays:
     """Where rays met the surfaces, and what they are behind the last one traced.
 
     Attributes
     ----------
-    x, y : ndarray, shape (S, L, R)
-        Intersection with each surface that was traced, mm.
+    x, y, z : ndarray, shape (S, L, R)
+        Intersection with each surface that was traced, mm; z from the first vertex.
     point, direction : ndarray, shape (3, L, R)
-        Last intersection (z absolute) and direction cosines behind it.
+        Last intersection and direction cosines behind it.
     path : ndarray, shape (L, R)
-        Optical path from the wavefront through the origin to ``point``, mm.
+        Optical path from the launch plane to ``point``, mm.
     ok : ndarray of bool, shape (L, R)
     """
 
     x: np.ndarray
     y: np.ndarray
+    z: np.ndarray
     point: np.ndarray
     direction: np.ndarray
     path: np.ndarray
@@ -111,7 +155,7 @@ def _meet(
 def trace(
     geometry: Geometry,
     index: np.ndarray,
-    theta: float,
+    launch: Launch,
     px: np.ndarray,
     py: np.ndarray,
     *,
@@ -124,10 +168,10 @@ def trace(
     geometry : Geometry
     index : ndarray, shape (S + 1, L)
         Refractive index before the first surface and behind each.
-    theta : float
-        Field angle in rad.
+    launch : Launch
+        The field.
     px, py : ndarray, shape (L, R)
-        Where each ray crosses the plane z = 0 of the first vertex, mm.
+        Where each ray crosses the launch plane, mm.
     through : int, optional
         Number of surfaces to trace (all of them).
 
@@ -136,12 +180,11 @@ def trace(
     Rays
     """
     count = len(geometry.curvature) if through is None else through
-    point = np.stack([px, py, np.zeros_like(px)])
-    direction = np.empty_like(point)
-    direction[0], direction[1], direction[2] = 0.0, np.sin(theta), np.cos(theta)
-    path = index[0][:, None] * py * np.sin(theta)
+    point = launch.points(px, py)
+    direction = np.broadcast_to(launch.direction[:, None, None], point.shape)
+    path = np.zeros(px.shape)
     ok = np.ones(px.shape, dtype=bool)
-    xs, ys = np.empty((2, count, *px.shape))
+    xs, ys, zs = np.empty((3, count, *px.shape))
     with np.errstate(all="ignore"):  # failed rays run on with clipped numbers
         for s in range(count):
             n1, n2 = index[s][:, None], index[s + 1][:, None]
@@ -162,19 +205,22 @@ def trace(
             point = np.where(ok, point + t * direction, point)
             path = np.where(ok, path + n1 * t, path)
             direction = np.where(ok, bent, direction)
-            xs[s], ys[s] = point[0], point[1]
-    return Rays(xs, ys, point, direction, path, ok)
+            xs[s], ys[s], zs[s] = point
+    return Rays(xs, ys, zs, point, direction, path, ok)
 
 
-def paraxial(geometry: Geometry, index: np.ndarray, y: float, u: float) -> np.ndarray:
+def paraxial(
+    geometry: Geometry, index: np.ndarray, y: float, u: float, *, through: int | None = None
+) -> np.ndarray:
     """Trace one paraxial ray; returns heights and angles, shape (2, S + 1, L).
 
-    Entry 0 is before the first surface, entry s + 1 at and behind surface s.
+    Entry 0 is before the first surface, entry s + 1 at and behind surface s; ``through`` is the
+    number of surfaces to trace (all of them).
     """
     height = np.full(index.shape[1], y, dtype=float)
     angle = np.full(index.shape[1], u, dtype=float)
     rows = [(height, angle)]
-    for s in range(len(geometry.curvature)):
+    for s in range(len(geometry.curvature) if through is None else through):
         if s:
             height = height + angle * (geometry.vertex_z[s] - geometry.vertex_z[s - 1])
         # A polynomial's r^2 term carries power: the vertex curvature is c + 2 a2.
@@ -187,29 +233,75 @@ def paraxial(geometry: Geometry, index: np.ndarray, y: float, u: float) -> np.nd
 
 def entrance_pupil(geometry: Geometry, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the paraxial entrance pupil: its z (mm, (L,)) and stop height per pupil height."""
-    stop = geometry.stop
-    if stop == 0:
-        return np.full(index.shape[1], geometry.vertex_z[0]), np.ones(index.shape[1])
-    before = Geometry(
-        geometry.curvature[:stop],
-        geometry.conic[:stop],
-        geometry.asphere[:stop],
-        geometry.vertex_z[:stop],
-        stop,
+    magnification, per_angle = (
+        paraxial(geometry, index, y, u, through=geometry.stop + 1)[0, -1]
+        for y, u in ((1.0, 0.0), (0.0, 1.0))
     )
-    gap = geometry.vertex_z[stop] - geometry.vertex_z[stop - 1]
-    at_stop = []
-    for y, u in ((1.0, 0.0), (0.0, 1.0)):
-        heights, angles = paraxial(before, index[: stop + 1], y, u)
-        at_stop.append(heights[-1] + gap * angles[-1])
-    magnification, per_angle = at_stop
     return per_angle / magnification, magnification
+
+
+# The walk from the axis to a field takes steps of at most 5 deg and at least 5 / 2^5 deg.
+WALK_STEP = np.radians(5.0)
+WALK_HALVINGS = 5
+AIM_ITERATIONS = 15  # Newton: 3 to 5 on real lenses
+
+
+def launch_field(
+    geometry: Geometry, index: np.ndarray, theta: float, tolerance_mm: float
+) -> tuple[Launch, np.ndarray]:
+    """Find the real chief rays of a field and the launch plane on them.
+
+    The chief ray is walked out from the axis: each step turns the last one about the point where
+    it met the one before, which is the real entrance pupil, and Newton does the rest. A step that
+    loses the ray is halved.
+
+    Parameters
+    ----------
+    geometry, index
+        As for ``trace``.
+    theta : float
+        Field angle, rad.
+    tolerance_mm : float
+        Accepted miss at the centre of the stop.
+
+    Returns
+    -------
+    launch : Launch
+        Its base is where the chief ray of each wavelength meets the first surface.
+    found : ndarray of bool, shape (L,)
+        False where no chief ray was found; the base means nothing then.
+    """
+    zero = np.zeros((index.shape[1], 1))
+
+    def chief(guess: Launch) -> tuple[Launch, np.ndarray]:
+        px, py, found = _newton(geometry, index, guess, zero, zero, 0.0, 0.0, tolerance_mm)
+        return Launch(guess.theta, guess.points(px, py)[:, :, 0]), found[:, 0]
+
+    pivot = np.zeros((3, index.shape[1]))
+    pivot[2] = entrance_pupil(geometry, index)[0]
+    launch, found = chief(Launch(0.0, pivot))
+    step = WALK_STEP
+    while found.all() and launch.theta != theta:
+        left = theta - launch.theta
+        angle = theta if abs(left) <= step else launch.theta + np.copysign(step, left)
+        trial, reached = chief(Launch(angle, pivot))
+        if reached.all():
+            # Where the new chief ray crosses the old one, seen along the old field.
+            apart = launch.e2 @ (trial.base - launch.base) / (launch.e2 @ trial.direction)
+            pivot = trial.base - apart * trial.direction[:, None]
+            launch, step = trial, min(2 * step, WALK_STEP)
+        elif step > WALK_STEP / 2**WALK_HALVINGS:
+            step /= 2
+        else:
+            launch, found = Launch(theta, trial.base), reached
+    rays = trace(geometry, index, launch, zero, zero, through=1)
+    return Launch(launch.theta, rays.point[:, :, 0]), found & rays.ok[:, 0]
 
 
 def aim(
     geometry: Geometry,
     index: np.ndarray,
-    theta: float,
+    launch: Launch,
     stop_x: np.ndarray,
     stop_y: np.ndarray,
     tolerance_mm: float,
@@ -218,8 +310,10 @@ def aim(
 
     Parameters
     ----------
-    geometry, index, theta
+    geometry, index
         As for ``trace``.
+    launch : Launch
+        From ``launch_field``: the search starts at the chief ray.
     stop_x, stop_y : ndarray, shape (R,)
         Wanted intersections with the stop surface, mm.
     tolerance_mm : float
@@ -228,58 +322,68 @@ def aim(
     Returns
     -------
     px, py : ndarray, shape (L, R)
-        Where they cross the plane z = 0.
+        Where they cross the launch plane.
     ok : ndarray of bool, shape (L, R)
         False where no such ray was found.
     """
-    wavelengths = index.shape[1]
-    pupil_z, magnification = entrance_pupil(geometry, index)
-    zero = np.zeros((wavelengths, 1))
+    zero = np.zeros((index.shape[1], 1))
+    chief_x, chief_y, slopes, _ = _at_stop(geometry, index, launch, zero, zero, tolerance_mm)
+    px, py, _ = _correction(slopes, stop_x - chief_x, stop_y - chief_y)
+    return _newton(geometry, index, launch, px, py, stop_x, stop_y, tolerance_mm)
 
-    def solve(theta, px, py, wanted_x, wanted_y):
-        """Newton with a forward-difference Jacobian, all rays at once."""
-        # The Jacobian's step only sets the rate of convergence; the miss is that of the real ray.
-        step = 1e-4 * max(float(np.max(np.abs(stop_x))), float(np.max(np.abs(stop_y))), 1e-3)
-        count = geometry.stop + 1
-        safe_x, safe_y = px[:, :1], py[:, :1]
-        for _ in range(15):
-            offsets = [(0.0, 0.0), (step, 0.0), (0.0, step)]
-            rays = trace(
-                geometry,
-                index,
-                theta,
-                np.concatenate([px + dx for dx, _ in offsets], axis=1),
-                np.concatenate([py + dy for _, dy in offsets], axis=1),
-                through=count,
-            )
-            x0, x1, x2 = np.split(rays.x[-1], 3, axis=1)
-            y0, y1, y2 = np.split(rays.y[-1], 3, axis=1)
-            ok = np.split(rays.ok, 3, axis=1)
-            traced = ok[0] & ok[1] & ok[2]
-            miss_x, miss_y = x0 - wanted_x, y0 - wanted_y
-            found = ok[0] & (np.hypot(miss_x, miss_y) < tolerance_mm)
-            if found.all():
-                break
-            a, b, c, d = (x1 - x0) / step, (x2 - x0) / step, (y1 - y0) / step, (y2 - y0) / step
-            det = a * d - b * c
-            usable = traced & (np.abs(det) > 1e-9)
-            det = np.where(usable, det, 1.0)
-            new_x = px - (d * miss_x - b * miss_y) / det
-            new_y = py - (a * miss_y - c * miss_x) / det
+
+def _at_stop(geometry, index, launch, px, py, tolerance_mm):
+    """Return where rays meet the stop, the derivatives of that, and which could be traced.
+
+    The derivatives dx/dpx, dx/dpy, dy/dpx, dy/dpy are forward differences: their step only sets
+    the rate of convergence; the miss is that of the real ray.
+    """
+    step = 1e5 * tolerance_mm  # 1e-4 of the stop's radius
+    rays = trace(
+        geometry,
+        index,
+        launch,
+        np.concatenate([px, px + step, px], axis=1),
+        np.concatenate([py, py, py + step], axis=1),
+        through=geometry.stop + 1,
+    )
+    x0, x1, x2 = np.split(rays.x[-1], 3, axis=1)
+    y0, y1, y2 = np.split(rays.y[-1], 3, axis=1)
+    slopes = ((x1 - x0) / step, (x2 - x0) / step, (y1 - y0) / step, (y2 - y0) / step)
+    return x0, y0, slopes, np.split(rays.ok, 3, axis=1)
+
+
+def _correction(slopes, need_x, need_y):
+    """Return the change of (px, py) that moves rays by the need at the stop, and where it exists.
+
+    It is 0 where the derivatives are singular.
+    """
+    a, b, c, d = slopes
+    det = a * d - b * c
+    usable = np.abs(det) > 1e-9
+    det = np.where(usable, det, np.inf)
+    return (d * need_x - b * need_y) / det, (a * need_y - c * need_x) / det, usable
+
+
+def _newton(geometry, index, launch, px, py, wanted_x, wanted_y, tolerance_mm):
+    """Return px, py and success of the rays to wanted points of the stop, from a first guess."""
+    px, py = px.copy(), py.copy()
+    wanted_x, wanted_y = (np.broadcast_to(w, px.shape) for w in (wanted_x, wanted_y))
+    found = np.zeros(px.shape, dtype=bool)
+    for _ in range(AIM_ITERATIONS):
+        open_ = ~found.all(axis=0)
+        x, y, slopes, traced = _at_stop(
+            geometry, index, launch, px[:, open_], py[:, open_], tolerance_mm
+        )
+        need_x, need_y = wanted_x[:, open_] - x, wanted_y[:, open_] - y
+        hit = traced[0] & (np.hypot(need_x, need_y) < tolerance_mm)
+        found[:, open_] = hit
+        if found.all():
+            break
+        step_x, step_y, usable = _correction(slopes, need_x, need_y)
+        usable &= traced[0] & traced[1] & traced[2]
+        for p, step in ((px, step_x), (py, step_y)):
+            old = p[:, open_]
             # A start that does not reach the stop is drawn half-way to the chief ray.
-            px = np.where(found, px, np.where(usable, new_x, (px + safe_x) / 2))
-            py = np.where(found, py, np.where(usable, new_y, (py + safe_y) / 2))
-        return px, py, found
-
-    # The chief ray, walked out from the axis in steps of at most 5 deg.
-    chief_y, previous = zero, 0.0
-    for step_theta in np.linspace(0, theta, 1 + int(np.ceil(theta / np.radians(5.0))))[1:]:
-        shift = pupil_z[:, None] * (np.tan(step_theta) - np.tan(previous))
-        _, chief_y, _ = solve(step_theta, zero, chief_y - shift, zero, zero)
-        previous = step_theta
-    first_x = np.concatenate([zero, zero + stop_x / magnification[:, None]], axis=1)
-    first_y = np.concatenate([chief_y, chief_y + stop_y / magnification[:, None]], axis=1)
-    wanted_x = np.concatenate([[0.0], stop_x])
-    wanted_y = np.concatenate([[0.0], stop_y])
-    px, py, found = solve(theta, first_x, first_y, wanted_x, wanted_y)
-    return px[:, 1:], py[:, 1:], found[:, 1:]
+            p[:, open_] = np.where(hit, old, np.where(usable, old + step, old / 2))
+    return px, py, found

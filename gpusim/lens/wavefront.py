@@ -23,7 +23,7 @@ from scipy.spatial import ConvexHull
 
 from gpusim.errors import UserError
 from gpusim.lens.system import System
-from gpusim.lens.trace import aim, trace
+from gpusim.lens.trace import Launch, aim, launch_field, trace
 
 # Degrees of the polynomial in (alpha, beta): the second is tried where the first leaves too much.
 # Residuals of the double Gauss at f/2, 22 deg, in waves at 400 nm: f = 8 mm 9e-6 with 14;
@@ -124,20 +124,52 @@ def sample_rays(
     UserError
         Where the chief ray does not reach the image.
     """
-    geometry = system.geometry
-    aimed_x, aimed_y = np.append(0.0, stop_x), np.append(0.0, stop_y)
+    return _sample(system, index, field_launch(system, index, theta), stop_x, stop_y)
+
+
+def field_launch(system: System, index: np.ndarray, theta: float) -> Launch:
+    """Return the launch plane of a field, on its chief rays.
+
+    Parameters
+    ----------
+    system, index, theta
+        As for ``sample_rays``.
+
+    Raises
+    ------
+    UserError
+        Where the chief ray does not reach the stop.
+    """
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
-    px, py, found = aim(geometry, index, theta, aimed_x, aimed_y, tolerance)
-    rays = trace(geometry, index, theta, px, py)
-    ok = found & rays.ok & (rays.direction[2] > 0)
+    launch, found = launch_field(system.geometry, index, theta, tolerance)
+    if not found.all():
+        raise _no_chief_ray(system, theta)
+    return launch
+
+
+def _no_chief_ray(system: System, theta: float) -> UserError:
+    return UserError(
+        f"the chief ray does not pass the lens at {np.degrees(theta):.4g} deg",
+        file=system.prescription.file,
+        field="max_field_deg",
+        value=f"{np.degrees(theta):.4g}",
+        allowed="a smaller field",
+    )
+
+
+def _sample(
+    system: System, index: np.ndarray, launch: Launch, stop_x: np.ndarray, stop_y: np.ndarray
+) -> Samples:
+    """Do what ``sample_rays`` promises, for a field whose launch plane is known."""
+    geometry = system.geometry
+    tolerance = AIM_TOLERANCE * system.stop_radius_mm
+    px, py, found = aim(geometry, index, launch, stop_x, stop_y, tolerance)
+    # The chief ray goes first.
+    first = ((0, 0), (1, 0))
+    rays = trace(geometry, index, launch, np.pad(px, first), np.pad(py, first))
+    ok = np.pad(found, first, constant_values=True) & rays.ok & (rays.direction[2] > 0)
     if not ok[:, 0].all():
-        raise UserError(
-            f"the chief ray does not pass the lens at {np.degrees(theta):.4g} deg",
-            file=system.prescription.file,
-            field="max_field_deg",
-            value=f"{np.degrees(theta):.4g}",
-            allowed="a smaller field",
-        )
+        raise _no_chief_ray(system, launch.theta)
     alpha, beta, gamma = rays.direction
     to_image = (system.image_z_mm - rays.point[2]) / np.where(ok, gamma, 1.0)
     land_x = rays.point[0] + to_image * alpha
@@ -172,6 +204,7 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
         Where no ray passes the lens at this field.
     """
     radius = system.stop_radius_mm
+    launch = field_launch(system, index, theta)
 
     def grid(x_high, y_low, y_high, across):
         x, y = np.meshgrid(
@@ -183,7 +216,7 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
     rim = OVERSIZE * radius
     coarse = 21
     x, y = grid(rim, -rim, rim, coarse)
-    inside = sample_rays(system, index, theta, x, y).inside.any(axis=0)
+    inside = _sample(system, index, launch, x, y).inside.any(axis=0)
     if not inside.any():
         raise UserError(
             f"no light passes the lens at {np.degrees(theta):.4g} deg",
@@ -196,7 +229,7 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
     spare = 2 * (2 * rim / (coarse - 1))
     x_high = min(rim, x[inside].max() + spare)
     y_low, y_high = max(-rim, y[inside].min() - spare), min(rim, y[inside].max() + spare)
-    return sample_rays(system, index, theta, *grid(x_high, y_low, y_high, RAYS_ACROSS))
+    return _sample(system, index, launch, *grid(x_high, y_low, y_high, RAYS_ACROSS))
 
 
 def half_plane_share(h: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -31,6 +31,20 @@ def model(nd):
     return {"glass": "model", "nd": nd, "vd": 149.0}
 
 
+def fisheye(**fields):
+    """Return a crude fisheye that sees 105 deg off its axis: two menisci before one lens."""
+    rows = [
+        {"radius": 15.0, "thickness": 1.0, **model(1.8)},
+        {"radius": 6.0, "thickness": 3.5},
+        {"radius": 40.0, "thickness": 0.8, **model(1.6)},
+        {"radius": 3.5, "thickness": 6.0},
+        {"radius": np.inf, "thickness": 0.5},
+        {"radius": 12.0, "thickness": 2.0, **model(1.6)},
+        {"radius": -3.6},
+    ]
+    return lens(rows, **{"stop": 5, "f_number": 8.0, "max_field_deg": 105.0} | fields)
+
+
 def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
     """Return rays of a synthetic pupil: a disc in direction cosines, W(alpha, beta) in mm."""
     u, v = np.meshgrid(np.linspace(0, 1.12, 21), np.linspace(-1.12, 1.12, 41))

@@ -145,7 +145,7 @@ def changed(path, value):
         (["f_number"], ..., ["give one of f_number"]),
         (["entrance_pupil_diameter_mm"], 4.0, ["give one of f_number"]),
         (["units"], "inch", ["units", "inch", "'mm'"]),
-        (["max_field_deg"], 95, ["max_field_deg", "95", "less than 90"]),
+        (["max_field_deg"], 120, ["max_field_deg", "120", "less than 120"]),
         (["surfaces"], [], ["surfaces", "at least 1"]),
         (["surfaces", 0, "radius"], 0, ["surfaces.1", "radius must not be 0"]),
         (["surfaces", 0, "radius"], "5O.0", ["surfaces.1.radius", "5O.0", "number"]),

@@ -2,15 +2,20 @@
 
 import numpy as np
 import pytest
-from lens.made import lens, model
+from lens.made import fisheye, lens, model
 
 from gpusim.errors import UserError
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, first_order, indices
-from gpusim.lens.trace import aim, trace
+from gpusim.lens.trace import Launch, aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays
 
 D_LINE = np.array([587.5618])
+
+
+def through_vertex(degrees=0.0):
+    """Return a launch plane through the first vertex: on the axis, px and py are x and y there."""
+    return Launch(np.radians(degrees), np.zeros((3, 1)))
 
 
 def hyperbolic_singlet(n, f, f_number):
@@ -58,7 +63,7 @@ def test_spherical_aberration_of_a_sphere_is_the_closed_form():
     system = build(lens(rows, f_number=4.0))
     index = system.index(D_LINE)
     h = np.array([[0.5, 2.0, 4.0, 6.0]])
-    rays = trace(system.geometry, index, 0.0, np.zeros_like(h), h)
+    rays = trace(system.geometry, index, through_vertex(), np.zeros_like(h), h)
     slope = rays.direction[1] / rays.direction[2]
     crossing = rays.point[2] - rays.point[1] / slope
     i = np.arcsin(h / radius)
@@ -86,7 +91,7 @@ def test_path_length_follows_from_malus_and_dupin():
     system = build(plate)
     y = np.linspace(-4, 4, 7)[None]
     x = np.linspace(-2, 3, 7)[None]
-    rays = trace(system.geometry, system.index(D_LINE), theta, x, y, through=2)
+    rays = trace(system.geometry, system.index(D_LINE), through_vertex(30), x, y, through=2)
     wave = rays.point[1] * np.sin(theta) + rays.point[2] * np.cos(theta)
     refracted = np.sqrt(1 - (np.sin(theta) / n) ** 2)
     expected = t * (n * refracted - np.cos(theta))
@@ -115,7 +120,7 @@ def test_an_even_asphere_and_the_conic_that_it_equals_trace_alike():
     assert even.image_z_mm == pytest.approx(conic.image_z_mm, rel=1e-14)  # r^2 carries power
     y = np.linspace(-9, 9, 13)[None]
     x = np.linspace(0, 4, 13)[None]
-    one, two = (trace(s.geometry, s.index(D_LINE), np.radians(12), x, y) for s in (conic, even))
+    one, two = (trace(s.geometry, s.index(D_LINE), through_vertex(12), x, y) for s in (conic, even))
     assert one.ok.all()
     assert two.ok.all()
     # Newton ends where its step is 1e-14 of the distance; 5 mm paths: 1e-13 mm.
@@ -134,7 +139,12 @@ def test_higher_aspheric_terms_bend_rays_as_their_slope_says():
     ]
     system = build(lens(rows))
     rays = trace(
-        system.geometry, system.index(D_LINE), 0.0, np.zeros((1, 1)), np.full((1, 1), r), through=1
+        system.geometry,
+        system.index(D_LINE),
+        through_vertex(),
+        np.zeros((1, 1)),
+        np.full((1, 1), r),
+        through=1,
     )
     slope = sum(int(k[1:]) * a * r ** (int(k[1:]) - 1) for k, a in coefficients.items())
     # The next order is slope^3 = 1e-16.
@@ -148,12 +158,117 @@ def test_aimed_rays_land_where_they_were_sent(double_gauss, field):
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     radius = system.stop_radius_mm
     x, y = radius * np.cos(angle), radius * np.sin(angle)
-    px, py, found = aim(system.geometry, index, np.radians(field), x, y, 1e-9 * radius)
-    rays = trace(system.geometry, index, np.radians(field), px, py)
+    launch, reached = launch_field(system.geometry, index, np.radians(field), 1e-9 * radius)
+    px, py, found = aim(system.geometry, index, launch, x, y, 1e-9 * radius)
+    rays = trace(system.geometry, index, launch, px, py)
+    assert reached.all()
     assert found.all()
     stop = system.geometry.stop
     miss = np.hypot(rays.x[stop] - x, rays.y[stop] - y)
     assert miss.max() < 1e-9 * radius  # what was asked for
+
+
+@pytest.mark.parametrize("degrees", [0.0, 60.0, 90.0, 100.0])
+def test_a_sphere_turns_a_ray_as_its_distance_from_the_centre_says(degrees):
+    # A ray that passes the centre at distance p meets the sphere at sin i = p / R and is turned
+    # towards the centre by i - i', whatever the direction that it comes from.
+    n, radius = 1.5, 10.0
+    system = build(lens([{"radius": radius, "thickness": 1.0, **model(n)}, {"radius": -50.0}]))
+    launch = Launch(np.radians(degrees), np.array([[0.0], [0.0], [radius]]))
+    p = np.linspace(2.0, 9.9, 9)[None]  # from 100 deg, less than 1.7 mm meets the back half
+    rays = trace(system.geometry, system.index(D_LINE), launch, np.zeros_like(p), p, through=1)
+    assert rays.ok.all()
+    i = np.arcsin(p / radius)
+    angle = launch.theta - (i - np.arcsin(np.sin(i) / n))
+    # Roundings of 1e-16 in sines near 1 are 1e-15 in angles of up to 82 deg; ten operations.
+    np.testing.assert_allclose(rays.direction[1], np.sin(angle), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(rays.direction[2], np.cos(angle), rtol=0, atol=1e-14)
+    # From the plane through the centre back to the sphere: -sqrt(R^2 - p^2).
+    np.testing.assert_allclose(rays.path, -np.sqrt(radius**2 - p**2), rtol=0, atol=1e-13)
+
+
+def meridional(surfaces, y, u):
+    """Trace one ray of the y-z plane through (radius, index behind, thickness), by angles alone.
+
+    Returns its height and angle at the last vertex plane; the first vertex is at the origin.
+    """
+    z, n = 0.0, 1.0
+    for radius, behind, thickness in surfaces:
+        if np.isinf(radius):
+            y = y - z * np.tan(u)
+            u = np.arcsin(n / behind * np.sin(u))
+            z = 0.0
+        else:
+            off = (radius - z) * np.sin(u) + y * np.cos(u)  # from the centre of the sphere
+            along = (radius - z) * np.cos(u) - y * np.sin(u)
+            t = along - np.sign(radius) * np.sqrt(radius**2 - off**2)
+            y, z = y + t * np.sin(u), z + t * np.cos(u)
+            i = np.arcsin(off / radius)
+            u = u - i + np.arcsin(n / behind * np.sin(i))
+        n, z = behind, z - thickness
+    return y - z * np.tan(u), u
+
+
+def test_chief_rays_of_a_fisheye_are_those_that_leave_the_centre_of_its_stop():
+    # From the centre of the stop backwards to the object and forwards to the image, by angles: no
+    # aiming, no launch plane, no vectors.
+    system = build(fisheye())
+    index = system.index(D_LINE)
+    n = index[:, 0]
+    rows = [(s.vertex_curvature, s.thickness) for s in system.prescription.surfaces]
+    stop = system.geometry.stop
+    radii = [1 / c if c else np.inf for c, _ in rows]
+    last = system.image_z_mm - system.geometry.vertex_z[-1]
+    gaps = [t for _, t in rows[:-1]] + [last]
+    back = [(np.inf, 1.0, gaps[stop - 1])] + [
+        (-radii[s], n[s], gaps[s - 1] if s else 0.0) for s in range(stop - 1, -1, -1)
+    ]
+    forth = [(radii[s], n[s + 1], gaps[s]) for s in range(stop, len(rows))]
+    reached = []
+    for u in (0.1, 0.3, 0.45, 0.5, 0.55):
+        _, outside = meridional(back, 0.0, -u)
+        height, _ = meridional(forth, 0.0, u)
+        rays = sample_rays(system, index, -outside, np.zeros(1), np.zeros(1))
+        # The miss at the stop, 1e-9 of its 0.3 mm, and some 50 roundings of 1e-15 mm.
+        assert rays.chief_y_mm[0] == pytest.approx(height, abs=1e-9)
+        reached.append(np.degrees(-outside))
+    assert reached[0] < 30
+    assert reached[-1] > 95
+
+
+@pytest.mark.parametrize("field", [30.0, 90.0, 105.0])
+def test_rays_of_a_fisheye_start_on_a_wavefront_and_land_where_they_were_sent(field):
+    system = build(fisheye())
+    index = system.index(np.array([450.0, 650.0]))
+    radius = system.stop_radius_mm
+    tolerance = 1e-9 * radius
+    launch, reached = launch_field(system.geometry, index, np.radians(field), tolerance)
+    assert reached.all()
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    x, y = np.append(radius * np.cos(angle), 0.0), np.append(radius * np.sin(angle), 0.0)
+    px, py, found = aim(system.geometry, index, launch, x, y, tolerance)
+    assert found.all()
+    rays = trace(system.geometry, index, launch, px, py)
+    assert rays.ok.all()
+    stop = system.geometry.stop
+    assert np.hypot(rays.x[stop] - x, rays.y[stop] - y).max() < tolerance
+    # The chief ray starts where it meets the first surface, at the base.
+    chief = np.array([rays.x[0], rays.y[0], rays.z[0]])[:, :, -1]
+    np.testing.assert_allclose(chief, launch.base, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.hypot(px, py)[:, -1], 0, atol=1e-8)
+    starts = launch.points(px, py) - launch.base[:, :, None]
+    np.testing.assert_allclose(np.tensordot(launch.direction, starts, 1), 0, atol=1e-14)
+
+
+def test_nothing_happens_at_90_deg():
+    system = build(fisheye())
+    index = system.index(D_LINE)
+    fields = np.radians(np.linspace(88.0, 92.0, 9))
+    zero = np.zeros(1)
+    heights = [sample_rays(system, index, t, zero, zero).chief_y_mm[0] for t in fields]
+    assert (np.diff(heights) > 0.01).all()
+    # f sin(theta)-like: the fourth difference is h f (0.0087)^4 = 1e-8 mm.
+    assert np.abs(np.diff(heights, 4)).max() < 1e-7
 
 
 def test_failed_rays_are_masked_and_finite():
@@ -163,7 +278,7 @@ def test_failed_rays_are_masked_and_finite():
     system = build(lens(rows, f_number=5.0))
     h = np.linspace(-14, 14, 57)[None]
     with np.errstate(all="raise", under="ignore"):
-        rays = trace(system.geometry, system.index(D_LINE), 0.0, np.zeros_like(h), h)
+        rays = trace(system.geometry, system.index(D_LINE), through_vertex(), np.zeros_like(h), h)
     assert not rays.ok[np.abs(h) > 10].any()
     assert rays.ok[np.abs(h) < 3.6].all()
     assert not rays.ok[np.abs(h) > 3.6].any()
@@ -181,7 +296,7 @@ def test_rays_beyond_an_asphere_are_masked_and_finite():
     ]
     system = build(lens(rows, stop_semi_diameter_mm=0.5, max_field_deg=0.0))
     h = np.linspace(-14, 14, 57)[None]
-    rays = trace(system.geometry, system.index(D_LINE), np.radians(40), h, h)
+    rays = trace(system.geometry, system.index(D_LINE), through_vertex(40), h, h)
     assert not rays.ok[np.abs(h) > 8].any()
     for array in (rays.x, rays.y, rays.point, rays.direction, rays.path):
         assert np.isfinite(array).all()

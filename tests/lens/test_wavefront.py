@@ -8,7 +8,7 @@ from scipy.interpolate import RegularGridInterpolator
 from gpusim.errors import UserError
 from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, first_order, indices
-from gpusim.lens.trace import trace
+from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import (
     best_focus_shift,
     half_plane_share,
@@ -241,7 +241,8 @@ def test_best_focus_is_stationary_and_lies_between_paraxial_and_marginal_focus()
     lines = np.array(paraxial.prescription.design_wavelengths_nm)
     best = build(lens(rows, f_number=5.0, focus="best"))
     rim = np.full((1, 1), 5.0)
-    rays = trace(paraxial.geometry, indices(paraxial.prescription, lines[:1]), 0.0, 0 * rim, rim)
+    axis = Launch(0.0, np.zeros((3, 1)))
+    rays = trace(paraxial.geometry, indices(paraxial.prescription, lines[:1]), axis, 0 * rim, rim)
     marginal_z = rays.point[2] - rays.point[1] * rays.direction[2] / rays.direction[1]
     assert float(marginal_z[0, 0]) < best.image_z_mm < paraxial.image_z_mm
     # Linear in the shift, so a second step from the best focus is nothing but rounding.
