@@ -86,6 +86,17 @@ class Camera:
                 value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
                 allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length or fewer pixels",
             )
+        if bank.rectilinear_circle_um < corner_um:
+            # Scenes lie on the ideal plane, which has no place for light from the side.
+            corner_deg = float(bank.angle_from_height(corner_um)[0])
+            raise UserError(
+                f"The corners of the sensor see {corner_deg:.4g} deg through {self.lens.title}: "
+                "no scene reaches so far, for scenes are flat.",
+                field="sensor",
+                value=f"half diagonal {corner_um / 1e3:.3f} mm",
+                allowed=f"at most {bank.rectilinear_circle_um / 1e3:.3f} mm: a longer focal "
+                "length or fewer pixels",
+            )
         return bank
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
+from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import build, first_order
@@ -35,6 +36,8 @@ REFERENCE_NM = 550.0
 FIELDS = 15
 PITCH_UM = 0.5
 SIZE = 256
+# Where the ideal plane ends, on which scenes lie: f tan(85 deg) is 11 f, and at 90 deg it is gone.
+RECTILINEAR_DEG = 85.0
 # Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
 # 1.9e-3 of the PSF's peak with 256 nodes, 8e-4 with 384, 4e-4 with 512.
 PUPIL_NODES = 512
@@ -43,7 +46,11 @@ PUPIL_NODES = 512
 _VARIABLES = {
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
     "field_deg": (("field",), "degree", "field angle in object space"),
-    "ideal_height_um": (("field",), "um", "distortion-free image height, f tan(theta)"),
+    "ideal_height_um": (
+        ("field",),
+        "um",
+        "distortion-free image height, f tan(theta); infinite from 90 degrees",
+    ),
     "real_height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
     "psf": (
         ("field", "wavelength", "eta", "xi"),
@@ -102,7 +109,8 @@ class Bank:
     reference_nm : float
         One of the wavelengths: its chief ray defines the real plane.
     field_deg, ideal_height_um : ndarray, shape (F,)
-        Field angle theta and f tan(theta), both rising from 0, evenly spaced in f tan(theta).
+        Field angle theta and f tan(theta), both rising from 0; f tan(theta) is infinite from
+        90 deg.
     real_height_um : ndarray, shape (F, L)
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)
@@ -149,21 +157,93 @@ class Bank:
         return float(self.real_height_um[-1, self.reference])
 
     @property
+    def rectilinear_circle_um(self) -> float:
+        """Largest real height at the reference wavelength that has a place on the ideal plane."""
+        return self._ideal_edge[1]
+
+    @property
     def distortion(self) -> np.ndarray:
         """Real over ideal height at the reference wavelength, less 1; shape (F,), 0 on axis."""
         real = self.real_height_um[1:, self.reference]
         return np.concatenate([[0.0], real / self.ideal_height_um[1:] - 1])
 
-    @functools.cached_property
-    def _spline(self):
-        """Cubic spline of (real - ideal) over ideal height, odd about the axis."""
-        from scipy.interpolate import CubicSpline
-
-        ideal = self.ideal_height_um
-        shift = self.real_height_um[:, self.reference] - ideal
-        return CubicSpline(
-            np.concatenate([-ideal[:0:-1], ideal]), np.concatenate([-shift[:0:-1], shift])
+    @property
+    def distortion_f_theta(self) -> np.ndarray:
+        """Real height over f theta, less 1: the distortion of a fisheye; shape (F,), 0 on axis."""
+        real = self.real_height_um[1:, self.reference]
+        return np.concatenate(
+            [[0.0], real / (1e3 * self.efl_mm * np.radians(self.field_deg[1:])) - 1]
         )
+
+    @functools.cached_property
+    def _maps(self) -> dict[float, FieldMap]:
+        return {}
+
+    def _map(self, wavelength_nm: float | None) -> FieldMap:
+        """Return the map of a wavelength, linear between the bank's nearest two."""
+        wavelength = self.reference_nm if wavelength_nm is None else float(wavelength_nm)
+        lines = self.wavelengths_nm
+        if not lines[0] <= wavelength <= lines[-1]:
+            raise UserError(
+                "the bank has no chief rays at this wavelength",
+                field="wavelength_nm",
+                value=wavelength,
+                allowed=f"{lines[0]:g} to {lines[-1]:g}",
+            )
+        if wavelength not in self._maps:
+            share = np.array([np.interp(wavelength, lines, row) for row in np.eye(len(lines))])
+            self._maps[wavelength] = FieldMap(
+                np.radians(self.field_deg), self.real_height_um @ share, 1e3 * self.efl_mm
+            )
+        return self._maps[wavelength]
+
+    def height_from_angle(
+        self, theta_deg: np.ndarray, wavelength_nm: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Map field angle to real image height.
+
+        Parameters
+        ----------
+        theta_deg : array_like
+            Field angles, >= 0.
+        wavelength_nm : float, optional
+            From the bank's first to its last (its reference wavelength).
+
+        Returns
+        -------
+        height_um : ndarray
+            Beyond the largest field: the straight line that continues the map.
+        inside : ndarray of bool
+            False beyond the largest field.
+
+        Raises
+        ------
+        UserError
+            Where the wavelength lies beyond the bank's.
+        """
+        chief, theta = self._map(wavelength_nm), np.radians(theta_deg)
+        at = np.minimum(theta, chief.edge)
+        height = chief.height_um(at) + chief.slope_um(chief.edge) * (theta - at)
+        return height, theta <= chief.edge
+
+    def angle_from_height(
+        self, r_um: np.ndarray, wavelength_nm: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Map real image height to field angle in deg: the inverse of ``height_from_angle``."""
+        chief, wanted = self._map(wavelength_nm), np.asarray(r_um, dtype=float)
+        at = np.minimum(wanted, chief.edge_um)
+        theta = chief.angle(at) + (wanted - at) / chief.slope_um(chief.edge)
+        return np.degrees(theta), wanted <= chief.edge_um
+
+    @functools.cached_property
+    def _ideal_edge(self) -> tuple[float, float, float]:
+        """The ideal and the real height where the ideal plane ends, and the map's slope there."""
+        chief, f_um = self._map(None), 1e3 * self.efl_mm
+        edge = min(chief.edge, float(np.radians(RECTILINEAR_DEG)))
+        slope = float(chief.slope_um(edge) * np.cos(edge) ** 2 / f_um)
+        if edge == chief.edge:
+            return float(self.ideal_height_um[-1]), self.image_circle_um, slope
+        return float(f_um * np.tan(edge)), float(chief.height_um(edge)), slope
 
     def real_from_ideal(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Map ideal to real image height at the reference wavelength.
@@ -178,29 +258,21 @@ class Bank:
         real_um : ndarray
             Beyond the image circle: the straight line that continues the map.
         inside : ndarray of bool
-            False beyond the image circle.
+            False beyond the image circle, and beyond ``RECTILINEAR_DEG``.
         """
         r = np.asarray(r_um, dtype=float)
-        edge = self.ideal_height_um[-1]
+        edge, _, slope = self._ideal_edge
         at = np.minimum(r, edge)
-        slope = 1 + self._spline(edge, 1)
-        return at + self._spline(at) + slope * (r - at), r <= edge
+        real = self._map(None).height_um(np.arctan(at / (1e3 * self.efl_mm)))
+        return real + slope * (r - at), r <= edge
 
     def ideal_from_real(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Map real to ideal image height: the inverse of ``real_from_ideal``, to 1e-9 um."""
         wanted = np.asarray(r_um, dtype=float)
-        edge = self.ideal_height_um[-1]
-        real_edge = self.real_height_um[-1, self.reference]
-        slope = 1 + self._spline(edge, 1)
-        inside = wanted <= real_edge
-        target = np.minimum(wanted, real_edge)
-        ideal = target * (edge / real_edge)
-        for _ in range(20):  # Newton on a monotone map: 3 or 4 steps
-            step = (ideal + self._spline(ideal) - target) / (1 + self._spline(ideal, 1))
-            ideal = ideal - step
-            if np.max(np.abs(step), initial=0) < 1e-9:
-                break
-        return ideal + (wanted - target) / slope, inside
+        _, edge, slope = self._ideal_edge
+        at = np.minimum(wanted, edge)
+        ideal = 1e3 * self.efl_mm * np.tan(self._map(None).angle(at))
+        return ideal + (wanted - at) / slope, wanted <= edge
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
@@ -252,11 +324,23 @@ class Bank:
 
 
 def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
-    """Return field angles from 0 to the lens's largest, evenly spaced in tan(theta)."""
+    """Return field angles from 0 to the lens's largest.
+
+    They are evenly spaced in tan(theta), or in theta where the lens sees farther than
+    ``WIDE_DEG``: either is nearly even in image height.
+    """
+    if prescription.max_field_deg > WIDE_DEG:
+        return np.linspace(0, prescription.max_field_deg, count)
     edge = np.tan(np.radians(prescription.max_field_deg))
     fields_deg = np.degrees(np.arctan(np.linspace(0, edge, count)))
     fields_deg[-1] = prescription.max_field_deg
     return fields_deg
+
+
+def _ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
+    """Return f tan(theta), infinite from 90 deg."""
+    below = field_deg < 90
+    return np.where(below, 1e3 * efl_mm * np.tan(np.radians(np.where(below, field_deg, 0))), np.inf)
 
 
 def compute_bank(
@@ -277,7 +361,7 @@ def compute_bank(
     wavelengths_nm : array_like, shape (L,), optional
         400 to 700 nm in steps of 25.
     field_deg : array_like, shape (F,), optional
-        15 fields from 0 to the lens's largest, evenly spaced in tan(theta).
+        15 fields from 0 to the lens's largest (``default_fields_deg``).
     reference_nm : float
         One of the wavelengths.
     pitch_um, size : float, int
@@ -338,21 +422,22 @@ def compute_bank(
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     solid_angle = stacked.pop("solid_angle")
     real = stacked["real_height_um"]
-    folds = np.flatnonzero((np.diff(real, axis=0) <= 0).any(axis=1))
-    if folds.size:
+    theta, efl_um = np.radians(angles), 1e3 * order.efl_mm
+    folds = [f for h in real.T if (f := FieldMap(theta, h, efl_um).folds_at) is not None]
+    if folds:
         raise UserError(
             "distortion folds the image over: image height does not rise with field angle",
             file=prescription.file,
             field="max_field_deg",
             value=f"{angles[-1]:g}",
-            allowed=f"up to {angles[folds[0]]:.4g} deg",
+            allowed=f"up to {np.degrees(min(folds)):.4g} deg",
         )
     ratio = index[1:] / index[:-1]
     return Bank(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),
         field_deg=angles,
-        ideal_height_um=1e3 * order.efl_mm * np.tan(np.radians(angles)),
+        ideal_height_um=_ideal_height_um(order.efl_mm, angles),
         relative_illumination=solid_angle / solid_angle[0],
         projected_solid_angle_sr=solid_angle[0],
         # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5).

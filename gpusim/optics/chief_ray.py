@@ -15,7 +15,7 @@ FIT_ERROR_UM = 1e-3
 
 @dataclass(frozen=True)
 class ChiefRayMap:
-    """u = x g(|x|^2 / R^2) with R the image circle.
+    """u = x g(|x|^2 / R^2) with R the image circle, as far as the ideal plane has a place for it.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ def chief_ray_map(bank: Bank) -> ChiefRayMap:
         When a polynomial of degree 15 in image height does not follow the map to a thousandth of a
         micrometre.
     """
-    radius = np.linspace(0, bank.image_circle_um, 401)[1:]
+    radius = np.linspace(0, bank.rectilinear_circle_um, 401)[1:]
     ratio = bank.ideal_from_real(radius)[0] / radius
     fit = np.polynomial.Polynomial.fit(
         (radius / radius[-1]) ** 2, ratio, 7, domain=[0, 1], w=radius
@@ -63,4 +63,4 @@ def chief_ray_map(bank: Bank) -> ChiefRayMap:
             value=f"{error_um.max():.3g} um off at {radius[error_um.argmax()]:.0f} um height",
             allowed=f"at most {FIT_ERROR_UM} um",
         )
-    return ChiefRayMap(coefficients, float(bank.image_circle_um))
+    return ChiefRayMap(coefficients, float(radius[-1]))

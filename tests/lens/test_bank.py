@@ -6,12 +6,15 @@ import itertools
 import numpy as np
 import pytest
 import xarray
+from lens.made import fisheye
 
+from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens import bank as bank_module
 from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
+from gpusim.sensor.sensor import load_sensor
 
 SMALL = {"wavelengths_nm": [450.0, 550.0, 650.0], "size": 64}
 
@@ -93,6 +96,87 @@ def test_ideal_and_real_heights_are_inverse_and_flag_the_image_circle(bank):
         rtol=0,
         atol=1e-9,
     )
+
+
+@pytest.fixture(scope="module")
+def fisheye_bank():
+    return compute_bank(
+        fisheye(), [500.0, 550.0], default_fields_deg(fisheye(), 9), size=32, pitch_um=1.0
+    )
+
+
+def test_fields_of_a_wide_lens_are_even_in_angle_and_others_in_its_tangent(demo_lens):
+    np.testing.assert_allclose(default_fields_deg(fisheye(), 8), np.arange(8) * 15.0)
+    at_50 = default_fields_deg(demo_lens.model_copy(update={"max_field_deg": 50.0}), 3)
+    assert np.tan(np.radians(at_50[1])) == pytest.approx(np.tan(np.radians(50)) / 2)
+
+
+@pytest.mark.parametrize("wavelength", [500.0, 530.0, 550.0])
+def test_a_fisheye_has_a_chief_ray_map_to_its_edge_and_back(fisheye_bank, wavelength):
+    theta = np.linspace(0, 130, 261)
+    height, inside = fisheye_bank.height_from_angle(theta, wavelength)
+    np.testing.assert_array_equal(inside, theta <= 105)
+    assert (np.diff(height) > 0).all()
+    back, inside_too = fisheye_bank.angle_from_height(height, wavelength)
+    # 1e-9 um over the slope at the edge, 1200 um per rad.
+    np.testing.assert_allclose(back, theta, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(inside, inside_too)
+    system = build(fisheye())
+    index = system.index(np.array([500.0, 550.0]))
+    for degrees in (40.0, 77.0, 97.0):
+        rays = sample_rays(system, index, np.radians(degrees), np.zeros(1), np.zeros(1))
+        chief_um = 1e3 * np.interp(wavelength, [500, 550], rays.chief_y_mm)
+        # 5/384 h^4 of the fourth derivative, h = 0.23 rad, f sin-like: 0.06 um; as measured.
+        assert fisheye_bank.height_from_angle(degrees, wavelength)[0] == pytest.approx(
+            chief_um, abs=0.1
+        )
+    assert abs(np.ptp(rays.chief_y_mm)) > 1e-4  # lateral colour: the wavelengths differ
+
+
+def test_a_fisheye_has_an_ideal_plane_below_85_deg_only(fisheye_bank):
+    assert np.isinf(fisheye_bank.ideal_height_um[fisheye_bank.field_deg > 90]).all()
+    assert (fisheye_bank.distortion[fisheye_bank.field_deg > 90] == -1).all()
+    real_85 = fisheye_bank.height_from_angle(85.0)[0]
+    assert fisheye_bank.rectilinear_circle_um == pytest.approx(real_85, rel=1e-12)
+    assert fisheye_bank.image_circle_um > 1.15 * real_85
+    f_um = 1e3 * fisheye_bank.efl_mm
+    ideal = f_um * np.tan(np.radians([0.0, 30.0, 60.0, 84.9, 85.1]))
+    real, inside = fisheye_bank.real_from_ideal(ideal)
+    np.testing.assert_array_equal(inside, [True] * 4 + [False])
+    np.testing.assert_allclose(
+        real[:4], fisheye_bank.height_from_angle([0.0, 30.0, 60.0, 84.9])[0], rtol=1e-12
+    )
+    back, inside_too = fisheye_bank.ideal_from_real(real)
+    np.testing.assert_allclose(back, ideal, rtol=1e-9)
+    np.testing.assert_array_equal(inside, inside_too)
+
+
+def test_distortion_of_a_fisheye_is_reported_against_f_theta(fisheye_bank):
+    real = fisheye_bank.real_height_um[:, fisheye_bank.reference]
+    f_theta = 1e3 * fisheye_bank.efl_mm * np.radians(fisheye_bank.field_deg)
+    np.testing.assert_allclose((1 + fisheye_bank.distortion_f_theta) * f_theta, real, rtol=1e-12)
+    assert fisheye_bank.distortion_f_theta[0] == 0
+    assert -0.2 < fisheye_bank.distortion_f_theta[-1] < 0
+
+
+def test_a_wavelength_beyond_the_bank_has_no_chief_rays(bank):
+    with pytest.raises(UserError, match="no chief rays") as caught:
+        bank.height_from_angle(3.0, 660.0)
+    assert "450 to 650" in caught.value.screen()
+
+
+def test_a_sensor_that_sees_beyond_the_ideal_plane_is_refused(fisheye_bank, monkeypatch):
+    monkeypatch.setattr(bank_module, "cached_bank", lambda *_, **__: fisheye_bank)
+    half_um = {"inside": 0.99, "beyond": 1.01}
+    cameras = {}
+    for name, share in half_um.items():
+        side = round(share * fisheye_bank.rectilinear_circle_um * 2**0.5 / 1.55)
+        sensor = load_sensor("imx477").roi(64, 64)
+        sensor = sensor.model_copy(update={"rows": side, "cols": side})
+        cameras[name] = Camera("fisheye", fisheye(), sensor)
+    assert cameras["inside"].bank() is fisheye_bank
+    with pytest.raises(UserError, match=r"see 8[56]\S* deg"):
+        cameras["beyond"].bank()
 
 
 def test_psf_of_the_axis_is_symmetric_and_that_of_the_corner_is_not(bank):
