@@ -159,7 +159,8 @@ def surface_index(
     Parameters
     ----------
     surface : Surface
-        Its ``glass`` is None for air, ``model`` for (nd, Vd), else a catalogue name.
+        Its ``glass`` is None for air, ``model`` for (nd, Vd), ``constant`` for nd at every
+        wavelength, else a catalogue name.
     number : int
         Surface number, from 1, for error texts.
     catalogues : tuple of str
@@ -173,6 +174,8 @@ def surface_index(
     """
     if surface.glass is None:
         return np.ones(len(wavelengths_nm))
+    if surface.glass == "constant":
+        return np.full(len(wavelengths_nm), surface.nd)
     if surface.glass == "model" or (printed and surface.nd is not None):
         return model_index(surface.nd, surface.vd, wavelengths_nm)
     name, page = resolve(surface.glass, catalogues, surface=number, file=file)
