@@ -14,10 +14,19 @@ from pathlib import Path
 from typing import Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
+from gpusim.lens.glass import FORMULAS
 
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
@@ -51,13 +60,39 @@ class Asphere(_Strict):
         return tuple(getattr(self, f"a{power}") for power in ASPHERE_POWERS)
 
 
+class Dispersion(_Strict):
+    """The dispersion formula of a glass that no offline catalogue has.
+
+    ``formula`` and ``coefficients`` as in a Zemax catalogue (``glass.FORMULAS``), for wavelengths
+    in um; ``range_um`` is where they hold.
+    """
+
+    formula: int
+    coefficients: tuple[float, ...] = Field(min_length=1, max_length=10)
+    range_um: tuple[float, float]
+
+    @field_validator("formula")
+    @classmethod
+    def _known(cls, formula: int) -> int:
+        if formula not in FORMULAS:
+            raise ValueError(f"one of {', '.join(f'{n} {t}' for n, t in FORMULAS.items())}")
+        return formula
+
+    @field_validator("range_um")
+    @classmethod
+    def _ordered(cls, range_um: tuple[float, float]) -> tuple[float, float]:
+        if not 0 < range_um[0] < range_um[1]:
+            raise ValueError("two wavelengths in um, the shorter first")
+        return range_um
+
+
 class Surface(_Strict):
     """One surface and the space behind it.
 
     ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface;
     ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``: nd at every
-    wavelength, for sources without dispersion; else a catalogue glass, beside which nd and vd
-    record what the source printed).
+    wavelength, for sources without dispersion; else a glass of a catalogue, or one with its own
+    ``dispersion``, beside which nd and vd record what the source printed).
     """
 
     radius: float | None = Field(None, allow_inf_nan=True)
@@ -66,6 +101,7 @@ class Surface(_Strict):
     glass: str | None = Field(None, min_length=1)
     nd: float | None = Field(None, gt=1, lt=5)
     vd: float | None = Field(None, gt=5, lt=150)
+    dispersion: Dispersion | None = None
     conic: float = 0.0
     asphere: Asphere = Asphere()
     semi_diameter: float | None = Field(None, gt=0)
@@ -85,6 +121,8 @@ class Surface(_Strict):
             raise ValueError("nd and vd need a glass (glass: model uses them as they are)")
         if self.glass == "model" and self.nd is None:
             raise ValueError("a model glass needs nd and vd")
+        if self.dispersion is not None and self.glass in (None, "model", "constant"):
+            raise ValueError("a dispersion needs the name of its glass")
         if self.glass is not None and self.thickness == 0:
             raise ValueError("a glass thickness must be greater than 0")
         return self
@@ -303,7 +341,9 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
             file=path,
             allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}",
         ) from error
-    return reader(content, path)
+    from gpusim.lens.agf import with_file_catalogues
+
+    return with_file_catalogues(reader(content, path))
 
 
 KINDS = ".yaml or .zmx"
