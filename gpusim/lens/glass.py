@@ -1,4 +1,4 @@
-"""Refractive index of catalogue glasses, from the offline refractiveindex.info database.
+"""Refractive index of glasses: of the offline refractiveindex.info database, and by formula.
 
 An index is the catalogue's own: relative to air at 20 degC and normal pressure, so air is 1.
 Nothing is ever substituted: a glass that is not found is an error that lists near names.
@@ -24,6 +24,32 @@ BOOKS = {
 }
 # Spectral lines of the definition of the Abbe number (ISO 7944), nm.
 D_LINE_NM, F_LINE_NM, C_LINE_NM = 587.5618, 486.1327, 656.2725
+# Dispersion formulas by their number in Zemax catalogues. The equations are those of the Zemax
+# manual (chapter on glass catalogues); all but 4 and 10, of which there are none, give the nd and
+# Vd that the makers' catalogues state, to the digits.
+FORMULAS = {
+    1: "Schott",
+    2: "Sellmeier 1",
+    3: "Herzberger",
+    4: "Sellmeier 2",
+    5: "Conrady",
+    6: "Sellmeier 3",
+    7: "Handbook of Optics 1",
+    8: "Handbook of Optics 2",
+    9: "Sellmeier 4",
+    10: "Extended",
+    11: "Sellmeier 5",
+    12: "Extended 2",
+    13: "Extended 3",
+}
+# Powers of the wavelength in n^2, in the order of the coefficients.
+_POWERS = {
+    1: (0, 2, -2, -4, -6, -8),
+    10: (0, 2, -2, -4, -6, -8, -10, -12),
+    12: (0, 2, -2, -4, -6, -8, 4, 6),
+    13: (0, 2, 4, -2, -4, -6, -8, -10, -12),
+}
+_RESONANCES = {2: 3, 6: 4, 11: 5}  # terms of the Sellmeier formulas n^2 = 1 + sum K w^2/(w^2 - L)
 
 
 @functools.cache
@@ -121,18 +147,68 @@ def catalogue_index(
     """
     material = _material(BOOKS[catalogue_name], page)
     low, high = material.get_wl_range(unit="nm", quantity="n")
-    # The database's ends are printed in um to a few digits; 1e-6 nm absorbs their rounding.
-    outside = (wavelengths_nm < low - 1e-6) | (wavelengths_nm > high + 1e-6)
+    _within(low, high, wavelengths_nm, f"{catalogue_name}/{page}", surface, file)
+    return np.asarray(material.get_refractive_index(wavelengths_nm, unit="nm"), dtype=float)
+
+
+def _within(
+    low_nm: float,
+    high_nm: float,
+    wavelengths_nm: np.ndarray,
+    glass: str,
+    surface: int,
+    file: Path | None,
+) -> None:
+    """Refuse wavelengths outside the range of a glass's data."""
+    # The ends are printed in um to a few digits; 1e-6 nm absorbs their rounding.
+    outside = (wavelengths_nm < low_nm - 1e-6) | (wavelengths_nm > high_nm + 1e-6)
     if outside.any():
         raise UserError(
-            f"a wavelength lies outside the data of glass {catalogue_name}/{page} "
-            f"of surface {surface}",
+            f"a wavelength lies outside the data of glass {glass} of surface {surface}",
             file=file,
             field="wavelengths_nm",
             value=f"{wavelengths_nm[outside][0]:g} nm",
-            allowed=f"{low:g} to {high:g} nm",
+            allowed=f"{low_nm:g} to {high_nm:g} nm",
         )
-    return np.asarray(material.get_refractive_index(wavelengths_nm, unit="nm"), dtype=float)
+
+
+def formula_index(
+    formula: int, coefficients: tuple[float, ...], wavelengths_nm: np.ndarray | float
+) -> np.ndarray:
+    """Return the index by a dispersion formula; NaN where it has no real value.
+
+    Parameters
+    ----------
+    formula : int
+        Number in ``FORMULAS``.
+    coefficients : tuple of float
+        In the catalogue's order, for wavelengths in um; those that are missing are 0.
+    wavelengths_nm : ndarray or float
+        Wavelengths in nm.
+    """
+    w = np.asarray(wavelengths_nm, dtype=float) / 1e3
+    w2 = w * w
+    k = (*coefficients, *[0.0] * 10)
+    with np.errstate(all="ignore"):
+        if formula in _POWERS:
+            return np.sqrt(sum(c * w**p for c, p in zip(k, _POWERS[formula], strict=False)))
+        if formula in _RESONANCES:
+            terms = range(_RESONANCES[formula])
+            return np.sqrt(1 + sum(k[2 * i] * w2 / (w2 - k[2 * i + 1]) for i in terms))
+        if formula == 3:
+            pole = 1 / (w2 - 0.028)
+            ends = k[3] * w2 + k[4] * w2**2 + k[5] * w2**3
+            return k[0] + k[1] * pole + k[2] * pole**2 + ends
+        if formula == 4:
+            first = k[1] * w2 / (w2 - k[2] ** 2)
+            return np.sqrt(1 + k[0] + first + k[3] / (w2 - k[4] ** 2))
+        if formula == 5:
+            return k[0] + k[1] / w + k[2] / w**3.5
+        if formula == 7:
+            return np.sqrt(k[0] + k[1] / (w2 - k[2]) - k[3] * w2)
+        if formula == 8:
+            return np.sqrt(k[0] + k[1] * w2 / (w2 - k[2]) - k[3] * w2)
+        return np.sqrt(k[0] + k[1] * w2 / (w2 - k[2]) + k[3] * w2 / (w2 - k[4]))  # 9
 
 
 def model_index(nd: float, vd: float, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -159,7 +235,8 @@ def surface_index(
     Parameters
     ----------
     surface : Surface
-        Its ``glass`` is None for air, ``model`` for (nd, Vd), else a catalogue name.
+        Its ``glass`` is None for air, ``model`` for (nd, Vd), ``constant`` for nd at every
+        wavelength, else a glass by its ``dispersion`` or a name of the offline database.
     number : int
         Surface number, from 1, for error texts.
     catalogues : tuple of str
@@ -173,7 +250,24 @@ def surface_index(
     """
     if surface.glass is None:
         return np.ones(len(wavelengths_nm))
+    if surface.glass == "constant":
+        return np.full(len(wavelengths_nm), surface.nd)
     if surface.glass == "model" or (printed and surface.nd is not None):
         return model_index(surface.nd, surface.vd, wavelengths_nm)
+    if surface.dispersion is not None:
+        law = surface.dispersion
+        low, high = (1e3 * end for end in law.range_um)
+        _within(low, high, wavelengths_nm, surface.glass, number, file)
+        index = formula_index(law.formula, law.coefficients, wavelengths_nm)
+        wrong = ~((index > 1) & (index < 10))
+        if wrong.any():
+            raise UserError(
+                f"the dispersion formula of glass {surface.glass} of surface {number} fails",
+                file=file,
+                field=f"surfaces.{number}.dispersion",
+                value=f"index {index[wrong][0]:g} at {wavelengths_nm[wrong][0]:g} nm",
+                allowed="an index from 1 to 10",
+            )
+        return index
     name, page = resolve(surface.glass, catalogues, surface=number, file=file)
     return catalogue_index(name, page, wavelengths_nm, surface=number, file=file)

@@ -8,16 +8,27 @@ from 1, as lens designers count; the object is at infinity in air and the image 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from gpusim.errors import UserError
+from gpusim.lens.account import Account
+from gpusim.lens.glass import FORMULAS
 
-ASPHERE_POWERS = tuple(range(2, 17, 2))  # Zemax EVENASPH has eight: r^2 to r^16
+ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
 
 class _Strict(BaseModel):
@@ -35,19 +46,53 @@ class Asphere(_Strict):
     a12: float = 0.0
     a14: float = 0.0
     a16: float = 0.0
+    a18: float = 0.0
+    a20: float = 0.0
+    a22: float = 0.0
+    a24: float = 0.0
+    a26: float = 0.0
+    a28: float = 0.0
+    a30: float = 0.0
 
     @property
     def coefficients(self) -> tuple[float, ...]:
-        """a2, a4 ... a16."""
+        """a2, a4 ... a30."""
         return tuple(getattr(self, f"a{power}") for power in ASPHERE_POWERS)
+
+
+class Dispersion(_Strict):
+    """The dispersion formula of a glass that no offline catalogue has.
+
+    ``formula`` and ``coefficients`` as in a Zemax catalogue (``glass.FORMULAS``), for wavelengths
+    in um; ``range_um`` is where they hold.
+    """
+
+    formula: int
+    coefficients: tuple[float, ...] = Field(min_length=1, max_length=10)
+    range_um: tuple[float, float]
+
+    @field_validator("formula")
+    @classmethod
+    def _known(cls, formula: int) -> int:
+        if formula not in FORMULAS:
+            raise ValueError(f"one of {', '.join(f'{n} {t}' for n, t in FORMULAS.items())}")
+        return formula
+
+    @field_validator("range_um")
+    @classmethod
+    def _ordered(cls, range_um: tuple[float, float]) -> tuple[float, float]:
+        if not 0 < range_um[0] < range_um[1]:
+            raise ValueError("two wavelengths in um, the shorter first")
+        return range_um
 
 
 class Surface(_Strict):
     """One surface and the space behind it.
 
     ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface;
-    ``glass`` behind it (absent: air; ``model``: nd and vd rule; else a catalogue glass, beside
-    which nd and vd record what the source printed).
+    ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``: nd at every
+    wavelength, for sources without dispersion; else a glass of a catalogue, or one with its own
+    ``dispersion``, beside which nd and vd record what the source printed).
     """
 
     radius: float | None = Field(None, allow_inf_nan=True)
@@ -56,6 +101,7 @@ class Surface(_Strict):
     glass: str | None = Field(None, min_length=1)
     nd: float | None = Field(None, gt=1, lt=5)
     vd: float | None = Field(None, gt=5, lt=150)
+    dispersion: Dispersion | None = None
     conic: float = 0.0
     asphere: Asphere = Asphere()
     semi_diameter: float | None = Field(None, gt=0)
@@ -66,12 +112,17 @@ class Surface(_Strict):
             raise ValueError("give either radius or curvature")
         if self.radius is not None and (self.radius == 0 or math.isnan(self.radius)):
             raise ValueError("radius must not be 0 (a plane is .inf)")
-        if (self.nd is None) != (self.vd is None):
+        if self.glass == "constant":
+            if self.nd is None or self.vd is not None:
+                raise ValueError("a constant glass needs nd and no vd: it does not disperse")
+        elif (self.nd is None) != (self.vd is None):
             raise ValueError("nd and vd come together")
         if self.glass is None and self.nd is not None:
             raise ValueError("nd and vd need a glass (glass: model uses them as they are)")
         if self.glass == "model" and self.nd is None:
             raise ValueError("a model glass needs nd and vd")
+        if self.dispersion is not None and self.glass in (None, "model", "constant"):
+            raise ValueError("a dispersion needs the name of its glass")
         if self.glass is not None and self.thickness == 0:
             raise ValueError("a glass thickness must be greater than 0")
         return self
@@ -131,6 +182,7 @@ class Prescription(_Strict):
 
     _file: Path | None = PrivateAttr(None)
     _history: tuple[str, ...] = PrivateAttr(())
+    _account: Account = PrivateAttr(default_factory=Account)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -156,6 +208,11 @@ class Prescription(_Strict):
     def file(self) -> Path | None:
         """The file that it was read from."""
         return self._file
+
+    @property
+    def account(self) -> Account:
+        """What the reader made of the file: rows of surface number or "file", what, how."""
+        return self._account
 
     @property
     def history(self) -> tuple[str, ...]:
@@ -268,12 +325,13 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
     """
     known = presets()
     path = known.get(str(name_or_path), Path(name_or_path))
-    if path.suffix.lower() not in (".yaml", ".yml", ".zmx"):
+    reader = _reader(path.suffix.lower())
+    if reader is None:
         raise UserError(
             "no such lens",
             field="lens",
             value=name_or_path,
-            allowed=f"a .yaml or .zmx file, or a preset: {', '.join(known)}",
+            allowed=f"a {KINDS} file, or a preset: {', '.join(known)}",
         )
     try:
         content = path.read_bytes()
@@ -281,12 +339,28 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
         raise UserError(
             f"the lens file cannot be read: {error.strerror}",
             file=path,
-            allowed=f"a readable .yaml or .zmx file, or a preset: {', '.join(known)}",
+            allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}",
         ) from error
-    if path.suffix.lower() == ".zmx":
+    from gpusim.lens.agf import with_file_catalogues
+
+    return with_file_catalogues(reader(content, path))
+
+
+KINDS = ".yaml or .zmx"
+
+
+def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
+    """Return the reader of a kind of lens file."""
+    if suffix in (".yaml", ".yml"):
+        return _parse_yaml
+    if suffix == ".zmx":
         from gpusim.lens.zmx import parse_zmx
 
-        return parse_zmx(content, path)[0]
+        return parse_zmx
+    return None
+
+
+def _parse_yaml(content: bytes, path: Path) -> Prescription:
     try:
         data = yaml.safe_load(content.decode("utf-8"))
     except (UnicodeDecodeError, yaml.YAMLError) as error:
@@ -294,7 +368,19 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
         raise UserError(
             f"not a YAML file: {problem}", file=path, allowed="a prescription"
         ) from error
-    return validated(data, path)
+    lens = validated(data, path)
+    given = [name for name in data if name not in ("surfaces", "checks")]
+    lens.account.read("file", ", ".join(given))
+    for number, (row, surface) in enumerate(
+        zip(data["surfaces"], lens.surfaces, strict=True), start=1
+    ):
+        printed = surface.glass not in (None, "model", "constant") and surface.nd is not None
+        lens.account.read(
+            number, ", ".join(key for key in row if not (printed and key in ("nd", "vd")))
+        )
+        if printed:
+            lens.account.ignored(number, f"nd, vd: the index is that of glass {surface.glass}")
+    return lens
 
 
 def validated(data: object, file: Path) -> Prescription:

@@ -24,8 +24,8 @@ class Geometry:
     ----------
     curvature, conic, vertex_z : ndarray, shape (S,)
         1/mm, conic constant, mm.
-    asphere : ndarray, shape (S, 8)
-        a2 ... a16, mm^(1-k).
+    asphere : ndarray, shape (S, 15)
+        a2 ... a30, mm^(1-k).
     stop : int
         Index of the stop surface, from 0.
     """

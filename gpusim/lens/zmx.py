@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gpusim.errors import UserError
+from gpusim.lens.account import Account
 from gpusim.lens.glass import BOOKS
 from gpusim.lens.prescription import ASPHERE_POWERS, Prescription, validated
 
@@ -21,15 +22,6 @@ _HARMLESS_SURFACE_KEYS = frozenset(
     "COMM HIDE SLAB MIRR POPS FLAP MEMA FIMP PPAR PZUP VPAR VDSZ VCUR VCON MAZH MAZP CHZH "
     "SCOL SOPA HASH TCEX BDRO EDGE PRVT OVAL".split()
 )
-
-
-@dataclass
-class Account:
-    """What the reader made of a file, one sentence each."""
-
-    read: list[str] = field(default_factory=list)
-    ignored: list[str] = field(default_factory=list)
-    substituted: list[str] = field(default_factory=list)
 
 
 @dataclass
@@ -112,19 +104,22 @@ class _Reader:
         aperture = self._aperture(used)
         for key in ("VDXN", "VDYN", "VCXN", "VCYN"):
             if any(float(v) for v in head.first(key) or []):
-                self.account.substituted.append(
-                    f"{key}: vignetting factors by the clear apertures of the surfaces"
+                self.account.substituted(
+                    "file", f"{key}: vignetting factors by the clear apertures of the surfaces"
                 )
             used.add(key)
         if "RAIM" in head.lines:
-            self.account.substituted.append("RAIM: every ray is aimed at the real stop")
+            self.account.substituted("file", "RAIM: every ray is aimed at the real stop")
             used.add("RAIM")
-        self.account.read += [f"{key}" for key in sorted(used) if key in head.lines]
-        self.account.ignored += [f"{key}" for key in sorted(head.lines) if key not in used]
+        for key in sorted(head.lines):
+            if key in used:
+                self.account.read("file", key)
+            else:
+                self.account.ignored("file", key)
         catalogues = [name.upper() for name in head.first("GCAT") or []]
         for name in catalogues:
             if name not in BOOKS:
-                self.account.ignored.append(f"GCAT {name}: no such catalogue offline")
+                self.account.ignored("file", f"GCAT {name}: no such catalogue offline")
         self.catalogues = catalogues
         notes = [" ".join(values[1:]) for values in head.lines.get("NOTE", [])]
         return {
@@ -239,8 +234,10 @@ class _Reader:
             in_air = "glass" not in row
             rows.append(row)
         lens = validated(settings | {"stop": stop, "surfaces": rows}, self.file)
-        steps = [f"substituted {s}" for s in self.account.substituted]
-        return lens.derived("; ".join(["read from a Zemax file", *steps]))
+        steps = [f"substituted {text}" for text in self.account.listed("substituted")]
+        lens = lens.derived("; ".join(["read from a Zemax file", *steps]))
+        lens._account = self.account
+        return lens
 
     def _ends(self) -> None:
         """Refuse what the model has no place for in the object and image surfaces."""
@@ -296,13 +293,13 @@ class _Reader:
         dummy = in_air and "glass" not in row
         self._aperture_of(block, row, ignore=dummy)
         if is_stop and dummy:
-            self.account.ignored.append(f"{place} DIAM: the system aperture sets the stop")
+            self.account.ignored(block.number, "DIAM: the system aperture sets the stop")
         known = {"TYPE", "CURV", "DISZ", "CONI", "PARM", "GLAS", "DIAM", "STOP", "CLAP", "COAT"}
         if "COAT" in block.lines:
-            self.account.substituted.append(f"{place} COAT: coating by uncoated Fresnel losses")
+            self.account.substituted(block.number, "COAT: coating by uncoated Fresnel losses")
         for key in block.lines:
             if key in _HARMLESS_SURFACE_KEYS:
-                self.account.ignored.append(f"{place} {key}")
+                self.account.ignored(block.number, key)
             elif key not in known:
                 raise self.refuse(
                     f"surface key {key} is not understood and may change the optics",
@@ -310,7 +307,7 @@ class _Reader:
                     " ".join(block.lines[key][0]),
                     ", ".join(sorted(known)),
                 )
-        self.account.read.append(f"{place}: {', '.join(k for k in block.lines if k in known)}")
+        self.account.read(block.number, ", ".join(k for k in block.lines if k in known))
         return row
 
     def _polynomial(self, block: _Block, kind: str, row: dict[str, object]) -> None:
@@ -327,7 +324,7 @@ class _Reader:
                 ) from error
             if coefficient == 0:
                 continue
-            if kind != "EVENASPH" or not 1 <= order <= len(ASPHERE_POWERS):
+            if kind != "EVENASPH" or not 1 <= order <= 8:
                 raise self.refuse(
                     "a surface parameter is not understood",
                     f"SURF {block.number} PARM {order}",
@@ -358,8 +355,9 @@ class _Reader:
             return
         row["glass"] = "model"
         row["nd"], row["vd"] = self.number(block, "GLAS", 3), self.number(block, "GLAS", 4)
-        self.account.substituted.append(
-            f"{place}: model glass nd {row['nd']:g}, Vd {row['vd']:g} by Cauchy's two-term law"
+        self.account.substituted(
+            block.number,
+            f"GLAS: model glass nd {row['nd']:g}, Vd {row['vd']:g} by Cauchy's two-term law",
         )
 
     def _aperture_of(self, block: _Block, row: dict[str, object], *, ignore: bool) -> None:
@@ -380,7 +378,7 @@ class _Reader:
             row["semi_diameter"] = min(sizes)
 
 
-def parse_zmx(content: bytes, file: Path) -> tuple[Prescription, Account]:
+def parse_zmx(content: bytes, file: Path) -> Prescription:
     """Read a Zemax lens file.
 
     Parameters
@@ -392,9 +390,9 @@ def parse_zmx(content: bytes, file: Path) -> tuple[Prescription, Account]:
 
     Returns
     -------
-    prescription : Prescription
-        With ``focus: as-given``: the image plane is where the file has it.
-    account : Account
+    Prescription
+        With ``focus: as-given``: the image plane is where the file has it; its ``account`` says
+        what became of each line.
 
     Raises
     ------
@@ -410,5 +408,4 @@ def parse_zmx(content: bytes, file: Path) -> tuple[Prescription, Account]:
     else:
         encoding = "cp1252"
     reader = _Reader(content.decode(encoding, errors="replace"), file)
-    prescription = reader.prescription()
-    return prescription, reader.account
+    return reader.prescription()

@@ -7,6 +7,7 @@ import pytest
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
+from gpusim.lens.prescription import Surface
 
 FILE = Path("some-lens.yaml")
 
@@ -37,6 +38,12 @@ def test_model_glass_has_the_stated_index_and_abbe_number():
     assert d == pytest.approx(1.6, abs=1e-14)
     assert (d - 1) / (f - c) == pytest.approx(40.0, rel=1e-12)
     assert f > d > c
+
+
+def test_a_constant_glass_has_one_index():
+    surface = Surface(radius=10.0, thickness=1.0, glass="constant", nd=1.67)
+    found = glass.surface_index(surface, 1, (), np.array([300.0, 2000.0]), file=FILE)
+    assert found.tolist() == [1.67, 1.67]
 
 
 def test_unknown_glass_names_glass_surface_file_and_near_names():

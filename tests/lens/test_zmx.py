@@ -99,16 +99,23 @@ def test_the_same_lens_from_zmx_gives_the_same_bank(tmp_path, written, codec):
 
 def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, written):
     original, text = written
-    prescription, account = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
+    prescription = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
     assert prescription.title == original.title
     assert prescription.glass_catalogues == original.glass_catalogues
     assert prescription.max_field_deg == original.max_field_deg
     assert prescription.design_wavelengths_nm == pytest.approx(original.design_wavelengths_nm)
     assert prescription.surfaces[5].semi_diameter is None  # the aperture sets the stop
-    assert "SURF 1: TYPE, CURV, DISZ, GLAS, DIAM" in account.read
-    for entry in ("COFN", "SURF 1 HIDE", "TOL", "EFLY", "GCAT MISC: no such catalogue offline"):
-        assert entry in account.ignored
-    assert account.substituted == ["RAIM: every ray is aimed at the real stop"]
+    account = prescription.account
+    assert (1, "TYPE, CURV, DISZ, GLAS, DIAM", "read") in account.rows
+    for entry in (
+        "file: COFN",
+        "surface 1: HIDE",
+        "file: TOL",
+        "file: EFLY",
+        "file: GCAT MISC: no such catalogue offline",
+    ):
+        assert entry in account.listed("ignored")
+    assert account.listed("substituted") == ["file: RAIM: every ray is aimed at the real stop"]
 
 
 def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
@@ -125,12 +132,12 @@ def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
     ]
     original = lens(rows)
     text = zmx_text(original, 30.0)
-    read, account = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
+    read = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
     assert read.surfaces[0].asphere == original.surfaces[0].asphere
     assert read.surfaces[0].conic == -0.6
     assert first_order(read) == first_order(original)
     assert read.surfaces[1].thickness == 30.0
-    assert any("model glass nd 1.52" in entry for entry in account.substituted)
+    assert any("model glass nd 1.52" in text for text in read.account.listed("substituted"))
 
 
 @pytest.mark.parametrize(
@@ -142,7 +149,7 @@ def test_every_kind_of_aperture_is_read(tmp_path, written, line, name, value):
     text = written[1]
     if line != "FNUM":
         text = text.replace("FNUM 2.8 0", line)
-    read, _ = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
+    read = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
     assert getattr(read, name) == value
 
 
