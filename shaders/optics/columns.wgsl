@@ -8,7 +8,8 @@
 //   F_site[p, q] = sum over kx = q, ky = p (mod M) of X_c(site)[ky, kx] exp(2 pi i (ky o_y + kx o_x) / T),  M = T/D
 //   folded[site, q, m] = sum_p F_site[p, q] exp(2 pi i p m / M)
 // Columns kx > T/2 are mirrored: X[ky, kx] = conj X[T-ky, T-kx], because the result is real.
-// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D.
+// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D
+// (for D = 8 of an even STEP).
 // spectra (planes, BY, T), kernels (planes, T/2+1, LANES/8, C, 4, 8, 2) per node [electrons/s per unit
 // of the plane, divided by T^2], ky = (2 a + b) LANES + 8 g + l at [.., g, c, a, l, b]: what eight lanes load lies together.
 // -> folded (ceil(S/2), M/2+1, M, 2) electrons/s: sites 2 p and 2 p + 1 side by side.
@@ -152,16 +153,18 @@ fn fold(x: Octet, pair: u32, q: u32, t: u32, o_y: u32, across: u32, mirrored: bo
     } else if (D == 8u) {
         let low = x.v0 + pair_mul(x.v1, w1) + pair_mul(x.v2, w2) + pair_mul(x.v3, w3);
         let high = x.v4 + pair_mul(x.v5, w1) + pair_mul(x.v6, w2) + pair_mul(x.v7, w3);
-        put(pair, q, t, turned(low + pair_mul(high, phase(4u * M * o_y)), k, more), mirrored, first);
+        // Sites lie an even number of samples apart here: half the period turns nothing.
+        put(pair, q, t, turned(low + high, k, more), mirrored, first);
     } else {
-        put(pair, q, t, turned(x.v0, k, more), mirrored, first);
-        put(pair, q, t + LANES, turned(x.v1, k + step, more), mirrored, first);
-        put(pair, q, t + 2u * LANES, turned(x.v2, k + 2u * step, more), mirrored, first);
-        put(pair, q, t + 3u * LANES, turned(x.v3, k + 3u * step, more), mirrored, first);
-        put(pair, q, t + 4u * LANES, turned(x.v4, k + 4u * step, more), mirrored, first);
-        put(pair, q, t + 5u * LANES, turned(x.v5, k + 5u * step, more), mirrored, first);
-        put(pair, q, t + 6u * LANES, turned(x.v6, k + 6u * step, more), mirrored, first);
-        put(pair, q, t + 7u * LANES, turned(x.v7, k + 7u * step, more), mirrored, first);
+        // One sample a photosite: no site is shifted.
+        put(pair, q, t, x.v0, mirrored, first);
+        put(pair, q, t + LANES, x.v1, mirrored, first);
+        put(pair, q, t + 2u * LANES, x.v2, mirrored, first);
+        put(pair, q, t + 3u * LANES, x.v3, mirrored, first);
+        put(pair, q, t + 4u * LANES, x.v4, mirrored, first);
+        put(pair, q, t + 5u * LANES, x.v5, mirrored, first);
+        put(pair, q, t + 6u * LANES, x.v6, mirrored, first);
+        put(pair, q, t + 7u * LANES, x.v7, mirrored, first);
     }
 }
 
