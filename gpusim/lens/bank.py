@@ -12,21 +12,21 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from importlib import metadata
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
+from gpusim.gpu import default_device
+from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
+from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field
 
 if TYPE_CHECKING:
     import xarray
@@ -38,10 +38,6 @@ PITCH_UM = 0.5
 SIZE = 256
 # Where the ideal plane ends, on which scenes lie: f tan(85 deg) is 11 f, and at 90 deg it is gone.
 RECTILINEAR_DEG = 85.0
-# Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
-# 1.9e-3 of the PSF's peak with 256 nodes, 8e-4 with 384, 4e-4 with 512.
-PUPIL_NODES = 512
-
 # Variable: dimensions, units, meaning. The order is that of the file.
 _VARIABLES = {
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
@@ -351,9 +347,11 @@ def compute_bank(
     reference_nm: float = REFERENCE_NM,
     pitch_um: float = PITCH_UM,
     size: int = SIZE,
+    rays: int = RAYS,
+    focus_um: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Bank:
-    """Compute the bank of a lens.
+    """Compute the bank of a lens on the default device.
 
     Parameters
     ----------
@@ -366,6 +364,10 @@ def compute_bank(
         One of the wavelengths.
     pitch_um, size : float, int
         PSF sampling: spacing, and samples across (even).
+    rays : int
+        Rays across the pupil, each way.
+    focus_um : float
+        How far the image plane is moved away from the lens.
     progress : callable, optional
         Called with (fields done, fields in all).
 
@@ -382,71 +384,92 @@ def compute_bank(
     wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
     angles = default_fields_deg(prescription) if field_deg is None else np.array(field_deg, float)
     _check_settings(prescription, wavelengths, angles, reference_nm, size)
-    system = build(prescription)
-    index = system.index(wavelengths)
-    order = first_order(system.prescription, reference_nm)
+    generator = Generator(
+        default_device(),
+        build(prescription),
+        wavelengths,
+        angles,
+        pitch_um=pitch_um,
+        size=size,
+        rays=rays,
+        progress=progress,
+    )
+    try:
+        return bank_of(generator, reference_nm, focus_um)
+    finally:
+        generator.release()
+
+
+def bank_of(
+    generator: Generator, reference_nm: float = REFERENCE_NM, focus_um: float = 0.0
+) -> Bank:
+    """Return the bank of a lens that is traced already, at any focus.
+
+    Parameters
+    ----------
+    generator : Generator
+    reference_nm : float
+        One of its wavelengths.
+    focus_um : float
+        How far the image plane is moved away from the lens.
+
+    Raises
+    ------
+    UserError
+        Where distortion folds the image over.
+    """
+    system, wavelengths = generator.system, generator.wavelengths_nm
+    size = generator.size
     # The circle in the window: a PSF is turned to every azimuth and must not gain corners by it.
     inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
-
-    def one_field(angle: float) -> dict[str, np.ndarray]:
-        """All wavelengths of one field, by the names of the bank's variables."""
-        samples = sample_field(system, index, float(angle))
-        grids = pupils(samples, wavelengths, size * pitch_um, PUPIL_NODES)
-        psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
-        outside, folded = np.zeros((2, len(wavelengths)))
-        for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
-            _check_pitch(prescription, pupil, wavelength, pitch_um)
-            window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-            outside[w] = 1.0 - window.sum()
-            folded[w] = folded_share(pupil, wavelength, size, pitch_um)
-            psf[w] = window / window.sum()
-        return {
-            "real_height_um": 1e3 * samples.chief_y_mm,
-            "psf": psf,
-            "solid_angle": np.array([g.projected_solid_angle_sr for g in grids]),
-            "outside_energy": outside,
-            "folded_energy": folded,
-            "fit_residual_waves": np.array([g.fit_residual_mm for g in grids])
-            / (wavelengths * 1e-6),
-            "failed_rays": (~samples.ok).sum(axis=1).astype(np.int32),
-        }
-
-    # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning, and with
-    # two other busy processes on two cores a bank of 4 s took 60 s.
-    rows = []
-    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for row in pool.map(one_field, np.radians(angles)):
-            rows.append(row)
-            if progress is not None:
-                progress(len(rows), len(angles))
-    stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    solid_angle = stacked.pop("solid_angle")
-    real = stacked["real_height_um"]
-    theta, efl_um = np.radians(angles), 1e3 * order.efl_mm
+    psfs = np.empty((len(generator.field_deg), len(wavelengths), size, size), np.float32)
+    outside, folded, solid_angle = np.zeros((3, *psfs.shape[:2]))
+    for field in range(len(psfs)):
+        spread = generator.spread(field, 1e-3 * focus_um)
+        window = np.multiply(spread.psf, inside, out=psfs[field])
+        share = window.sum(axis=(1, 2), dtype=float)
+        window /= share.astype(np.float32)[:, None, None]
+        outside[field], folded[field] = 1.0 - share, spread.folded_energy
+        solid_angle[field] = spread.projected_solid_angle_sr
+    angles = generator.field_deg
+    slope = generator.chief_beta / np.sqrt(1 - generator.chief_beta**2)
+    real = 1e3 * generator.chief_y_mm + focus_um * slope
+    order = first_order(system.prescription, reference_nm)
+    efl_um = 1e3 * order.efl_mm
+    theta = np.radians(angles)
     folds = [f for h in real.T if (f := FieldMap(theta, h, efl_um).folds_at) is not None]
     if folds:
         raise UserError(
             "distortion folds the image over: image height does not rise with field angle",
-            file=prescription.file,
+            file=system.prescription.file,
             field="max_field_deg",
             value=f"{angles[-1]:g}",
             allowed=f"up to {np.degrees(min(folds)):.4g} deg",
         )
+    index = system.index(wavelengths)
     ratio = index[1:] / index[:-1]
+    provenance = _provenance(system)
+    if focus_um:
+        provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
     return Bank(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),
         field_deg=angles,
         ideal_height_um=_ideal_height_um(order.efl_mm, angles),
+        real_height_um=real,
+        psf=psfs,
         relative_illumination=solid_angle / solid_angle[0],
         projected_solid_angle_sr=solid_angle[0],
         # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5).
         transmission=np.prod(1 - ((ratio - 1) / (ratio + 1)) ** 2, axis=0),
+        outside_energy=outside,
+        folded_energy=folded,
+        fit_residual_waves=generator.residual_waves,
+        failed_rays=generator.failed_rays,
         efl_mm=order.efl_mm,
         f_number=order.f_number,
-        pitch_um=float(pitch_um),
-        provenance=_provenance(system),
-        **stacked,
+        pitch_um=float(generator.pitch_um),
+        provenance=provenance,
     )
 
 
@@ -483,22 +506,12 @@ def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> No
             value=f"{angles[-1]:g}",
             allowed=f"0 to {prescription.max_field_deg:g}",
         )
-    if size % 2:
-        raise UserError("the PSF window must be even", field="size", value=size, allowed="even")
-
-
-def _check_pitch(prescription, pupil, wavelength_nm, pitch_um) -> None:
-    """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 * pupil width)."""
-    width = max(2 * pupil.alpha[-1], pupil.beta[-1] - pupil.beta[0])
-    # The grid is OVERSIZE wider than the pupil: that much slack is not aliasing.
-    limit = wavelength_nm * 1e-3 / (2 * width) * OVERSIZE
-    if pitch_um > limit:
+    if size % 2 or not 0 < size <= TRANSFORM // 2:
         raise UserError(
-            f"the PSF pitch is too coarse for this aperture at {wavelength_nm:g} nm",
-            file=prescription.file,
-            field="pitch_um",
-            value=pitch_um,
-            allowed=f"<= {limit:.3g}",
+            "the PSF window has a size that is not computed",
+            field="size",
+            value=size,
+            allowed=f"even, up to {TRANSFORM // 2}",
         )
 
 
@@ -571,6 +584,8 @@ def _key(prescription: Prescription, settings: dict[str, object]) -> str:
         "numpy": np.__version__,
     }
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    sources = [Path(__file__).parent.glob("*.py")]
+    sources += [(shaders_root() / folder).glob("*.wgsl") for folder in ("common", "lens")]
+    for source in sorted(chain.from_iterable(sources)):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:32]

@@ -143,11 +143,12 @@ def field_launch(system: System, index: np.ndarray, theta: float) -> Launch:
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
     launch, found = launch_field(system.geometry, index, theta, tolerance)
     if not found.all():
-        raise _no_chief_ray(system, theta)
+        raise no_chief_ray(system, theta)
     return launch
 
 
-def _no_chief_ray(system: System, theta: float) -> UserError:
+def no_chief_ray(system: System, theta: float) -> UserError:
+    """Return the error of a field whose chief ray does not pass the lens."""
     return UserError(
         f"the chief ray does not pass the lens at {np.degrees(theta):.4g} deg",
         file=system.prescription.file,
@@ -169,7 +170,7 @@ def _sample(
     rays = trace(geometry, index, launch, np.pad(px, first), np.pad(py, first))
     ok = np.pad(found, first, constant_values=True) & rays.ok & (rays.direction[2] > 0)
     if not ok[:, 0].all():
-        raise _no_chief_ray(system, launch.theta)
+        raise no_chief_ray(system, launch.theta)
     alpha, beta, gamma = rays.direction
     to_image = (system.image_z_mm - rays.point[2]) / np.where(ok, gamma, 1.0)
     land_x = rays.point[0] + to_image * alpha
