@@ -19,7 +19,7 @@ from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.system import System
 from gpusim.lens.tracer import Beams, starts
-from gpusim.lens.wavefront import OVERSIZE
+from gpusim.lens.wavefront import OVERSIZE, within_hull
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -218,11 +218,13 @@ class Generator:
             coefficients = np.zeros(i.shape)
             coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
             entering.append((on_a @ coefficients @ on_b.T).ravel())
-        lines, nodes = len(self.wavelengths_nm), self._na * self._nb
+        # Far beyond the aimed rays the polynomials lead nowhere.
+        near = within_hull(NEAR * alpha, centre + NEAR * (beta - centre), node_a, node_b)
+        nodes = np.flatnonzero(near)
         return starts(
-            np.stack(entering, axis=-1),
-            np.full(nodes, field * lines + line),
-            line * nodes + np.arange(nodes),
+            np.stack(entering, axis=-1)[nodes],
+            np.full(len(nodes), field * len(self.wavelengths_nm) + line),
+            line * near.size + nodes,
         )
 
     def _check_pitch(self, line: int, width: float) -> None:

@@ -53,6 +53,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         if (here.z > 0.0 && (best.z < 0.0 || far < best.z)) {
             best = vec3f(p, far);
         }
+        if (here.z > 0.0 && far < 0.1 * GOOD) {
+            break;
+        }
         let a = (right.xy - here.xy) / step;
         let b = (up.xy - here.xy) / step;
         let det = a.x * b.y - a.y * b.x;
