@@ -31,6 +31,7 @@ AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1
 # Degree of the polynomial from the directions in which rays leave to where they enter. It only has
 # to lead rays to within 1e-3 of a node's direction: see shaders/lens/wavefront.
 DEGREE = 9
+NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
 
 _GRID = np.dtype(
