@@ -132,6 +132,9 @@ def _meet(
     ok = square >= 0
     t = quad_c / (quad_b + np.sqrt(np.maximum(square, 0)))
     if a.any():
+        # A ray may miss the conic and yet meet the asphere: it starts from the vertex's plane.
+        t = np.where(ok, t, -z / dz)
+        ok = np.isfinite(t)
         for _ in range(20):  # quadratic convergence: 4 to 6 are enough on real lenses
             px, py = x + t * dx, y + t * dy
             sag, slope = _sag(px * px + py * py, c, conic, a)

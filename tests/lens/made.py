@@ -47,8 +47,8 @@ def fisheye(**fields):
 
 def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
     """Return rays of a synthetic pupil: a disc in direction cosines, W(alpha, beta) in mm."""
-    u, v = np.meshgrid(np.linspace(0, 1.12, 21), np.linspace(-1.12, 1.12, 41))
-    keep = u * u + v * v <= 1.12**2
+    u, v = np.meshgrid(np.linspace(0, 1.04, 41), np.linspace(-1.04, 1.04, 81))
+    keep = u * u + v * v <= 1.04**2
     u, v = u[keep], v[keep]
     alpha, beta = half_width * u, beta_centre + half_width * v
     nothing = np.zeros((1, alpha.size))

@@ -5,9 +5,9 @@ import pytest
 from lens.made import fisheye, lens, model
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription
+from gpusim.lens.prescription import ASPHERE_POWERS, load_prescription
 from gpusim.lens.system import build, first_order, indices
-from gpusim.lens.trace import Launch, aim, launch_field, trace
+from gpusim.lens.trace import Launch, _meet, aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays
 
 D_LINE = np.array([587.5618])
@@ -126,6 +126,22 @@ def test_an_even_asphere_and_the_conic_that_it_equals_trace_alike():
     # Newton ends where its step is 1e-14 of the distance; 5 mm paths: 1e-13 mm.
     np.testing.assert_allclose(two.point, one.point, rtol=0, atol=1e-12)
     np.testing.assert_allclose(two.path, one.path, rtol=0, atol=1e-12)
+
+
+def test_a_ray_that_misses_the_conic_meets_the_asphere():
+    # The polynomial flattens a sphere of radius 2: at r = 1.5 its sag is 0.115. A ray at 60 deg
+    # through that point passes the sphere's centre at a distance of 2.38.
+    c, a2, r = 0.5, -0.25, 1.5
+    sag = c * r * r / (1 + np.sqrt(1 - (c * r) ** 2)) + a2 * r * r
+    direction = np.array([0.0, np.sin(np.radians(60)), np.cos(np.radians(60))])
+    start = np.array([0.0, r, sag]) - 3.0 * direction
+    coefficients = np.zeros(len(ASPHERE_POWERS))
+    coefficients[0] = a2
+    t, _, ok = _meet(start[:, None, None], direction[:, None, None], c, 0.0, coefficients)
+    assert ok.all()
+    # Newton ends within 1e-14 of the length, and 1e-10 is what the tracer promises.
+    assert t.item() == pytest.approx(3.0, abs=1e-10)
+    assert not _meet(start[:, None, None], direction[:, None, None], c, 0.0, 0 * coefficients)[2]
 
 
 def test_higher_aspheric_terms_bend_rays_as_their_slope_says():
