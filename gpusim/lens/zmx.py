@@ -368,8 +368,7 @@ class _Reader:
 
     def _surface(self, block: _Block, *, is_stop: bool, in_air: bool) -> dict[str, object]:
         place = f"SURF {block.number}"
-        kind = (block.first("TYPE") or ["STANDARD"])[0:1]
-        kind = kind[0] if kind else "none"
+        kind = (block.lines.get("TYPE", [["STANDARD"]])[0] or ["none"])[0]
         if kind not in ("STANDARD", "EVENASPH", "XASPHERE"):
             problem = (
                 "coordinate breaks are not modelled"
