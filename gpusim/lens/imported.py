@@ -27,6 +27,7 @@ INFINITE = 1e10
 # Of the searches for a field. Chief-ray maps are monotone: a step need only stay below the field at
 # which a lens that passes more than that has lost the chief ray.
 _STEP_DEG = 4.0
+_LAST_DEG = 116.0  # a whole number of steps below the model's limit of 120 deg
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,6 @@ def finished(
     UserError
         Where the prescription is not complete, or a field cannot be converted.
     """
-    # Beyond 90 deg the model has its own limit, which ``validated`` names.
     angle = max(fields.sizes) if fields.kind == "angle" else 0.0
     lens = validated(data | {"max_field_deg": angle}, file)
     lens._account = account
@@ -133,9 +133,9 @@ def _angle_of(lens: Prescription, height_mm: float, kind: str) -> float:
     angle = 0.0
     while excess(angle) < 0:
         angle += _STEP_DEG
-        if angle > 88:
+        if angle > _LAST_DEG:
             raise UserError(
-                "no field angle below 88 deg gives the image height",
+                "no field angle to 116 deg gives the image height",
                 file=lens.file,
                 field="fields",
                 value=f"{height_mm:g} mm",
@@ -159,7 +159,7 @@ def _widest(lens: Prescription) -> float:
             return False
 
     high = _STEP_DEG
-    while high < 88 and passes(high):
+    while high < _LAST_DEG and passes(high):
         high += _STEP_DEG
     low = high - _STEP_DEG
     while high - low > 0.001:
@@ -189,7 +189,7 @@ def _with_beams(lens: Prescription, beams: Iterable[Beam]) -> Prescription:
         Where a ray of the beams does not pass the surfaces.
     """
     from gpusim.lens.system import build
-    from gpusim.lens.trace import aim, trace
+    from gpusim.lens.trace import aim, launch_field, trace
 
     missing = [
         i
@@ -207,9 +207,10 @@ def _with_beams(lens: Prescription, beams: Iterable[Beam]) -> Prescription:
         x = radius * (beam.centre_x + beam.half_x * np.cos(turn))
         y = radius * (beam.centre_y + beam.half_y * np.sin(turn))
         theta = math.radians(beam.angle_deg)
-        px, py, found = aim(system.geometry, index, theta, x, y, 1e-9 * radius)
-        rays = trace(system.geometry, index, theta, px, py)
-        if not (found & rays.ok).all():
+        launch, reached = launch_field(system.geometry, index, theta, 1e-9 * radius)
+        px, py, found = aim(system.geometry, index, launch, x, y, 1e-9 * radius)
+        rays = trace(system.geometry, index, launch, px, py)
+        if not (reached.all() and (found & rays.ok).all()):
             raise UserError(
                 "the vignetting factors describe a beam that does not pass the lens",
                 file=lens.file,

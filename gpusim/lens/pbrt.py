@@ -2,9 +2,10 @@
 
 Rows from the front of the lens to the film: radius of curvature, thickness, index behind the
 surface (``eta``) and aperture diameter, in mm (Pharr, Jakob & Humphreys, Physically Based
-Rendering, on the realistic camera). A radius of 0 is the aperture stop, with an index of 0 or 1.
-``#`` starts a comment; a row of one number, before the others, is a nominal focal length. One index
-for each glass: such a lens has no dispersion, and no colour errors.
+Rendering, on the realistic camera). A radius of 0 is the aperture stop; 0 for its index is air.
+``#`` starts a comment; a row of one number, before the others, is a nominal focal length. The last
+thickness is a placeholder: the renderer moves the film to the focus. One index for each glass: such
+a lens has no dispersion, and no colour errors.
 """
 
 from __future__ import annotations
@@ -32,8 +33,7 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
     Returns
     -------
     Prescription
-        With ``focus: as-given`` where the last thickness is the distance of the film, else
-        ``paraxial``; every glass is ``constant``.
+        With ``focus: best``; every glass is ``constant``.
 
     Raises
     ------
@@ -84,13 +84,16 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         )
     stop = stops[0]
     surfaces = []
+    before = 1.0  # index before the row
     for number, (radius, thickness, eta, diameter) in enumerate(rows, start=1):
-        if (eta not in (0, 1)) if number == stop else eta < 1:
+        if number == stop and eta == 0:
+            eta = 1.0
+        if (eta != before) if number == stop else eta < 1:
             raise refuse(
                 f"the index of row {number} is wrong",
                 f"row {number}, index",
                 f"{eta:g}",
-                "0 or 1 at the stop" if number == stop else "1 (air) or more",
+                f"0, or {before:g} as before the stop" if number == stop else "1 (air) or more",
             )
         if diameter <= 0:
             raise refuse(
@@ -99,20 +102,18 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
                 f"{diameter:g}",
                 "> 0 mm",
             )
-        row = {"thickness": thickness}
+        row = {"thickness": thickness, "semi_diameter": diameter / 2}
         row |= {"curvature": 0.0} if number == stop else {"radius": radius}
         if eta > 1:
             row |= {"glass": "constant", "nd": eta}
             account.substituted(number, f"glass of index {eta:g}: the same at every wavelength")
-        if number != stop:
-            row["semi_diameter"] = diameter / 2
+        if number == stop and eta == 1:  # a diaphragm in air is its own aperture
+            del row["semi_diameter"]
         account.read(number, "radius, thickness, index, aperture diameter")
         surfaces.append(row)
-    focus = "as-given"
-    if rows[-1][1] == 0:
-        focus = "paraxial"
-        del surfaces[-1]["thickness"]
-        account.substituted("file", "thickness 0 of the last row: by the paraxial focus")
+        before = eta
+    del surfaces[-1]["thickness"]
+    account.substituted("file", f"last thickness {rows[-1][1]:g}: by the best focus")
     account.substituted("file", "no dispersion stated: none, so the lens has no colour errors")
     data = {
         "title": comments[0] if comments else file.stem,
@@ -120,7 +121,7 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         "source": f"pbrt lens file {file.name}",
         "notes": "; ".join(comments[1:]),
         "units": "mm",
-        "focus": focus,
+        "focus": "best",
         "reference_nm": D_LINE_NM,
         "stop_semi_diameter_mm": rows[stop - 1][3] / 2,
         "stop": stop,

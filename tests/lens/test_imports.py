@@ -8,6 +8,7 @@ from lens.made import lens
 from lens.written import pbrt_text, seq_text, zmx_text
 
 from gpusim.errors import UserError
+from gpusim.lens.agf import with_file_catalogues
 from gpusim.lens.pbrt import parse_pbrt
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.seq import parse_seq
@@ -112,9 +113,11 @@ def test_a_pbrt_file_gives_the_same_rays_with_constant_indices():
     read = parse_pbrt(pbrt_text(original, distance, 2 * radius).encode(), _FILE)
     # The file knows only the apertures, which let more than the published 22 deg pass.
     assert read.max_field_deg > original.max_field_deg
-    stopped = {"f_number": None, "stop_semi_diameter_mm": radius}
+    stopped = {"f_number": None, "stop_semi_diameter_mm": radius, "focus": "paraxial"}
     assert_same_lens(
-        read.limited(original.max_field_deg), original.model_copy(update=stopped), 1e-12
+        read.limited(original.max_field_deg).model_copy(update={"focus": "paraxial"}),
+        original.model_copy(update=stopped),
+        1e-12,
     )
 
 
@@ -209,6 +212,29 @@ def test_a_damaged_file_is_read_or_is_a_clear_error_but_never_a_traceback(whole_
 
     damage()
     assert min(outcomes.values()) > 0  # harmless damage is read, and the rest refused
+
+
+def test_a_damaged_glass_catalogue_is_a_clear_error_but_never_a_traceback(tmp_path):
+    book = tmp_path / "book.agf"
+    text = "CC\nNM OWN 2 0 1.5168 64.17 0 0\nGC own\nCD 1.03961212 0.00600069867 0.231792344 "
+    text += "0.0200179144 1.01046945 103.560653\nLD 0.31 2.5\nIT 0.4 0.9 10\nNM B 3 0 0 0\nCD 2"
+    rows = [{"radius": 50.0, "thickness": 3.0, "glass": "OWN"}, {"radius": -50.0}]
+    plain = lens(rows, glass_catalogues=[str(book)])
+    outcomes = {"read": 0, "refused": 0}
+
+    @settings(max_examples=100, deadline=None, derandomize=True, database=None)
+    @given(edits=EDITS, codec=st.sampled_from(["utf-8", "utf-16", "cp1252"]))
+    def damage(edits, codec):
+        book.write_bytes(garbled(text, edits).encode(codec, errors="replace"))
+        try:
+            first_order(with_file_catalogues(plain))
+            outcomes["read"] += 1
+        except UserError as error:
+            assert error.file in (plain.file, book)
+            outcomes["refused"] += 1
+
+    damage()
+    assert min(outcomes.values()) > 0
 
 
 @pytest.mark.parametrize("kind", ["zmx", "seq", "pbrt"])

@@ -39,12 +39,13 @@ def test_rows_run_from_the_front_to_the_film(tmp_path):
     lens = load_prescription(file)
     assert lens.title == "a pair of lenses"
     assert [s.radius for s in lens.surfaces] == [40.0, -200.0, None, 200.0, -40.0]
-    assert [s.thickness for s in lens.surfaces] == [3.0, 6.0, 6.0, 3.0, 30.0]
+    assert [s.thickness for s in lens.surfaces] == [3.0, 6.0, 6.0, 3.0, None]
     assert [s.semi_diameter for s in lens.surfaces] == [8.0, 8.0, None, 8.0, 8.0]
     assert lens.stop == 3
     assert lens.stop_semi_diameter_mm == 4.0
-    assert lens.focus == "as-given"
-    assert build(lens).image_z_mm == 48.0
+    # The renderer moves the film to the focus, whatever the last thickness says.
+    assert lens.focus == "best"
+    assert "file: last thickness 30: by the best focus" in lens.account.listed("substituted")
 
 
 def test_the_account_says_that_there_is_no_dispersion(read):
@@ -75,11 +76,17 @@ def test_the_field_is_the_largest_whose_chief_ray_passes(read):
     assert narrow.max_field_deg < lens.max_field_deg
 
 
-def test_a_last_thickness_of_zero_is_the_paraxial_focus(read):
-    lens = read(("-40.0  30.0", "-40.0  0"))
-    assert lens.focus == "paraxial"
-    assert "thickness 0 of the last row" in "".join(lens.account.listed("substituted"))
-    assert first_order(lens) == first_order(read())
+def test_a_stop_may_lie_in_glass(read):
+    lens = read(
+        ("-200.0 6.0   1    16.0\n", ""),
+        ("0      6.0   0    8.0", "0      6.0   1.6  8.0"),
+        ("200.0\t3.0\t1.6\t16.0\n", ""),
+    )
+    assert [s.glass for s in lens.surfaces] == ["constant", "constant", None]
+    assert lens.surfaces[1].semi_diameter == 4.0
+    # A ball-like lens of thickness 9: the plane between changes nothing.
+    power = 0.6 * (2 / 40 - 0.6 * 9 / (1.6 * 40**2))
+    assert first_order(lens).efl_mm == pytest.approx(1 / power, rel=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -87,7 +94,7 @@ def test_a_last_thickness_of_zero_is_the_paraxial_focus(read):
     [
         ("0      6.0   0    8.0\n", "", ["no stop", "radius of 0"]),
         ("200.0\t3.0", "0\t3.0", ["several stops", "[3, 4]"]),
-        ("0      6.0   0 ", "0      6.0   1.5 ", ["index of row 3", "0 or 1 at the stop"]),
+        ("0      6.0   0 ", "0      6.0   1.5 ", ["index of row 3", "0, or 1 as before"]),
         ("-200.0 6.0   1 ", "-200.0 6.0   0.5 ", ["index of row 2", "1 (air) or more"]),
         ("40.0   3.0   1.6  16.0", "40.0   3.0   1.6", ["line 4", "40.0   3.0   1.6", "radius"]),
         ("40.0   3.0", "4O.0   3.0", ["line 4", "4O.0"]),

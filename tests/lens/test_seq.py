@@ -239,7 +239,7 @@ def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
         ("XAN 0 0\nYAN 0 5.0\n", "", ["no field", "YAN"]),
         ("YAN 0 5.0", "YIM 0 5.0", ["two types of field", "AN, IM"]),
         ("XAN 0 0\nYAN 0 5.0", "YOB 0 5.0", ["object heights", "YOB"]),
-        ("YAN 0 5.0", "YAN 0 95.0", ["max_field_deg"]),
+        ("YAN 0 5.0", "YAN 0 125.0", ["max_field_deg"]),
         ("  STO", "  STO; ADE 3.0", ["tilted and decentred", "S1 ADE", "3.0"]),
         ("  STO", "  STO; DAR", ["tilted and decentred", "S1 DAR"]),
         ("  STO", "  STO; SPS ODD", ["special surface", "S1 SPS"]),
