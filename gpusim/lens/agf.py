@@ -154,14 +154,18 @@ def with_file_catalogues(lens: Prescription) -> Prescription:
         place = next((p for p in places if p in files and name in files[p][1]), None)
         built_in = next((p for p in places if p in BOOKS and name in catalogue(p)), None)
         if place is None and built_in is None:
-            everything = [glass for _, glasses in files.values() for glass in glasses]
+            everything = {
+                g: f"{book}/{page}" for book in BOOKS for g, page in catalogue(book).items()
+            }
+            for entry, (_, glasses) in files.items():
+                everything |= {g: f"{Path(entry).stem.upper()}/{g}" for g in glasses}
             near = difflib.get_close_matches(name, everything, n=5, cutoff=0.5)
             raise UserError(
                 f"glass {surface.glass!r} of surface {i + 1} is not in {', '.join(places)}",
                 file=lens.file,
                 field=f"surfaces.{i + 1}.glass",
                 value=surface.glass,
-                allowed="perhaps " + ", ".join(near or ["none"]),
+                allowed="perhaps " + ", ".join([everything[n] for n in near] or ["none"]),
             )
         if place is None or (built_in is not None and places.index(built_in) < places.index(place)):
             continue

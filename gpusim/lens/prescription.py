@@ -315,7 +315,9 @@ def presets() -> dict[str, Path]:
 
 
 def load_prescription(name_or_path: str | Path) -> Prescription:
-    """Read a lens: a preset's name, a ``.yaml`` file or a Zemax ``.zmx`` file.
+    """Read a lens: a preset's name, or a file.
+
+    Files are the project's own ``.yaml``, Zemax ``.zmx``, CODE V ``.seq`` and pbrt ``.dat``.
 
     Raises
     ------
@@ -341,12 +343,10 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
             file=path,
             allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}",
         ) from error
-    from gpusim.lens.agf import with_file_catalogues
-
-    return with_file_catalogues(reader(content, path))
+    return reader(content, path)
 
 
-KINDS = ".yaml or .zmx"
+KINDS = ".yaml, .zmx, .seq or .dat"
 
 
 def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
@@ -357,6 +357,14 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
         from gpusim.lens.zmx import parse_zmx
 
         return parse_zmx
+    if suffix == ".seq":
+        from gpusim.lens.seq import parse_seq
+
+        return parse_seq
+    if suffix == ".dat":
+        from gpusim.lens.pbrt import parse_pbrt
+
+        return parse_pbrt
     return None
 
 
@@ -368,7 +376,9 @@ def _parse_yaml(content: bytes, path: Path) -> Prescription:
         raise UserError(
             f"not a YAML file: {problem}", file=path, allowed="a prescription"
         ) from error
-    lens = validated(data, path)
+    from gpusim.lens.agf import with_file_catalogues
+
+    lens = with_file_catalogues(validated(data, path))
     given = [name for name in data if name not in ("surfaces", "checks")]
     lens.account.read("file", ", ".join(given))
     for number, (row, surface) in enumerate(

@@ -8,20 +8,41 @@ OpticStudio writes; their meaning is given in its manual under the editors that 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
-from gpusim.lens.glass import BOOKS
-from gpusim.lens.prescription import ASPHERE_POWERS, Prescription, validated
+from gpusim.lens.agf import read_agf
+from gpusim.lens.glass import BOOKS, catalogue
+from gpusim.lens.imported import INFINITE, Beam, Fields, finished, radial_angle_deg
+from gpusim.lens.prescription import ASPHERE_POWERS, Prescription
+from gpusim.lens.text import decoded, finite
 
 # Surface keys that carry no optics: display, solves (their result stands beside them), comments,
 # mirror substrate, mechanical size, propagation and coating-layout settings.
 _HARMLESS_SURFACE_KEYS = frozenset(
-    "COMM HIDE SLAB MIRR POPS FLAP MEMA FIMP PPAR PZUP VPAR VDSZ VCUR VCON MAZH MAZP CHZH "
+    "COMM HIDE SLAB MIRR POPS MEMA OEMA FIMP PPAR PZUP VPAR VDSZ VCUR VCON MAZH MAZP CHZH "
     "SCOL SOPA HASH TCEX BDRO EDGE PRVT OVAL".split()
 )
+_READ_SURFACE_KEYS = frozenset(
+    "TYPE CURV DISZ CONI PARM XDAT GLAS DIAM STOP CLAP FLAP COAT".split()
+)
+_REFUSED_SURFACE_KEYS = {
+    "OBSC": "a central obscuration is not modelled",
+    "SPID": "a spider is not modelled",
+    "SQAP": "a rectangular aperture is not modelled",
+    "SQOB": "a rectangular obscuration is not modelled",
+    "ELAP": "an elliptical aperture is not modelled",
+    "ELOB": "an elliptical obscuration is not modelled",
+    "UDAD": "an aperture from a file is not modelled",
+    "OBDC": "a decentred aperture is not modelled",
+    "SCBD": "a tilted or decentred surface is not modelled",
+}
+_EVEN_TERMS = 8  # PARM 1 to 8 of an even asphere: r^2 to r^16
+# What OpticStudio writes as nd and Vd beside a glass of which it recorded none.
+_NO_INDEX = {(0.0, 0.0), (1.5, 40.0)}
 
 
 @dataclass
@@ -49,6 +70,13 @@ class _Reader:
                 continue
             key, values = words[0].upper(), words[1:]
             if key == "SURF":
+                if values[:1] != [str(len(self.surfaces))]:
+                    raise self.refuse(
+                        "the surfaces are not numbered in order: the file is damaged",
+                        "SURF",
+                        " ".join(values),
+                        f"SURF {len(self.surfaces)}",
+                    )
                 self.surfaces.append(_Block(len(self.surfaces)))
                 continue
             # Only indented lines belong to a surface; operands and settings may follow the last.
@@ -65,7 +93,7 @@ class _Reader:
         if values is None or len(values) <= position:
             return default
         try:
-            return float(values[position])
+            return finite(values[position])
         except ValueError as error:
             where = key if block.number is None else f"SURF {block.number} {key}"
             raise self.refuse(
@@ -74,8 +102,8 @@ class _Reader:
 
     # --- the head -----------------------------------------------------------------------------
 
-    def settings(self) -> dict[str, object]:
-        """Return everything but the surfaces, as fields of a prescription."""
+    def settings(self) -> tuple[dict[str, object], Fields]:
+        """Return everything but the surfaces and fields as fields of a prescription; fields."""
         head = self.head
         mode = (head.first("MODE") or ["SEQ"])[0]
         if mode != "SEQ":
@@ -91,23 +119,19 @@ class _Reader:
                 " ".join(head.first("GFAC")),
                 "0 0 (uniform)",
             )
-        environment = head.first("ENVD") or []
-        if len(environment) > 2 and float(environment[2]) != 0:
+        # ENVD temperature pressure adjust: at 20 degC and 1 atm the adjustment is none.
+        at_home = self.number(head, "ENVD", 0, 20) == 20 and self.number(head, "ENVD", 1, 1) == 1
+        if self.number(head, "ENVD", 2) != 0 and not at_home:
             raise self.refuse(
                 "indices adjusted to an environment are not modelled",
                 "ENVD",
-                " ".join(environment),
-                "no adjustment (third number 0)",
+                " ".join(head.first("ENVD")),
+                "20 degC and 1 atm, or no adjustment (third number 0)",
             )
         used = {"MODE", "UNIT", "GFAC", "ENVD", "NAME", "NOTE", "GCAT"}
-        fields_and_lines = self._fields_and_wavelengths(used)
+        wavelengths = self._wavelengths(used)
+        fields = self._fields(used)
         aperture = self._aperture(used)
-        for key in ("VDXN", "VDYN", "VCXN", "VCYN"):
-            if any(float(v) for v in head.first(key) or []):
-                self.account.substituted(
-                    "file", f"{key}: vignetting factors by the clear apertures of the surfaces"
-                )
-            used.add(key)
         if "RAIM" in head.lines:
             self.account.substituted("file", "RAIM: every ray is aimed at the real stop")
             used.add("RAIM")
@@ -116,11 +140,7 @@ class _Reader:
                 self.account.read("file", key)
             else:
                 self.account.ignored("file", key)
-        catalogues = [name.upper() for name in head.first("GCAT") or []]
-        for name in catalogues:
-            if name not in BOOKS:
-                self.account.ignored("file", f"GCAT {name}: no such catalogue offline")
-        self.catalogues = catalogues
+        self._find_catalogues()
         notes = [" ".join(values[1:]) for values in head.lines.get("NOTE", [])]
         return {
             "title": " ".join(head.first("NAME") or []) or self.file.stem,
@@ -128,39 +148,48 @@ class _Reader:
             "source": f"Zemax file {self.file.name}",
             "notes": " ".join(note for note in notes if note),
             "units": "mm",
-            "glass_catalogues": tuple(name for name in catalogues if name in BOOKS),
+            "glass_catalogues": tuple(self.catalogues),
             "focus": "as-given",
-            **fields_and_lines,
+            **wavelengths,
             **aperture,
-        }
+        }, fields
 
-    def _fields_and_wavelengths(self, used: set[str]) -> dict[str, object]:
+    def _find_catalogues(self) -> None:
+        """Find each catalogue of GCAT: a file of its name beside the lens, or one offline."""
+        beside = {path.name.upper(): path for path in self.file.parent.glob("*.*")}
+        self.catalogues: list[str] = []
+        self.glasses: list[set[str]] = []
+        self.wanted = [name.upper() for name in self.head.first("GCAT") or []]
+        for name in self.wanted:
+            if f"{name}.AGF" in beside:
+                path = beside[f"{name}.AGF"]
+                self.catalogues.append(path.name)
+                self.account.read("file", f"GCAT {name}: from {path.name} beside the lens")
+            elif name in BOOKS:
+                self.catalogues.append(name)
+            else:
+                self.account.ignored("file", f"GCAT {name}: no such catalogue offline")
+
+    def _has_glass(self, name: str) -> bool:
+        """Whether a catalogue of the file, or any where it names none, holds the glass."""
+        return any(
+            name.upper()
+            in (catalogue(entry) if entry in BOOKS else read_agf(self.file.parent / entry))
+            for entry in self.catalogues or ([] if self.wanted else BOOKS)
+        )
+
+    def _wavelengths(self, used: set[str]) -> dict[str, object]:
         head = self.head
-        kind = head.first("FTYP")
-        if kind is None:
-            raise self.refuse("the file states no field type", "FTYP", None, "FTYP 0 (angle)")
-        if self.number(head, "FTYP", 0) != 0:
-            names = {"1": "object height", "2": "paraxial image height", "3": "real image height"}
-            raise self.refuse(
-                "only field angles are read",
-                "FTYP",
-                names.get(kind[0], kind[0]),
-                "0 (field angle in degrees)",
-            )
-        if self.number(head, "FTYP", 1) != 0:
-            raise self.refuse("an object-space telecentric lens", "FTYP", " ".join(kind), "0")
-        count = int(self.number(head, "FTYP", 2, 1))
-        lines = int(self.number(head, "FTYP", 3, 1))
-        at = [(self.number(head, "XFLN", i), self.number(head, "YFLN", i)) for i in range(count)]
+        count = self.number(head, "FTYP", 3, 1)
         wavelengths = []
         for values in head.lines.get("WAVM", []):
             try:
-                order, micrometres = int(values[0]), float(values[1])
+                order, micrometres = int(values[0]), finite(values[1])
             except (IndexError, ValueError) as error:
                 raise self.refuse(
                     "a wavelength is not a number", "WAVM", " ".join(values), "WAVM i um weight"
                 ) from error
-            if order <= lines:
+            if order <= count:
                 wavelengths.append(micrometres * 1e3)
         if not wavelengths:
             raise self.refuse("the file states no wavelength", "WAVM", None, "WAVM i um weight")
@@ -172,30 +201,87 @@ class _Reader:
                 primary,
                 f"1 to {len(wavelengths)}",
             )
-        used |= {"FTYP", "XFLN", "YFLN", "WAVM", "PWAV"}
+        self.account.ignored("file", "WAVM weights: spectra are given where a bank is used")
+        used |= {"WAVM", "PWAV"}
         return {
             "design_wavelengths_nm": tuple(wavelengths),
             "reference_nm": wavelengths[primary - 1],
-            "max_field_deg": max((x * x + y * y) ** 0.5 for x, y in at),
         }
+
+    def _fields(self, used: set[str]) -> Fields:
+        head = self.head
+        kinds = {0: "angle", 2: "paraxial image height", 3: "real image height"}
+        if "FTYP" not in head.lines:
+            raise self.refuse("the file states no field type", "FTYP", None, "FTYP 0 (angle)")
+        kind = self.number(head, "FTYP", 0)
+        if kind not in kinds:
+            name = {1: "object height", 4: "theodolite angle"}.get(kind, f"{kind:g}")
+            raise self.refuse(
+                "this field type is not read: the object is at infinity",
+                "FTYP",
+                name,
+                "0 angle, 2 paraxial image height, 3 real image height",
+            )
+        if self.number(head, "FTYP", 1) != 0:
+            raise self.refuse(
+                "an object-space telecentric lens", "FTYP", " ".join(head.first("FTYP")), "0"
+            )
+        stated = max(len(head.first("XFLN") or []), len(head.first("YFLN") or []))
+        count = int(min(self.number(head, "FTYP", 2, 1), stated))
+        if count < 1:
+            raise self.refuse("the file states no field", "YFLN", None, "YFLN values")
+        at = [(self.number(head, "XFLN", i), self.number(head, "YFLN", i)) for i in range(count)]
+        size = radial_angle_deg if kind == 0 else math.hypot
+        sizes = tuple(size(x, y) for x, y in at)
+        used |= {"FTYP", "XFLN", "YFLN"}
+        beams = []
+        for i, (x, y) in enumerate(at):
+            decentre_x, decentre_y, compress_x, compress_y, turn = (
+                self.number(head, key, i) for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")
+            )
+            if (decentre_x, decentre_y, compress_x, compress_y) == (0, 0, 0, 0):
+                if kind == 0 and x == 0:
+                    beams.append(Beam(abs(y), 0.0, 0.0, 1.0, 1.0))
+                continue
+            self.vignetted = True
+            if kind != 0 or x != 0 or turn != 0:
+                self.beams_known = False
+            mirror = -1 if y < 0 else 1
+            beams.append(
+                Beam(abs(y), decentre_x, mirror * decentre_y, 1 - compress_x, 1 - compress_y)
+            )
+        if self.vignetted:
+            self.account.substituted(
+                "file",
+                "VDXN, VDYN, VCXN, VCYN, VANN: vignetting factors by the clear apertures of the "
+                "surfaces, which the program sizes with them",
+            )
+        used |= {"VDXN", "VDYN", "VCXN", "VCYN", "VANN"}
+        return Fields(kinds[int(kind)], sizes, tuple(beams) if self.vignetted else ())
+
+    vignetted = False  # some field has vignetting factors
+    beams_known = True  # and they are in the meridional plane
 
     def _aperture(self, used: set[str]) -> dict[str, object]:
         head = self.head
+        for key, name in (("FNUM", "f_number"), ("ENPD", "entrance_pupil_diameter_mm")):
+            if key in head.lines:
+                used.add(key)
+                if "OBNA" in head.lines:
+                    used.add("OBNA")
+                    self.account.ignored("file", f"OBNA: the object is at infinity, {key} rules")
+                return {name: self.number(head, key)}
+        if "FLOA" in head.lines:
+            used.add("FLOA")
+            return {"stop_semi_diameter_mm": self.number(self.surfaces[self._stop()], "DIAM")}
         if "OBNA" in head.lines:
             raise self.refuse(
-                "an aperture given as numerical aperture in object space",
+                "an aperture given as numerical aperture in object space has no meaning for an "
+                "object at infinity",
                 "OBNA",
                 " ".join(head.lines["OBNA"][0]),
                 "FNUM, ENPD or FLOA",
             )
-        for key, name in (("FNUM", "f_number"), ("ENPD", "entrance_pupil_diameter_mm")):
-            if key in head.lines:
-                used.add(key)
-                return {name: self.number(head, key)}
-        if "FLOA" in head.lines:
-            used.add("FLOA")
-            stop = self._stop()
-            return {"stop_semi_diameter_mm": self.number(self.surfaces[stop], "DIAM")}
         raise self.refuse("the file states no aperture", "FNUM", None, "FNUM, ENPD or FLOA")
 
     def _stop(self) -> int:
@@ -220,7 +306,7 @@ class _Reader:
                 f"{len(self.surfaces)} surfaces",
                 "3 or more",
             )
-        settings = self.settings()
+        settings, fields = self.settings()
         stop = self._stop()
         if not 1 <= stop <= len(self.surfaces) - 2:
             raise self.refuse(
@@ -231,22 +317,31 @@ class _Reader:
         in_air = True
         for block in self.surfaces[1:-1]:
             row = self._surface(block, is_stop=block.number == stop, in_air=in_air)
+            if self.vignetted and not self.beams_known and "semi_diameter" not in row:
+                if not in_air or "glass" in row:
+                    raise self.refuse(
+                        "vignetting factors off the meridional plane or of image heights need the "
+                        "clear aperture of every surface",
+                        f"SURF {block.number} DIAM",
+                        None,
+                        "a semi-diameter",
+                    )
             in_air = "glass" not in row
             rows.append(row)
-        lens = validated(settings | {"stop": stop, "surfaces": rows}, self.file)
-        steps = [f"substituted {text}" for text in self.account.listed("substituted")]
-        lens = lens.derived("; ".join(["read from a Zemax file", *steps]))
-        lens._account = self.account
-        return lens
+        return finished(
+            settings | {"stop": stop, "surfaces": rows}, fields, self.account, self.file, "Zemax"
+        )
 
     def _ends(self) -> None:
         """Refuse what the model has no place for in the object and image surfaces."""
         object_, image = self.surfaces[0], self.surfaces[-1]
         distance = (object_.first("DISZ") or ["none"])[0]
         if distance.upper() != "INFINITY":
-            raise self.refuse(
-                "a finite object distance is not modelled", "SURF 0 DISZ", distance, "INFINITY"
-            )
+            if self.number(object_, "DISZ") < INFINITE:
+                raise self.refuse(
+                    "a finite object distance is not modelled", "SURF 0 DISZ", distance, "INFINITY"
+                )
+            self.account.substituted("file", f"SURF 0 DISZ {distance}: by infinity")
         for block in (object_, image):
             place = f"SURF {block.number}"
             if self.number(block, "CURV"):
@@ -260,26 +355,41 @@ class _Reader:
                 raise self.refuse(
                     "the object or image lies in glass, or the file is truncated",
                     f"{place} GLAS",
-                    block.lines["GLAS"][0][0],
+                    " ".join(block.lines["GLAS"][0]),
                     "air",
                 )
         if "DISZ" not in image.lines or self.number(image, "DISZ") != 0:
             raise self.refuse(
                 "the last surface is not an image: the file is truncated",
                 f"SURF {image.number} DISZ",
-                (image.first("DISZ") or [None])[0],
+                " ".join(image.first("DISZ") or []) or None,
                 "0",
             )
 
     def _surface(self, block: _Block, *, is_stop: bool, in_air: bool) -> dict[str, object]:
         place = f"SURF {block.number}"
-        kind = (block.first("TYPE") or ["none"])[0]
-        if kind not in ("STANDARD", "EVENASPH"):
-            raise self.refuse(
-                f"surface type {kind} is not modelled", f"{place} TYPE", kind, "STANDARD, EVENASPH"
+        kind = (block.lines.get("TYPE", [["STANDARD"]])[0] or ["none"])[0]
+        if kind not in ("STANDARD", "EVENASPH", "XASPHERE"):
+            problem = (
+                "coordinate breaks are not modelled"
+                if kind == "COORDBRK"
+                else f"surface type {kind} is not modelled"
             )
+            raise self.refuse(problem, f"{place} TYPE", kind, "STANDARD, EVENASPH, XASPHERE")
+        for key in block.lines:
+            if key in _REFUSED_SURFACE_KEYS or key not in (
+                _HARMLESS_SURFACE_KEYS | _READ_SURFACE_KEYS
+            ):
+                raise self.refuse(
+                    _REFUSED_SURFACE_KEYS.get(
+                        key, f"surface key {key} is not understood and may change the optics"
+                    ),
+                    f"{place} {key}",
+                    " ".join(block.lines[key][0]),
+                    ", ".join(sorted(_READ_SURFACE_KEYS)),
+                )
         for key in ("CURV", "DISZ"):
-            if key not in block.lines:
+            if not block.first(key):
                 raise self.refuse(
                     "a surface is incomplete: the file is truncated", place, None, f"a {key} line"
                 )
@@ -290,51 +400,81 @@ class _Reader:
         }
         self._polynomial(block, kind, row)
         self._glass(block, row)
-        dummy = in_air and "glass" not in row
-        self._aperture_of(block, row, ignore=dummy)
-        if is_stop and dummy:
-            self.account.ignored(block.number, "DIAM: the system aperture sets the stop")
-        known = {"TYPE", "CURV", "DISZ", "CONI", "PARM", "GLAS", "DIAM", "STOP", "CLAP", "COAT"}
+        read = [key for key in block.lines if key in _READ_SURFACE_KEYS - {"COAT"}]
+        clips = "CLAP" in block.lines or "FLAP" in block.lines
+        if in_air and "glass" not in row and not clips:
+            if "DIAM" in block.lines:
+                read.remove("DIAM")
+                why = "the system aperture sets the stop" if is_stop else "nothing clips in air"
+                self.account.ignored(block.number, f"DIAM: {why}")
+        else:
+            self._aperture_of(block, row)
+        self.account.read(block.number, ", ".join(read))
         if "COAT" in block.lines:
             self.account.substituted(block.number, "COAT: coating by uncoated Fresnel losses")
-        for key in block.lines:
-            if key in _HARMLESS_SURFACE_KEYS:
-                self.account.ignored(block.number, key)
-            elif key not in known:
-                raise self.refuse(
-                    f"surface key {key} is not understood and may change the optics",
-                    f"{place} {key}",
-                    " ".join(block.lines[key][0]),
-                    ", ".join(sorted(known)),
-                )
-        self.account.read(block.number, ", ".join(k for k in block.lines if k in known))
+        ignored = [key for key in block.lines if key in _HARMLESS_SURFACE_KEYS]
+        if ignored:
+            self.account.ignored(block.number, ", ".join(ignored))
         return row
 
-    def _polynomial(self, block: _Block, kind: str, row: dict[str, object]) -> None:
-        """PARM i of an even asphere is the coefficient of r^(2i)."""
-        for values in block.lines.get("PARM", []):
+    def _indexed(self, block: _Block, key: str) -> dict[int, float]:
+        """Return the values of ``KEY i value`` lines that are not 0."""
+        found = {}
+        for values in block.lines.get(key, []):
             try:
-                order, coefficient = int(values[0]), float(values[1])
+                order, value = int(values[0]), finite(values[1])
             except (IndexError, ValueError) as error:
                 raise self.refuse(
                     "a parameter is not a number",
-                    f"SURF {block.number} PARM",
+                    f"SURF {block.number} {key}",
                     " ".join(values),
-                    "PARM i value",
+                    f"{key} i value",
                 ) from error
-            if coefficient == 0:
-                continue
-            if kind != "EVENASPH" or not 1 <= order <= 8:
+            if value:
+                found[order] = value
+        return found
+
+    def _polynomial(self, block: _Block, kind: str, row: dict[str, object]) -> None:
+        """Even aspheres: PARM i is the coefficient of r^(2i).
+
+        Extended aspheres: XDAT 1 is the number of terms, XDAT 2 the normalisation radius R, and
+        XDAT 2 + i the coefficient of (r/R)^(2i).
+        """
+        place = f"SURF {block.number}"
+        parameters, extra = self._indexed(block, "PARM"), self._indexed(block, "XDAT")
+        terms = dict(parameters) if kind == "EVENASPH" else {}
+        if kind == "XASPHERE":
+            count, radius = extra.pop(1, 0.0), extra.pop(2, 0.0)
+            if count < 0 or radius <= 0:
                 raise self.refuse(
-                    "a surface parameter is not understood",
-                    f"SURF {block.number} PARM {order}",
-                    coefficient,
-                    "PARM 1 to 8 of an EVENASPH",
+                    "an extended asphere is incomplete",
+                    f"{place} XDAT",
+                    f"{count:g} terms, normalisation radius {radius:g}",
+                    "XDAT 1 terms, XDAT 2 normalisation radius > 0",
                 )
-            row.setdefault("asphere", {})[f"a{ASPHERE_POWERS[order - 1]}"] = coefficient
+            # OpticStudio keeps coefficients beyond the stated number of terms, and does not use
+            # them.
+            terms = {
+                order - 2: value / radius ** (2 * (order - 2))
+                for order, value in extra.items()
+                if order - 2 <= count
+            }
+            extra = {}
+        limit = _EVEN_TERMS if kind == "EVENASPH" else len(ASPHERE_POWERS)
+        wrong = [order for order in terms if not 1 <= order <= limit]
+        strange = wrong or list(extra) or (list(parameters) if kind != "EVENASPH" else [])
+        if strange:
+            raise self.refuse(
+                "a surface parameter is not understood",
+                f"{place} {'XDAT' if kind == 'XASPHERE' or extra else 'PARM'} {strange[0]}",
+                (terms | extra | parameters)[strange[0]],
+                "PARM 1 to 8 of an EVENASPH, up to 15 terms of an XASPHERE",
+            )
+        if terms:
+            row["asphere"] = {f"a{2 * order}": value for order, value in terms.items()}
 
     def _glass(self, block: _Block, row: dict[str, object]) -> None:
-        """GLAS name solve pickup nd Vd dPgF ...: a catalogue glass, or the model glass."""
+        """GLAS name mode pickup nd Vd dPgF ...: a catalogue glass, or the model glass."""
         values = block.first("GLAS")
         if values is None:
             return
@@ -342,37 +482,41 @@ class _Reader:
         name = values[0] if values else ""
         if name.upper() == "MIRROR":
             raise self.refuse("mirrors are not modelled", place, name, "a refracting glass")
-        if name != "___BLANK":
-            if self.head.first("GCAT") and not any(c in BOOKS for c in self.catalogues):
+        if not name:
+            raise self.refuse("a glass has no name", place, None, "GLAS name ...")
+        nd, vd = self.number(block, "GLAS", 3), self.number(block, "GLAS", 4)
+        stated = (nd, vd) not in _NO_INDEX and nd > 1
+        if name != "___BLANK" and (not stated or self._has_glass(name)):
+            if self.wanted and not self.catalogues:
                 raise self.refuse(
                     f"none of the file's glass catalogues is available, so glass {name!r} of "
                     f"surface {block.number} is unknown",
                     "GCAT",
-                    " ".join(self.catalogues),
-                    ", ".join(BOOKS),
+                    " ".join(self.wanted),
+                    f"{', '.join(BOOKS)}, or an .agf file of that name beside the lens",
                 )
             row["glass"] = name
             return
-        row["glass"] = "model"
-        row["nd"], row["vd"] = self.number(block, "GLAS", 3), self.number(block, "GLAS", 4)
-        self.account.substituted(
-            block.number,
-            f"GLAS: model glass nd {row['nd']:g}, Vd {row['vd']:g} by Cauchy's two-term law",
-        )
+        law = "Cauchy's two-term law"
+        row["glass"], row["nd"], row["vd"] = "model", nd, vd
+        if vd == 0:  # OpticStudio's model glass without dispersion
+            del row["vd"]
+            row["glass"], law = "constant", "one index at every wavelength"
+        what = "model glass" if name == "___BLANK" else f"{name}, which no catalogue has here,"
+        self.account.substituted(block.number, f"GLAS: {what} nd {nd:g}, Vd {vd:g} by {law}")
 
-    def _aperture_of(self, block: _Block, row: dict[str, object], *, ignore: bool) -> None:
+    def _aperture_of(self, block: _Block, row: dict[str, object]) -> None:
         """DIAM is the semi-diameter; CLAP a ring, of which only the outer edge is modelled."""
-        place = f"SURF {block.number}"
-        sizes = [] if ignore else [self.number(block, "DIAM")]
-        if "CLAP" in block.lines:
-            if self.number(block, "CLAP", 0) != 0:
+        sizes = [self.number(block, "DIAM")]
+        for key in ("CLAP", "FLAP"):
+            if self.number(block, key, 0) != 0:
                 raise self.refuse(
                     "a central obscuration is not modelled",
-                    f"{place} CLAP",
-                    " ".join(block.lines["CLAP"][0]),
+                    f"SURF {block.number} {key}",
+                    " ".join(block.lines[key][0]),
                     "an inner radius of 0",
                 )
-            sizes.append(self.number(block, "CLAP", 1))
+        sizes.append(self.number(block, "CLAP", 1))
         sizes = [size for size in sizes if size > 0]
         if sizes:
             row["semi_diameter"] = min(sizes)
@@ -386,7 +530,7 @@ def parse_zmx(content: bytes, file: Path) -> Prescription:
     content : bytes
         The file: UTF-16 (with or without byte-order mark), UTF-8 or ANSI.
     file : Path
-        Its name, for error texts.
+        Its name, for error texts; catalogue files are looked for beside it.
 
     Returns
     -------
@@ -399,13 +543,4 @@ def parse_zmx(content: bytes, file: Path) -> Prescription:
     UserError
         Where the file is no lens, is truncated, or holds what is not modelled.
     """
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        encoding = "utf-16"
-    elif b"\x00" in content[:64]:
-        encoding = "utf-16-le"
-    elif content[:3] == b"\xef\xbb\xbf":
-        encoding = "utf-8-sig"
-    else:
-        encoding = "cp1252"
-    reader = _Reader(content.decode(encoding, errors="replace"), file)
-    return reader.prescription()
+    return _Reader(decoded(content), file).prescription()

@@ -3,75 +3,16 @@
 import numpy as np
 import pytest
 from lens.made import lens, model
+from lens.written import zmx_text
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import compute_bank
 from gpusim.lens.prescription import load_prescription
-from gpusim.lens.system import build, first_order
+from gpusim.lens.system import build, first_order, with_clear_apertures
+from gpusim.lens.wavefront import sample_rays
 from gpusim.lens.zmx import parse_zmx
 
 CODECS = {"ANSI": "cp1252", "UTF-16": "utf-16", "UTF-16 without mark": "utf-16-le"}
-
-
-def zmx_text(prescription, image_distance_mm):
-    """Write a prescription as Zemax does: curvatures, one block for each surface."""
-    lines = prescription.design_wavelengths_nm
-    primary = lines.index(prescription.reference_nm) + 1
-    text = [
-        "VERS 140730 195 26155",
-        "MODE SEQ",
-        f"NAME {prescription.title}",
-        f"NOTE 0 {prescription.source}",
-        "UNIT MM X W X CM MR CPMM",
-        f"FNUM {prescription.f_number!r} 0",
-        "ENVD 2.0E+1 1 0",
-        "GFAC 0 0",
-        f"GCAT {' '.join(prescription.glass_catalogues)} MISC",
-        "RAIM 0 2 1 1 0 1 0 0 0",
-        f"FTYP 0 0 3 {len(lines)} 0 0 0",
-        "XFLN 0 0 0 0 0 0 0 0 0 0 0 0",
-        f"YFLN 0 {0.7 * prescription.max_field_deg!r} {prescription.max_field_deg!r} 0 0 0 0 0",
-        *(f"WAVM {i} {w / 1e3!r} 1" for i, w in enumerate(lines, start=1)),
-        "WAVM 4 0.55 1",  # unused entries follow the used ones
-        f"PWAV {primary}",
-        "COFN QF COATING.DAT",
-        "SURF 0",
-        "  TYPE STANDARD",
-        "  CURV 0.0 0 0 0 0",
-        "  DISZ INFINITY",
-        "  DIAM 0 0 0 0 1",
-    ]
-    surfaces = prescription.surfaces
-    for number, surface in enumerate(surfaces, start=1):
-        text += [f"SURF {number}"] + (["  STOP"] if number == prescription.stop else [])
-        aspheric = any(surface.asphere.coefficients)
-        thickness = image_distance_mm if number == len(surfaces) else surface.thickness
-        text += [
-            f"  TYPE {'EVENASPH' if aspheric else 'STANDARD'}",
-            f"  CURV {surface.vertex_curvature!r} 0 0 0 0",
-            "  HIDE 0 0 0 0 0 0 0 0 0 0",
-            f"  DISZ {thickness!r}",
-        ]
-        if aspheric:
-            for i, a in enumerate(surface.asphere.coefficients, start=1):
-                text.append(f"  PARM {i} {a!r}")
-        if surface.conic:
-            text.append(f"  CONI {surface.conic!r}")
-        if surface.glass == "model":
-            text.append(f"  GLAS ___BLANK 1 0 {surface.nd!r} {surface.vd!r} 0 0 0 0 0 0")
-        elif surface.glass:
-            text.append(f"  GLAS {surface.glass} 0 0 1.5 40.0 0 0 0 0 0 0")
-        text.append(f"  DIAM {surface.semi_diameter or 1.0!r} 1 0 0 1")
-    text += [
-        f"SURF {len(surfaces) + 1}",
-        "  TYPE STANDARD",
-        "  CURV 0.0 0 0 0 0",
-        "  DISZ 0",
-        "  DIAM 1 0 0 0 1",
-        "TOL TOFF 0 0",
-        "EFLY 0 2 0 0",
-    ]
-    return "\r\n".join(text) + "\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +48,8 @@ def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, writte
     assert prescription.surfaces[5].semi_diameter is None  # the aperture sets the stop
     account = prescription.account
     assert (1, "TYPE, CURV, DISZ, GLAS, DIAM", "read") in account.rows
+    assert (6, "STOP, TYPE, CURV, DISZ", "read") in account.rows
+    assert (6, "DIAM: the system aperture sets the stop", "ignored") in account.rows
     for entry in (
         "file: COFN",
         "surface 1: HIDE",
@@ -165,14 +108,27 @@ def test_every_kind_of_aperture_is_read(tmp_path, written, line, name, value):
         ("FNUM 2.8 0\r\n", "", ["no aperture"]),
         ("FNUM 2.8 0", "FNUM 0 0", ["f_number", "greater than 0"]),
         ("FNUM 2.8 0", "FNUM two 0", ["FNUM", "two", "number"]),
-        ("FTYP 0 0", "FTYP 3 0", ["FTYP", "real image height"]),
+        ("FTYP 0 0", "FTYP 1 0", ["FTYP", "object height", "2 paraxial image height"]),
+        ("FTYP 0 0 3", "FTYP 0 0 0", ["no field", "YFLN"]),
+        ("SURF 4\r\n", "SURF 5\r\n", ["not numbered in order", "SURF 4"]),
         ("FTYP 0 0", "FTYP 0 1", ["telecentric"]),
         ("GFAC 0 0", "GFAC 1 2.0", ["apodisation"]),
         ("ENVD 2.0E+1 1 0", "ENVD 4.0E+1 1 1", ["environment"]),
-        ("SURF 2\r\n  TYPE STANDARD", "SURF 2\r\n  TYPE COORDBRK", ["SURF 2 TYPE", "COORDBRK"]),
-        ("SURF 2\r\n  TYPE STANDARD", "SURF 2\r\n  TYPE XASPHERE", ["SURF 2 TYPE", "XASPHERE"]),
+        (
+            "SURF 2\r\n  TYPE STANDARD",
+            "SURF 2\r\n  TYPE COORDBRK",
+            ["coordinate breaks", "SURF 2 TYPE"],
+        ),
+        ("SURF 2\r\n  TYPE STANDARD", "SURF 2\r\n  TYPE TOROIDAL", ["TOROIDAL", "XASPHERE"]),
+        ("SURF 2\r\n  TYPE STANDARD", "SURF 2\r\n  TYPE XASPHERE", ["incomplete", "SURF 2 XDAT"]),
+        ("SURF 2\r\n  TYPE STANDARD", "SURF 2\r\n  TYPE", ["surface type none"]),
         ("GLAS F5", "GLAS MIRROR", ["mirrors", "SURF 7 GLAS"]),
-        ("  HIDE 0 0", "  SCBD 0 0", ["SCBD is not understood", "SURF 1 SCBD"]),
+        ("  HIDE 0 0", "  SCBD 0 0", ["tilted or decentred", "SURF 1 SCBD"]),
+        ("  HIDE 0 0", "  NEWK 0 0", ["NEWK is not understood", "SURF 1 NEWK"]),
+        ("  HIDE 0 0", "  SQAP 1 2", ["rectangular aperture", "SURF 1 SQAP"]),
+        ("SURF 2\r\n", "SURF 2\r\n  XDAT 3 0.1\r\n", ["SURF 2 XDAT 3", "XASPHERE"]),
+        ("  GLAS F5 0 0 1.5 40.0 0 0 0 0 0 0", "  GLAS", ["a glass has no name", "SURF 7 GLAS"]),
+        ("DISZ INFINITY", "DISZ 1e9", ["finite object distance", "1e9"]),
         ("SURF 2\r\n", "SURF 2\r\n  PARM 3 0.1\r\n", ["SURF 2 PARM 3", "EVENASPH"]),
         ("SURF 2\r\n", "SURF 2\r\n  CLAP 0.1 1.0\r\n", ["obscuration", "SURF 2 CLAP"]),
         ("WAVM 1 0.4861327 1", "WAVM 1 blue 1", ["WAVM", "blue"]),
@@ -196,6 +152,150 @@ def test_an_unknown_glass_names_its_surface_and_its_file(tmp_path, written):
         first_order(load_prescription(file))
     for word in ("'F5X'", "surface 7", "odd-glass.zmx", "SCHOTT/F5"):
         assert word in caught.value.screen()
+
+
+def text_of(written, *changes):
+    text = written[1]
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return text.encode("cp1252")
+
+
+def test_an_extended_asphere_has_normalised_coefficients(tmp_path, written):
+    data = ["XDAT 1 3 0 0", "XDAT 2 2.5 0 0", "XDAT 3 0 0 0", "XDAT 4 0.01 0", "XDAT 5 -0.002"]
+    # A fourth coefficient beyond the stated three counts for nothing.
+    block = "  TYPE XASPHERE\r\n  " + "\r\n  ".join([*data, "XDAT 6 7.0"])
+    change = ("SURF 3\r\n  TYPE STANDARD", f"SURF 3\r\n{block}")
+    read = parse_zmx(text_of(written, change), tmp_path / "a.zmx")
+    asphere = read.surfaces[2].asphere
+    # Sag at the normalisation radius is the sum of the coefficients.
+    assert sum(a * 2.5 ** (2 * i) for i, a in enumerate(asphere.coefficients, start=1)) == (
+        pytest.approx(0.008, rel=1e-14)
+    )
+    assert asphere.a4 == pytest.approx(0.01 / 2.5**4, rel=1e-15)
+    assert asphere.a8 == 0
+    sixteen = change[1].replace("XDAT 1 3", "XDAT 1 16").replace("XDAT 6 7.0", "XDAT 18 7.0")
+    with pytest.raises(UserError, match="XDAT 16"):
+        parse_zmx(text_of(written, (change[0], sixteen)), tmp_path / "a.zmx")
+
+
+def test_image_heights_become_field_angles(tmp_path, written):
+    original = written[0]
+    edge = original.max_field_deg
+    paraxial = first_order(original).efl_mm * np.tan(np.radians(edge))
+    system = build(original)
+    index = system.index(np.array([original.reference_nm]))
+    real = float(
+        sample_rays(system, index, np.radians(edge), np.zeros(1), np.zeros(1)).chief_y_mm[0]
+    )
+    assert abs(paraxial - real) > 1e-3 * real  # the lens distorts, so that the two are told apart
+    for kind, name, height in ((2, "paraxial", paraxial), (3, "real", real)):
+        heights = ("YFLN 0 ", f"YFLN 0 {-float(height)!r} 1 1 1 1 1 1 ")
+        read = parse_zmx(text_of(written, ("FTYP 0", f"FTYP {kind}"), heights), tmp_path / "a.zmx")
+        # The root is found to 1e-10 deg; the height is that of a real chief ray.
+        assert read.max_field_deg == pytest.approx(edge, abs=1e-8)
+        assert f"file: {name} image height {height:g} mm by the field angle" in "".join(
+            read.account.listed("substituted")
+        )
+        assert "by the field angle" in read.history[-1]
+
+
+def test_an_image_height_that_no_field_reaches_is_refused(tmp_path, written):
+    change = ("FTYP 0", "FTYP 3"), ("YFLN 0 ", "YFLN 900 ")
+    with pytest.raises(UserError) as caught:
+        parse_zmx(text_of(written, *change), tmp_path / "a.zmx")
+    assert caught.value.field in ("fields", "max_field_deg")
+
+
+def test_vignetting_factors_are_left_to_the_clear_apertures(tmp_path, written):
+    changes = ("VDYN 0 0 0", "VDYN 0 0.05 -0.1"), ("VCYN 0 0 0", "VCYN 0 0.1 0.4")
+    plain = parse_zmx(text_of(written), tmp_path / "a.zmx")
+    read = parse_zmx(text_of(written, *changes), tmp_path / "a.zmx")
+    assert read.surfaces == plain.surfaces
+    assert "vignetting factors by the clear apertures" in "".join(
+        read.account.listed("substituted")
+    )
+    assert "vignetting" not in "".join(plain.account.listed("substituted"))
+
+
+def test_vignetting_factors_size_the_surfaces_that_have_no_aperture(tmp_path, written):
+    text = text_of(written, ("VCYN 0 0 0", "VCYN 0 0.2 0.5"), ("VDYN 0 0 0", "VDYN 0 0.1 -0.2"))
+    bare = b"\r\n".join(line for line in text.split(b"\r\n") if not line.startswith(b"  DIAM"))
+    read = parse_zmx(bare, tmp_path / "a.zmx")
+    assert "pass the beams of the vignetting factors" in read.history[-1]
+    # At the edge of the field the beam keeps 0.5 of the stop's height, from -0.7 to 0.3, as far as
+    # round apertures can be closed to an ellipse: the rays at its ends pass, and just touch.
+    system, theta = build(read), np.radians(read.max_field_deg)
+    index = system.index(np.array([read.reference_nm]))
+    ends = system.stop_radius_mm * np.array([-0.7, 0.3])
+    rays = sample_rays(system, index, theta, np.zeros(2), ends)
+    assert (rays.margin[:-1] < 1e-9).all()
+    plain = text_of(written).split(b"\r\n")
+    full = parse_zmx(
+        b"\r\n".join(line for line in plain if not line.startswith(b"  DIAM")), tmp_path / "a.zmx"
+    )
+    needed = [s.semi_diameter for s in with_clear_apertures(full).surfaces]
+    for surface, whole in zip(read.surfaces, needed, strict=True):
+        assert surface.semi_diameter is None or surface.semi_diameter < whole * (1 + 1e-9)
+    assert read.surfaces[0].semi_diameter < 0.95 * needed[0]
+    # Outside the meridional plane the factors cannot be turned into apertures.
+    with pytest.raises(UserError, match="vignetting factors off the meridional plane"):
+        parse_zmx(bare.replace(b"XFLN 0 0", b"XFLN 0 5"), tmp_path / "a.zmx")
+
+
+@pytest.mark.parametrize(
+    ("stated", "glass", "nd"),
+    [("1.6026 38.4", "model", 1.6026), ("1.6026 0", "constant", 1.6026), ("1.5 40.0", None, None)],
+)
+def test_an_unknown_glass_falls_back_on_what_the_file_states(tmp_path, written, stated, glass, nd):
+    change = ("GLAS F5 0 0 1.5 40.0", f"GLAS F5-OLD 0 0 {stated}")
+    read = parse_zmx(text_of(written, change), tmp_path / "a.zmx")
+    if glass is None:  # 1.5 and 40 are what the program writes where it knows neither
+        with pytest.raises(UserError, match="'F5-OLD' of surface 7"):
+            first_order(read)
+        return
+    assert (read.surfaces[6].glass, read.surfaces[6].nd) == (glass, nd)
+    text = next(t for t in read.account.listed("substituted") if t.startswith("surface 7"))
+    assert "F5-OLD, which no catalogue has here" in text
+    # A glass that is known is taken from the catalogue, whatever stands beside it.
+    known = parse_zmx(
+        text_of(written, ("GLAS F5 0 0 1.5 40.0", f"GLAS F5 0 0 {stated}")), tmp_path / "a.zmx"
+    )
+    assert known.surfaces[6].glass == "F5"
+
+
+def test_a_catalogue_file_beside_the_lens_is_preferred_and_named(tmp_path, written):
+    lines = ["NM MYGLASS 5 0 1.6 0", "CD 1.6 0 0", "LD 0.3 2.5", "NM F5 5 0 1.7 0", "CD 1.7"]
+    (tmp_path / "misc.AGF").write_text("\n".join([*lines, "LD 0.3 2.5"]))
+    changes = ("SCHOTT CDGM MISC", "misc SCHOTT CDGM OLDBOOK"), ("N-BAF10", "MYGLASS")
+    read = parse_zmx(text_of(written, *changes), tmp_path / "a.zmx")
+    indices = build(read).index(np.array([500.0]))[:, 0]
+    assert indices[1] == pytest.approx(1.6, rel=1e-15)
+    assert indices[7] == pytest.approx(1.7, rel=1e-15)  # F5: the first catalogue counts
+    assert "file: GCAT MISC: from misc.AGF beside the lens" in read.account.listed("read")
+    assert "file: GCAT OLDBOOK: no such catalogue offline" in read.account.listed("ignored")
+    assert "surface 1: glass MYGLASS of misc.AGF: formula 5, Conrady" in read.account.listed("read")
+
+
+def test_apertures_in_air_count_where_the_file_says_that_they_clip(tmp_path, written):
+    stop = "SURF 6\r\n"
+    for line, semi in (("  FLAP 0 1 0", 1.0), ("  CLAP 0 0.8 0", 0.8), ("  PPAR 0 1 0", None)):
+        read = parse_zmx(text_of(written, (stop, f"{stop}{line}\r\n")), tmp_path / "a.zmx")
+        assert read.surfaces[5].semi_diameter == semi
+
+
+def test_what_a_design_program_leaves_out_has_its_meaning(tmp_path, written):
+    changes = (
+        ("SURF 2\r\n  TYPE STANDARD\r\n", "SURF 2\r\n"),
+        ("DISZ INFINITY", "DISZ 1.0E+10"),
+        ("ENVD 2.0E+1 1 0", "ENVD 20 1 1"),
+        ("FNUM 2.8 0", "FNUM 2.8 0\r\nOBNA 0.1 0"),
+    )
+    read = parse_zmx(text_of(written, *changes), tmp_path / "a.zmx")
+    assert first_order(read) == first_order(parse_zmx(text_of(written), tmp_path / "a.zmx"))
+    assert "file: SURF 0 DISZ 1.0E+10: by infinity" in read.account.listed("substituted")
+    assert "file: OBNA: the object is at infinity, FNUM rules" in read.account.listed("ignored")
 
 
 @pytest.mark.parametrize("keep", [0.05, 0.3, 0.5, 0.7, 0.9])
