@@ -52,7 +52,7 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    assert [name for name, _ in lines] == ["render-demo", *STAGES]
+    assert [name for name, _ in lines] == ["render-demo", "psf-bank", "psf-refocus", *STAGES]
     assert all(what for _, what in lines)
 
 

@@ -15,6 +15,12 @@ from scipy.ndimage import map_coordinates
 from gpusim.camera import load_camera
 from gpusim.chain import Renderer
 from gpusim.gpu import Device, Kernel, Recording
+from gpusim.lens.bank import bank_of, default_fields_deg
+from gpusim.lens.generator import Generator
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.psf import intensity
+from gpusim.lens.system import System, build
+from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.convolve import Convolve, Scale, Scratch
 from gpusim.optics.grid import SimGrid
@@ -335,8 +341,124 @@ def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     return Job(rec.run, plane.size, found, 2 * plane.nbytes, plane.size, peers)
 
 
+def bank_lens() -> Prescription:
+    """Return the lens of the banks: the double Gauss of the demonstration camera."""
+    return load_camera("demo").lens
+
+
+BANK_LINES_NM = np.linspace(400.0, 700.0, 7)
+BANK_REFERENCE_NM = BANK_LINES_NM[3]
+BANK_SIZE, BANK_PITCH_UM, BANK_RAYS = 256, 0.5, 256
+
+
+def traced(device: Device, lens: Prescription) -> Generator:
+    """Trace the lens at 15 fields and 7 wavelengths."""
+    return Generator(
+        device,
+        build(lens),
+        BANK_LINES_NM,
+        default_fields_deg(lens),
+        pitch_um=BANK_PITCH_UM,
+        size=BANK_SIZE,
+        rays=BANK_RAYS,
+    )
+
+
+def bank_error(generator: Generator) -> dict[str, object]:
+    """Return the largest difference of PSFs from the float64 path, over their peaks."""
+    system, worst = generator.system, 0.0
+    index = system.index(BANK_LINES_NM)
+    for at in (0, 7, 14):
+        spread = generator.spread(at)
+        samples = sample_field(system, index, np.radians(generator.field_deg[at]))
+        # 1024 nodes: the float64 path's own error is then 1e-4 of the peak.
+        window_um = BANK_SIZE * BANK_PITCH_UM
+        for line, pupil in enumerate(pupils(samples, BANK_LINES_NM, window_um, 1024)):
+            true, _ = intensity(pupil, BANK_LINES_NM[line], BANK_SIZE, BANK_PITCH_UM)
+            worst = max(worst, float(np.abs(spread.psf[line] - true).max() / true.max()))
+    return {"measure": "largest difference from float64 over the PSF's peak", "worst": worst}
+
+
+def optiland_peers(system: System) -> dict[str, tuple[Run, float]]:
+    """Return optiland's runs for one PSF of the bank, where it is installed (extra ``judges``).
+
+    Its FFTPSF has a pitch that goes with the wavelength, here 0.5 um by the size of its grid; only
+    its HuygensPSF gives the bank's own grid. That one is timed with 64 x 64 rays and samples: its
+    work goes with their product, 256 times as much for a PSF of the bank.
+    """
+    try:
+        from optiland.materials import IdealMaterial
+        from optiland.optic import Optic
+        from optiland.psf import FFTPSF, HuygensPSF
+    except ImportError:
+        return {}
+    optic = Optic()
+    optic.surfaces.add(index=0, radius=np.inf, thickness=np.inf)
+    vertices = [*system.geometry.vertex_z, system.image_z_mm]
+    index = system.index(np.array([BANK_REFERENCE_NM]))[:, 0]
+    for i, surface in enumerate(system.prescription.surfaces):
+        optic.surfaces.add(
+            index=i + 1,
+            radius=np.inf if surface.radius is None else surface.radius,
+            thickness=vertices[i + 1] - vertices[i],
+            is_stop=i == system.geometry.stop,
+            material=IdealMaterial(n=float(index[i + 1])),
+        )
+    optic.surfaces.add(index=len(vertices))
+    optic.set_aperture("imageFNO", system.prescription.f_number)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0)
+    optic.fields.add(y=system.prescription.max_field_deg)
+    line_um = 1e-3 * BANK_REFERENCE_NM
+    optic.wavelengths.add(value=line_um, is_primary=True)
+    grid = round(line_um * system.prescription.f_number * (BANK_RAYS - 1) / BANK_PITCH_UM)
+    at = {"field": (0, 0.5), "wavelength": line_um}
+    beams = 15 * len(BANK_LINES_NM)
+    return {
+        "optiland FFTPSF": (
+            lambda: FFTPSF(optic, **at, num_rays=BANK_RAYS, grid_size=grid),
+            beams,
+        ),
+        "optiland HuygensPSF": (
+            lambda: HuygensPSF(optic, **at, num_rays=64, image_size=64),
+            beams * (BANK_RAYS / 64) ** 2 * (BANK_SIZE / 64) ** 2,
+        ),
+    }
+
+
+def psf_bank(device: Device, frame: tuple[int, int]) -> Job:
+    """Time a bank of the double Gauss, from the prescription."""
+    lens = bank_lens()
+    kept = traced(device, lens)
+
+    def run() -> None:
+        generator = traced(device, lens)
+        bank_of(generator, BANK_REFERENCE_NM)
+        generator.release()
+
+    return Job(
+        run,
+        15 * len(BANK_LINES_NM) * BANK_SIZE**2,
+        bank_error(kept),
+        peers=optiland_peers(kept.system),
+        facts=lambda best: {"largest_residual_waves": float(kept.residual_waves.max())},
+    )
+
+
+def psf_refocus(device: Device, frame: tuple[int, int]) -> Job:
+    """Time another focus of a lens that is traced already."""
+    kept = traced(device, bank_lens())
+    return Job(
+        lambda: bank_of(kept, BANK_REFERENCE_NM, focus_um=10.0),
+        15 * len(BANK_LINES_NM) * BANK_SIZE**2,
+        bank_error(kept),
+    )
+
+
 JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "render-demo": ("a capture of the demonstration camera, source to raw", render_demo),
+    "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
+    "psf-refocus": ("the same at another focus", psf_refocus),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
     "rows": ("row transforms, one plane", partial(convolution_job, "rows")),
