@@ -196,7 +196,7 @@ def _lens(camera_file: Path, choice: LensChoice) -> Lens:
     if choice.prescription is None:
         name = choice.bank or choice.mtf
         # A folder has no suffix, and only MTF tables come with the package.
-        lens = load_ready(camera_file.parent / name if choice.bank else _beside(camera_file, name))
+        lens = load_ready(_beside(camera_file, name) if choice.mtf else camera_file.parent / name)
         if (lens.kind == MTF_TABLE) != (choice.mtf is not None):
             raise UserError(
                 f"The file is {'a table of the' if choice.bank else 'no table of an'} MTF.",

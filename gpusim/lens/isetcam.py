@@ -179,6 +179,15 @@ def read_isetcam(file: Path) -> Bank:
         outwards_um = 0.0
         if export.centre_y_mm is not None:
             outwards_um = 1e3 * abs(export.centre_y_mm) - real_um[field, wave]
+            if abs(outwards_um) > size * pitch_um / 4:
+                raise UserError(
+                    "a PSF and its chief ray lie apart",
+                    file=file.parent / f"{base}_DI_.dat",
+                    field=f"image height {field + 1}, {wavelengths[wave]:g} nm",
+                    value=f"{real_um[field, wave]:.6g} um",
+                    allowed=f"about {1e3 * abs(export.centre_y_mm):.6g} um, where the PSF's file "
+                    "has its centre",
+                )
         psf[field, wave] = turned(export, pitch_um, size, outwards_um)
 
     beside = file.with_suffix(".yaml")

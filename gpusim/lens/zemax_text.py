@@ -31,9 +31,9 @@ there is none the field's. So a PSF can be turned until the radial direction is 
 
 The height of the chief ray at each wavelength comes from the grid distortion of that wavelength;
 without ``distortion_files`` from the coordinates of the PSFs' centres ("Center coordinates",
-"Reference Coordinates"). Either way the centre of an export is taken for the chief ray: they must be
-made with the chief ray as the reference, "Use Centroid" off. Where both are there they must agree,
-to a sample and to the digits in which the field is printed.
+"Reference Coordinates"). Either way the centre of an export is taken for the chief ray: export with
+the chief ray as the reference, "Use Centroid" off. Where both are there they must agree, to a
+sample and to the digits in which the field is printed.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
         Where the file is no such export, polychromatic, off the y axis or not whole.
     """
     head, marker, body = decoded(content).partition("Values are")
-    if not (head.lstrip().startswith("Listing of") and "PSF" in head and marker):
+    if not (re.match(r"\s*Listing of [^\n]*PSF Data", head) and marker):
         raise UserError(
             "not a Zemax PSF export",
             file=file,
@@ -468,11 +468,11 @@ def _ideal_mm(export: PsfExport, stated: ZemaxFile, file: Path) -> float:
     is_angle = export.field_unit.startswith("deg")
     if is_angle != (stated.field_type == "angle"):
         raise UserError(
-            "the field of the export is not of the stated type",
+            f"the field of the export is {'an angle' if is_angle else 'a length'}",
             file=file,
             field="field_type",
-            value=f"{export.field:g} {export.field_unit}",
-            allowed=f"an {stated.field_type}" if is_angle else "field_type: paraxial image height",
+            value=stated.field_type,
+            allowed="angle" if is_angle else "paraxial image height",
         )
     if not is_angle:
         if export.field_unit != "mm":

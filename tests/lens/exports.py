@@ -96,7 +96,7 @@ def distortion_export(wavelength_nm, half=8, reach_mm=0.95):
         f"Wavelength: {wavelength_nm / 1e3:.5f} µm",
         "Reference Coordinates: Xref = 0.00000E+000, Yref = 0.00000E+000",
         "",
-        "   i    j  X-Field  Y-Field  R-Field  Predicted X  Predicted Y  Real X  Real Y  Distortion",
+        "  i  j  X-Field  Y-Field  R-Field  Predicted X  Predicted Y  Real X  Real Y  Distortion",
     ]
     for i in range(-half, half + 1):
         for j in range(-half, half + 1):
