@@ -85,3 +85,9 @@ def test_the_command_line_refuses_a_broken_lens_on_one_screen(tmp_path):
     (tmp_path / "a.nc").write_bytes(b"no bank")
     ran = gpusim("render", camera(tmp_path, "{bank: a.nc}"), "demo", "--out", tmp_path / "out")
     assert_refused(ran, "not a whole bank", "a.nc")
+
+
+def test_the_preset_of_the_mtf_only_model_covers_its_sensor():
+    one = load_camera("mtf-only")
+    assert one.lens.kind == "MTF table"
+    assert one.bank().provenance["lens_model"].startswith("MTF only")

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
+from gpusim.lens.field_map import FieldMap
 
 # The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
 # odd terms through a table leave it room to follow the inverse.
@@ -62,18 +63,6 @@ class Stated(_Strict):
 
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-def decoded(content: bytes) -> str:
-    """Return the text of a file in UTF-16 (with or without byte-order mark), UTF-8 or ANSI."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", errors="replace")
-    if b"\x00" in content[:64]:
-        return content.decode("utf-16-le", errors="replace")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace")
 
 
 def read_bytes(path: Path, what: str) -> bytes:
@@ -164,7 +153,6 @@ def make_bank(
     provenance: dict[str, str],
     file: Path,
     outside_energy: np.ndarray | None = None,
-    image_distance_mm: float | None = None,
 ) -> Bank:
     """Make a bank of PSFs and chief rays at the fields of a table.
 
@@ -188,8 +176,6 @@ def make_bank(
         For error texts.
     outside_energy : ndarray (F, L), optional
         Share of the light outside the circle; what the PSFs hold there, where it is left out.
-    image_distance_mm : float, optional
-        From the rear principal plane; the focal length (object at infinity) where left out.
 
     Notes
     -----
@@ -228,7 +214,7 @@ def make_bank(
     bank = Bank(
         wavelengths_nm=np.asarray(wavelengths_nm, float),
         reference_nm=float(reference_nm),
-        field_deg=np.degrees(np.arctan(1e-3 * ideal / (image_distance_mm or stated.efl_mm))),
+        field_deg=np.degrees(np.arctan(1e-3 * ideal / stated.efl_mm)),
         ideal_height_um=ideal,
         real_height_um=np.stack([one(ideal) for one in real_um], axis=1),
         psf=window if steps == 1 else between(window),
@@ -348,7 +334,9 @@ def check_bank(bank: Bank, file: Path) -> None:
         array = np.asarray(getattr(bank, name))
         if array.shape != shape:
             raise wrong(name, f"shape {array.shape}", f"shape {shape}")
-        if not (np.issubdtype(array.dtype, np.number) and np.isfinite(array).all()):
+        is_number = np.issubdtype(array.dtype, np.number) and not np.isnan(array).any()
+        # A fisheye's ideal heights have no end.
+        if not is_number or (name != "ideal_height_um" and not np.isfinite(array).all()):
             raise wrong(name, "values that are no numbers", "finite numbers")
     if fields < 2 or count < 1 or size % 2 or not 16 <= size <= MAX_SIZE:
         raise wrong(
@@ -359,10 +347,20 @@ def check_bank(bank: Bank, file: Path) -> None:
     for name in ("efl_mm", "f_number", "pitch_um"):
         if not (np.isfinite(getattr(bank, name)) and getattr(bank, name) > 0):
             raise wrong(name, getattr(bank, name), "above 0")
-    for name in ("field_deg", "ideal_height_um", "real_height_um"):
+    for name in ("field_deg", "real_height_um"):
         array = getattr(bank, name)
         if np.any(array[0] != 0) or not (np.diff(array, axis=0) > 0).all():
             raise wrong(name, "not rising from 0", "0 at the first field, then rising")
+    if bank.field_deg[-1] >= 180:
+        raise wrong("field_deg", bank.field_deg[-1], "below 180")
+    theta, efl_um = np.radians(bank.field_deg), 1e3 * bank.efl_mm
+    ideal = np.where(theta < np.pi / 2, efl_um * np.tan(theta), np.inf)
+    if not np.allclose(bank.ideal_height_um, ideal, rtol=1e-6, atol=1e-6):
+        raise wrong("ideal_height_um", "other heights", "efl_mm times tan(field_deg)")
+    folds = [FieldMap(theta, column, efl_um).folds_at for column in bank.real_height_um.T]
+    if any(fold is not None for fold in folds):
+        angle = np.degrees(min(fold for fold in folds if fold is not None))
+        raise wrong("real_height_um", f"falling from {angle:.4g} deg", "rising between fields too")
     if bank.wavelengths_nm[0] <= 0 or not (np.diff(bank.wavelengths_nm) > 0).all():
         raise wrong("wavelengths_nm", str(bank.wavelengths_nm), "above 0 and rising")
     if bank.reference_nm not in bank.wavelengths_nm:

@@ -29,8 +29,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from gpusim.errors import UserError
-from gpusim.lens.assemble import Stated, decoded, make_bank, read_bytes, read_mapping, validated
+from gpusim.lens.assemble import Stated, make_bank, read_bytes, read_mapping, validated
 from gpusim.lens.bank import Bank
+from gpusim.lens.text import decoded
 from gpusim.lens.zemax_text import NUMBER, check_size, common_grid, parse_psf, turned
 
 NEEDED = (
@@ -204,8 +205,6 @@ def read_isetcam(file: Path) -> Bank:
     lens = PureWindowsPath(values["lensFile"]).name
     working = scalars["fnumber_eff"]
     is_far = scalars["objDist"] > 1e9 or scalars["mag"] == 0
-    # Half of it where the object is at infinity: s' = f (1 + |m|).
-    distance_mm = scalars["efl"] * (1 if is_far else 1 + abs(scalars["mag"]))
     nearest = int(np.abs(wavelengths - scalars["refWave"]).argmin())
     optics = validated(
         Stated,
@@ -230,13 +229,15 @@ def read_isetcam(file: Path) -> Bank:
         pitch_um=pitch_um,
         relative_illumination=illumination,
         provenance={
-            "object": "at infinity" if is_far else f"{scalars['objDist']:g} mm before the lens",
+            "object": "at infinity"
+            if is_far
+            else f"{scalars['objDist']:g} mm before the lens; field angles are those of an object "
+            "at infinity with the same image height",
             "image_height": "paraxial image height at the lens's reference wavelength, "
             f"{scalars['refWave']:g} nm; that of the bank is the nearest with data",
             "psf_orientation": "rows of an export from +y to -y, turned until +x is radial",
         },
         file=file,
-        image_distance_mm=distance_mm,
     )
 
 

@@ -25,8 +25,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, PrivateAttr
 
 from gpusim.errors import UserError
-from gpusim.lens.assemble import check_bank, decoded, read_bytes, read_mapping, unit_psf
+from gpusim.lens.assemble import check_bank, read_bytes, read_mapping, unit_psf
 from gpusim.lens.bank import Bank
+from gpusim.lens.text import decoded
 
 # Names in an .npz file, with the shapes, units and meanings of the same names in Bank; title and
 # source are texts. A PSF may have any positive sum. What the file lacks is looked up under the

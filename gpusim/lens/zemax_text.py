@@ -50,13 +50,13 @@ from gpusim.errors import UserError
 from gpusim.lens.assemble import (
     MAX_SIZE,
     Stated,
-    decoded,
     make_bank,
     per_wavelength,
     read_bytes,
     validated,
 )
 from gpusim.lens.bank import Bank
+from gpusim.lens.text import decoded
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 UM = "(?:[µμu]m)"

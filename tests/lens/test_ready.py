@@ -90,7 +90,8 @@ def test_every_array_is_asked_for_by_name(bank, tmp_path, name):
         ("psf", lambda a: -a, ["psf", "no light"]),
         ("real_height_um", lambda a: a[::-1], ["real_height_um", "rising from 0"]),
         ("real_height_um", lambda a: a.T, ["real_height_um", "(3, 4)", "(4, 3)"]),
-        ("ideal_height_um", lambda a: a + 1, ["ideal_height_um", "rising from 0"]),
+        ("ideal_height_um", lambda a: a + 1, ["ideal_height_um", "tan(field_deg)"]),
+        ("efl_mm", lambda a: 1.1 * a, ["ideal_height_um", "efl_mm"]),
         ("field_deg", lambda a: a * np.inf, ["field_deg", "numbers"]),
         ("wavelengths_nm", lambda a: a[::-1], ["wavelengths_nm", "rising"]),
         ("reference_nm", lambda a: 500.0, ["reference_nm", "500"]),
@@ -184,3 +185,25 @@ def test_a_computed_bank_and_its_prescription_agree_with_the_interface(demo_lens
         assert lens.title and lens.source and isinstance(lens.history, tuple)
         assert callable(lens.bank)
         assert {"title", "source"} <= lens.model_dump().keys()
+
+
+def test_a_saved_fisheye_is_read(bank, tmp_path):
+    """Its ideal heights have no end from 90 degrees on."""
+    angles = np.array([0.0, 35.0, 70.0, 100.0])
+    f_um = 1e3 * bank.efl_mm
+    real = f_um * np.radians(angles)
+    fisheye = dataclasses.replace(
+        bank,
+        field_deg=angles,
+        ideal_height_um=np.append(f_um * np.tan(np.radians(angles[:3])), np.inf),
+        real_height_um=np.repeat(real[:, None], 3, axis=1),
+    )
+    fisheye.save(tmp_path / "fisheye.nc")
+    assert load_ready(tmp_path / "fisheye.nc").bank().field_deg[-1] == 100
+    # Between the fields it must rise, too.
+    real = f_um * np.array([0.0, 1.0, 1.01, 3.0])
+    folded = dataclasses.replace(fisheye, real_height_um=np.repeat(real[:, None], 3, axis=1))
+    folded.save(tmp_path / "folded.nc")
+    with pytest.raises(UserError) as caught:
+        load_ready(tmp_path / "folded.nc")
+    assert "real_height_um" in caught.value.screen() and "between" in caught.value.screen()
