@@ -8,6 +8,7 @@ NaN in the bank: not known, and not nought.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -17,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
-from gpusim.lens.field_map import FieldMap
+from gpusim.lens.field_map import WIDE_DEG, FieldMap
 
 # The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
 # odd terms through a table leave it room to follow the inverse.
@@ -179,8 +180,8 @@ def make_bank(
 
     Notes
     -----
-    Chief rays follow an odd polynomial of up to six terms in the ideal height, fitted to the table
-    for each wavelength: printed digits and few fields would make a spline through them wave. Fields
+    Chief rays follow an odd polynomial of up to six terms (``odd_fit``), fitted to the table for
+    each wavelength: printed digits and few fields would make a spline through them wave. Fields
     are divided, PSFs and illumination linear between them, until there are as many as in a computed
     bank, so that the spline of the bank follows that polynomial.
 
@@ -193,7 +194,24 @@ def make_bank(
     if outside_energy is None:
         outside_energy = 1 - share
     _refuse_aliases(window, pitch_um, file)
-    real_um, misfit_um = _smooth(ideal_height_um, real_height_um, file)
+    if not (
+        len(ideal_height_um) > 1
+        and ideal_height_um[0] == 0
+        and (np.diff(ideal_height_um) > 0).all()
+    ):
+        raise UserError(
+            "image heights must rise from 0",
+            file=file,
+            field="ideal height, um",
+            value=" ".join(f"{value:g}" for value in ideal_height_um),
+            allowed="0 and at least one more",
+        )
+    # The chief ray on the axis is the axis.
+    fits = [
+        odd_fit(ideal_height_um, np.append(0.0, column[1:]), stated.efl_mm, file)
+        for column in real_height_um.T
+    ]
+    misfit_um = max(misfit for _, misfit in fits)
 
     steps = -(-(FIELDS - 1) // (len(ideal_height_um) - 1))
     nodes = np.arange(len(ideal_height_um))
@@ -216,7 +234,7 @@ def make_bank(
         reference_nm=float(reference_nm),
         field_deg=np.degrees(np.arctan(1e-3 * ideal / stated.efl_mm)),
         ideal_height_um=ideal,
-        real_height_um=np.stack([one(ideal) for one in real_um], axis=1),
+        real_height_um=np.stack([function(ideal) for function, _ in fits], axis=1),
         psf=window if steps == 1 else between(window),
         relative_illumination=between(np.asarray(relative_illumination, float)),
         projected_solid_angle_sr=np.full(count, solid_angle),
@@ -235,8 +253,7 @@ def make_bank(
             "notes": stated.notes,
             "history": f"read from {file.name}; {len(nodes)} fields of the table, "
             f"{steps} intervals of the bank in each of its own",
-            "chief_rays": f"odd polynomials in the ideal height, {misfit_um:.2g} um from the table "
-            "at most",
+            "chief_rays": f"odd polynomials, {misfit_um:.2g} um from the table at most",
             "solid_angle": f"pi / (2 x {stated.working_f_number:g})^2 at all wavelengths, from the "
             "working f-number",
             "transmission": "as stated",
@@ -266,40 +283,58 @@ def _refuse_aliases(psf: np.ndarray, pitch_um: float, file: Path) -> None:
             )
 
 
-def _smooth(
-    ideal_um: np.ndarray, real_um: np.ndarray, file: Path
-) -> tuple[list[np.polynomial.Polynomial], float]:
-    """Fit each wavelength's chief rays; return functions of the ideal height, and the misfit."""
-    if not (len(ideal_um) > 1 and ideal_um[0] == 0 and (np.diff(ideal_um) > 0).all()):
-        raise UserError(
-            "image heights must rise from 0",
-            file=file,
-            field="ideal height, um",
-            value=" ".join(f"{value:g}" for value in ideal_um),
-            allowed="0 and at least one more",
-        )
+def odd_fit(
+    ideal_um: np.ndarray, real_um: np.ndarray, efl_mm: float, file: Path
+) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
+    """Fit the heights of chief rays by an odd polynomial of the ideal height f tan(theta).
+
+    Or of theta, where the table goes farther than ``WIDE_DEG`` (as in ``FieldMap``): a lens that
+    sees so far is no polynomial of the tangent.
+
+    Parameters
+    ----------
+    ideal_um, real_um : ndarray (P,)
+        Ideal heights rise from 0.
+    efl_mm : float
+    file : Path
+        For error texts.
+
+    Returns
+    -------
+    function : callable
+        Real of ideal height, um.
+    misfit_um : float
+        The largest.
+
+    Raises
+    ------
+    UserError
+        Where the polynomial misses the table by more than ``DISTORTION_MISFIT_UM``.
+    """
+    efl_um = 1e3 * efl_mm
     edge = ideal_um[-1]
-    x = ideal_um[1:] / edge
-    terms = min(len(x), DISTORTION_TERMS)
-    powers = np.arange(1, 2 * terms, 2)
-    functions, misfit = [], 0.0
-    for column in real_um.T:
-        factors = np.linalg.lstsq(x[:, None] ** powers, column[1:] / edge, rcond=None)[0]
-        coefficients = np.zeros(2 * terms)
-        coefficients[powers] = factors * edge
-        # The class maps its domain to its window: heights to shares of the largest.
-        function = np.polynomial.Polynomial(coefficients, domain=[-edge, edge], window=[-1, 1])
-        misfit = max(misfit, float(np.abs(function(ideal_um) - column).max()))
-        functions.append(function)
+    wide = np.arctan(edge / efl_um) > np.radians(WIDE_DEG)
+
+    def share(ideal: np.ndarray) -> np.ndarray:
+        return np.arctan(ideal / efl_um) / np.arctan(edge / efl_um) if wide else ideal / edge
+
+    x = share(ideal_um)
+    powers = np.arange(1, 2 * min(np.count_nonzero(x), DISTORTION_TERMS), 2)
+    terms = np.linalg.lstsq(x[:, None] ** powers, real_um, rcond=None)[0]
+
+    def function(ideal: np.ndarray) -> np.ndarray:
+        return share(ideal)[:, None] ** powers @ terms
+
+    misfit = float(np.abs(function(ideal_um) - real_um).max())
     if misfit > DISTORTION_MISFIT_UM:
         raise UserError(
             "the heights of the chief rays do not lie on a smooth curve",
             file=file,
             field="distortion",
-            value=f"{misfit:.3g} um off an odd polynomial of {terms} terms",
+            value=f"{misfit:.3g} um off an odd polynomial of {len(powers)} terms",
             allowed=f"at most {DISTORTION_MISFIT_UM:g} um",
         )
-    return functions, misfit
+    return function, misfit
 
 
 def check_bank(bank: Bank, file: Path) -> None:

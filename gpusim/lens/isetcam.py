@@ -18,6 +18,7 @@ What the folder does not hold is the transmission. It stands in ``ISETPARMS.yaml
     transmission: 0.95             # or one number for each wavelength
     title: my lens                 # optional; the name of the lens file otherwise
     source: where it comes from    # optional
+    first_row: "+y"                # optional, see gpusim.lens.zemax_text
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from gpusim.errors import UserError
 from gpusim.lens.assemble import Stated, make_bank, read_bytes, read_mapping, validated
 from gpusim.lens.bank import Bank
 from gpusim.lens.text import decoded
-from gpusim.lens.zemax_text import NUMBER, check_size, common_grid, parse_psf, turned
+from gpusim.lens.zemax_text import NUMBER, FirstRow, check_size, common_grid, parse_psf, turned
 
 NEEDED = (
     "lensFile",
@@ -61,6 +62,7 @@ class Beside(BaseModel):
     title: str | None = None
     source: str | None = None
     notes: str = ""
+    first_row: FirstRow = "+y"
 
 
 def parse_parameters(text: str, file: Path) -> dict[str, str | np.ndarray]:
@@ -173,6 +175,17 @@ def read_isetcam(file: Path) -> Bank:
                 allowed=f"{wavelengths[wave]:g} nm",
             )
         exports[field, wave] = export
+    beside = file.with_suffix(".yaml")
+    stated = read_mapping(beside, "fields of a lens") if beside.exists() else {}
+    if "transmission" not in stated:
+        raise UserError(
+            "the folder does not hold the lens's transmission",
+            file=beside,
+            field="transmission",
+            allowed="a file of this name, with transmission: 0 to 1, or one number for each "
+            "wavelength",
+        )
+    known = validated(Beside, stated, beside)
     pitch_um, size = common_grid(list(exports.values()))
     check_size(size, pitch_um, file)
     psf = np.empty((*shape, size, size))
@@ -189,19 +202,8 @@ def read_isetcam(file: Path) -> Bank:
                     allowed=f"about {1e3 * abs(export.centre_y_mm):.6g} um, where the PSF's file "
                     "has its centre",
                 )
-        psf[field, wave] = turned(export, pitch_um, size, outwards_um)
+        psf[field, wave] = turned(export, pitch_um, size, known.first_row, outwards_um)
 
-    beside = file.with_suffix(".yaml")
-    stated = read_mapping(beside, "fields of a lens") if beside.exists() else {}
-    if "transmission" not in stated:
-        raise UserError(
-            "the folder does not hold the lens's transmission",
-            file=beside,
-            field="transmission",
-            allowed="a file of this name, with transmission: 0 to 1, or one number for each "
-            "wavelength",
-        )
-    known = validated(Beside, stated, beside)
     lens = PureWindowsPath(values["lensFile"]).name
     working = scalars["fnumber_eff"]
     is_far = scalars["objDist"] > 1e9 or scalars["mag"] == 0
@@ -235,7 +237,8 @@ def read_isetcam(file: Path) -> Bank:
             "at infinity with the same image height",
             "image_height": "paraxial image height at the lens's reference wavelength, "
             f"{scalars['refWave']:g} nm; that of the bank is the nearest with data",
-            "psf_orientation": "rows of an export from +y to -y, turned until +x is radial",
+            "psf_orientation": f"rows of an export begin at {known.first_row}; turned until +x is "
+            "radial",
         },
         file=file,
     )

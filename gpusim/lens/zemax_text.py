@@ -13,6 +13,7 @@ A bank of them is a YAML file beside the exports:
     relative_illumination: [1.0, 0.93, 0.81]   # fields in rising order; or a list by wavelength
     psf_files: [f0_w1.txt, f0_w2.txt, f1_w1.txt, f1_w2.txt, f2_w1.txt, f2_w2.txt]
     distortion_files: [grid_w1.txt, grid_w2.txt]   # may be left out: see below
+    first_row: "+y"                # or "-y": where the exports' rows begin
 
 A PSF export (window's Text tab) has lines of this kind, then the values row by row:
 
@@ -24,10 +25,12 @@ A PSF export (window's Text tab) has lines of this kind, then the values row by 
     Center coordinates : 0.0000E+000, 1.2466E+001 Millimeters
     Values are relative intensity.
 
-Rows run from +y at the top to -y, columns from -x to +x, as the program draws the PSF. (Its arrays
-begin at the lower left and must be turned over to be drawn: Ansys Zemax community, topic 5426.) A
-field lies on the y axis; which side of the image it lands on is the sign of the centre's y, where
-there is none the field's. So a PSF can be turned until the radial direction is that of the bank.
+Rows are taken to run from +y at the top to -y, columns from -x to +x, as the program draws a PSF.
+(Its arrays begin at the lower left and must be turned over to be drawn: Ansys Zemax community,
+topic 5426. No text says that the listing is as drawn: where one's coma points the wrong way,
+``first_row: "-y"`` turns it.) A field lies on the y axis; which side of the image it lands on is
+the sign of the centre's y, where there is none the field's. So a PSF can be turned until the radial
+direction is that of the bank.
 
 The height of the chief ray at each wavelength comes from the grid distortion of that wavelength;
 without ``distortion_files`` from the coordinates of the PSFs' centres ("Center coordinates",
@@ -51,6 +54,7 @@ from gpusim.lens.assemble import (
     MAX_SIZE,
     Stated,
     make_bank,
+    odd_fit,
     per_wavelength,
     read_bytes,
     validated,
@@ -58,6 +62,7 @@ from gpusim.lens.assemble import (
 from gpusim.lens.bank import Bank
 from gpusim.lens.text import decoded
 
+FirstRow = Literal["+y", "-y"]
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 UM = "(?:[µμu]m)"
 MILLIMETRES = {"millimeters": 1.0, "centimeters": 10.0, "inches": 25.4, "meters": 1000.0}
@@ -113,6 +118,7 @@ class ZemaxFile(Stated):
     relative_illumination: tuple[float | tuple[float, ...], ...]
     psf_files: tuple[str, ...] = Field(min_length=1)
     distortion_files: tuple[str, ...] = ()
+    first_row: FirstRow = "+y"
 
 
 def parse_psf(content: bytes, file: Path) -> PsfExport:
@@ -298,7 +304,9 @@ def parse_distortion(content: bytes, file: Path) -> tuple[float, np.ndarray, np.
     return 1e3 * float(wavelength[1]), np.bincount(place, ideal) / count, mean
 
 
-def turned(export: PsfExport, pitch_um: float, size: int, outwards_um: float = 0.0) -> np.ndarray:
+def turned(
+    export: PsfExport, pitch_um: float, size: int, first_row: FirstRow, outwards_um: float = 0.0
+) -> np.ndarray:
     """Return a PSF on the bank's grid: [tangential, radial], centred on the chief ray.
 
     Parameters
@@ -307,6 +315,8 @@ def turned(export: PsfExport, pitch_um: float, size: int, outwards_um: float = 0
     pitch_um : float
     size : int
         n, even.
+    first_row : "+y" or "-y"
+        Where the rows of the export begin.
     outwards_um : float
         How far the export's reference point lies outside the chief ray.
 
@@ -322,7 +332,8 @@ def turned(export: PsfExport, pitch_um: float, size: int, outwards_um: float = 0
     radial, tangential = at[None, :] - outwards_um, at[:, None]
     # Seen with x to the right and y down, tangential is radial turned from x towards y: for a field
     # above the axis radial points up and tangential to the right, for one below down and left.
-    row = export.centre[0] - export.side * radial / export.spacing_um
+    upwards = -1 if first_row == "+y" else 1
+    row = export.centre[0] + upwards * export.side * radial / export.spacing_um
     col = export.centre[1] + export.side * tangential / export.spacing_um
     where = np.broadcast_arrays(row, col)
     return map_coordinates(export.values, where, order=5, mode="grid-constant")
@@ -425,7 +436,7 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
     check_size(size, pitch_um, file)
     psf = np.stack(
         [
-            [turned(grid[f, w], pitch_um, size) for w in range(len(wavelengths))]
+            [turned(grid[f, w], pitch_um, size, stated.first_row) for w in range(len(wavelengths))]
             for f in range(len(ideal_mm))
         ]
     )
@@ -449,7 +460,8 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
             if stated.field_type == "angle"
             else "paraxial image height of the exports",
             "chief_ray_heights": chief_rays,
-            "psf_orientation": "rows of an export from +y to -y, turned until +x is radial",
+            "psf_orientation": f"rows of an export begin at {stated.first_row}; turned until +x is "
+            "radial",
             "psf_centre": "the exports' centre point is the chief ray",
         },
         file=file,
@@ -552,11 +564,8 @@ def _from_grids(
                 value=f"{ideal[-1] / 1e3:.4g} mm from the axis",
                 allowed=f"at least {ideal_um[-1] / 1e3:.4g} mm",
             )
-        # An odd polynomial through the whole grid: printed digits average out.
-        scale = ideal[-1]
-        powers = np.arange(1, 12, 2)
-        terms = np.linalg.lstsq((ideal / scale)[:, None] ** powers, real, rcond=None)[0]
-        real_um[:, place] = (ideal_um / scale)[:, None] ** powers @ terms
+        # Through the whole grid: printed digits average out.
+        real_um[:, place] = odd_fit(ideal, real, stated.efl_mm, path)[0](ideal_um)
     lacking = np.flatnonzero(np.isnan(real_um).any(axis=0))
     if lacking.size:
         raise UserError(

@@ -44,8 +44,9 @@ def psf_export(
     size=64,
     centre=(33, 33),
     centre_mm=None,
+    first_row="+y",
 ):
-    """Return the text of a PSF export: rows from +y to -y, fields on the y axis.
+    """Return the text of a PSF export: fields on the y axis, rows from +y to -y unless told so.
 
     ``centre`` counts from 1; ``centre_mm`` is where it lies, on the chief ray unless given.
     """
@@ -54,7 +55,8 @@ def psf_export(
     if centre_mm is None:
         centre_mm = chief_mm
     x = (cols - (centre[1] - 1)) * spacing_um
-    y = ((centre[0] - 1) - rows) * spacing_um + side * 1e3 * (centre_mm - chief_mm)
+    up = 1 if first_row == "+y" else -1
+    y = up * ((centre[0] - 1) - rows) * spacing_um + side * 1e3 * (centre_mm - chief_mm)
     # Above the axis (side 1) radial is up and tangential to the right: seen with y down, x turns
     # towards y. Below, both are the other way.
     values = light(side * y, side * x, ideal_mm, wavelength_nm)
@@ -137,6 +139,8 @@ def write_zemax(folder: Path, encoding="utf-16", grids=True, **options):
             (folder / grid_names[-1]).write_bytes(distortion_export(wavelength).encode(encoding))
     file = folder / "lens.yaml"
     text = f"{ZEMAX_YAML}psf_files: [{', '.join(names)}]\n"
+    if "first_row" in options:
+        text += f'first_row: "{options["first_row"]}"\n'
     file.write_text(text + (f"distortion_files: [{', '.join(grid_names)}]\n" if grids else ""))
     return file
 

@@ -92,7 +92,7 @@ def test_every_array_is_asked_for_by_name(bank, tmp_path, name):
         ("real_height_um", lambda a: a.T, ["real_height_um", "(3, 4)", "(4, 3)"]),
         ("ideal_height_um", lambda a: a + 1, ["ideal_height_um", "tan(field_deg)"]),
         ("efl_mm", lambda a: 1.1 * a, ["ideal_height_um", "efl_mm"]),
-        ("field_deg", lambda a: a * np.inf, ["field_deg", "numbers"]),
+        ("field_deg", lambda a: np.full_like(a, np.inf), ["field_deg", "numbers"]),
         ("wavelengths_nm", lambda a: a[::-1], ["wavelengths_nm", "rising"]),
         ("reference_nm", lambda a: 500.0, ["reference_nm", "500"]),
         ("reference_nm", lambda a: [1.0, 2.0], ["reference_nm", "2 numbers"]),

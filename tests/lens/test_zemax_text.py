@@ -37,6 +37,8 @@ HEIGHT_UM = 5e-3
         {"kind": "FFT", "centre": (33, 32)},
         {"spacing_um": 0.4, "size": 80, "centre": (40, 42)},
         {"field": "height"},
+        {"first_row": "-y"},
+        {"first_row": "-y", "side": -1, "centre": (31, 33)},
     ],
 )
 def test_the_bank_is_that_of_the_lens_that_was_exported(tmp_path, options):
@@ -202,6 +204,7 @@ def test_what_is_no_distortion_export_is_refused_by_name(tmp_path, old, new, wor
         ("field_type: angle", "field_type: object height", ["field_type"]),
         (", grid_2.txt", "", ["chief rays of a wavelength", "650 nm"]),
         ("grid_2.txt", "f0_w0.txt", ["grid-distortion", "f0_w0.txt"]),
+        ("field_type: angle", "field_type: angle\nfirst_row: top", ["first_row", "+y"]),
         ("efl_mm: 5.0", "efl_mm: 7.0", ["not reach"]),
         ("efl_mm: 5.0", "efl_mm: 4.9", ["not on the chief ray", "Use Centroid"]),
     ],
