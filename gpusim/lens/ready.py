@@ -162,7 +162,12 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
 
 def _netcdf(path: Path) -> Bank:
     """Read a saved bank."""
+    import h5py
+
     try:
+        # Of a broken file, h5netcdf leaves an object that complains when it is collected.
+        with h5py.File(path, "r") as file:
+            list(file), list(file.attrs)
         bank = Bank.load(path)
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
         raise UserError(
@@ -189,7 +194,11 @@ def _npz(path: Path) -> Bank:
     try:
         with np.load(path, allow_pickle=False) as data:
             values |= {name: data[name] for name in data.files}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        # NotImplementedError: an unknown compression; RuntimeError: encrypted.
+        *(OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError),
+        *(zipfile.BadZipFile, zlib.error),
+    ) as error:
         raise UserError(
             f"not a whole .npz file: {' '.join(str(error).split())}",
             file=path,
