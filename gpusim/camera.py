@@ -1,13 +1,17 @@
-"""A camera: a lens prescription at a focal length and f-number, and a sensor or a part of one."""
+"""A camera: a lens in front of a sensor or a part of one.
+
+The lens is a prescription at a focal length and f-number, or ready-made: a bank of PSFs that
+somebody else computed, or a table of its MTF (`gpusim.lens.ready`).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from gpusim.errors import UserError
 
@@ -15,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from gpusim.lens.bank import Bank
-    from gpusim.lens.prescription import Prescription
     from gpusim.sensor.sensor import Sensor
 
 PRESETS = Path(__file__).parent / "data" / "cameras"
@@ -25,13 +28,51 @@ class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class LensChoice(_Strict):
-    """Which lens, its focal length by scaling, its f-number by stopping down, and its field."""
+class Lens(Protocol):
+    """What a camera asks of its lens: `Prescription` and `ReadyLens` give it."""
 
-    prescription: str
+    title: str
+    source: str
+
+    @property
+    def history(self) -> tuple[str, ...]:
+        """What was done since the file was read: one sentence for each step."""
+
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+        """Return its PSFs with everything else that the chain needs of it."""
+
+    def model_dump(self) -> dict[str, object]:
+        """Return what is known of it, for the report."""
+
+
+class LensChoice(_Strict):
+    """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
+
+    A prescription is brought to a focal length by scaling, to an f-number by stopping down, and to
+    a field; the others are what they are.
+    """
+
+    prescription: str | None = None
+    bank: str | None = None
+    mtf: str | None = None
     focal_length_mm: float | None = Field(default=None, gt=0)
     f_number: float | None = Field(default=None, gt=0)
     max_field_deg: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        given = [name for name in ("prescription", "bank", "mtf") if getattr(self, name)]
+        if len(given) != 1:
+            raise ValueError(
+                "give exactly one of prescription, bank (ready-made PSFs) and mtf (an MTF table)"
+            )
+        for name in ("focal_length_mm", "f_number", "max_field_deg"):
+            if given != ["prescription"] and getattr(self, name) is not None:
+                raise ValueError(
+                    f"{name} goes with a prescription: the PSFs of lens.{given[0]} hold for one "
+                    "focal length, stop and field, and cannot be traced again"
+                )
+        return self
 
 
 class SensorChoice(_Strict):
@@ -57,34 +98,33 @@ class Camera:
     Attributes
     ----------
     title : str
-    lens : Prescription
+    lens : Lens
     sensor : Sensor
     """
 
     title: str
-    lens: Prescription
+    lens: Lens
     sensor: Sensor
 
     def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
-        """Return the lens's PSF bank, from the cache on disk where it is there.
+        """Return the lens's PSF bank.
 
         Raises
         ------
         UserError
             When the image circle does not reach the corners of the sensor.
         """
-        from gpusim.lens.bank import cached_bank
-
-        bank = cached_bank(self.lens, progress=progress)
+        bank = self.lens.bank(progress)
         corner_um = (
             self.sensor.pixel_pitch_um * (self.sensor.rows**2 + self.sensor.cols**2) ** 0.5 / 2
         )
         if bank.image_circle_um < corner_um:
             raise UserError(
                 f"The image circle of {self.lens.title} misses the corners of the sensor.",
-                field="lens.focal_length_mm",
+                field="lens",
                 value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: a longer focal length or fewer pixels",
+                allowed=f"at least {corner_um / 1e3:.3f} mm: another lens, a longer focal "
+                "length or fewer pixels",
             )
         if bank.rectilinear_circle_um < corner_um:
             # Scenes lie on the ideal plane, which has no place for light from the side.
@@ -113,7 +153,6 @@ def load_camera(name_or_path: str | Path) -> Camera:
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
-    from gpusim.lens.prescription import load_prescription
     from gpusim.sensor.sensor import load_sensor
 
     path = Path(name_or_path)
@@ -135,24 +174,46 @@ def load_camera(name_or_path: str | Path) -> Camera:
     except ValidationError as error:
         first = error.errors()[0]
         raise UserError(
-            f"The camera file is wrong: {first['msg']}",
+            f"The camera file is wrong: {first['msg'].removeprefix('Value error, ')}",
             file=path,
             field=".".join(str(part) for part in first["loc"]) or "(top level)",
             value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg}, "
-            "sensor {preset, rows, cols}",
+            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg} or "
+            "lens {bank} or lens {mtf}, sensor {preset, rows, cols}",
         ) from error
-    lens = load_prescription(_beside(path, fields.lens.prescription))
-    if fields.lens.focal_length_mm is not None:
-        lens = lens.scaled(fields.lens.focal_length_mm)
-    if fields.lens.f_number is not None:
-        lens = lens.stopped(fields.lens.f_number)
-    if fields.lens.max_field_deg is not None:
-        lens = lens.limited(fields.lens.max_field_deg)
+    lens = _lens(path, fields.lens)
     sensor = load_sensor(_beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)
     return Camera(fields.title, lens, sensor)
+
+
+def _lens(camera_file: Path, choice: LensChoice) -> Lens:
+    """Load the lens that a camera file chose."""
+    from gpusim.lens.prescription import load_prescription
+    from gpusim.lens.ready import MTF_TABLE, load_ready
+
+    if choice.prescription is None:
+        name = choice.bank or choice.mtf
+        # A folder has no suffix, and only MTF tables come with the package.
+        lens = load_ready(_beside(camera_file, name) if choice.mtf else camera_file.parent / name)
+        if (lens.kind == MTF_TABLE) != (choice.mtf is not None):
+            raise UserError(
+                f"The file is {'a table of the' if choice.bank else 'no table of an'} MTF.",
+                file=camera_file,
+                field="lens.bank" if choice.bank else "lens.mtf",
+                value=name,
+                allowed=f"lens.{'mtf' if choice.bank else 'bank'} for this file",
+            )
+        return lens
+    lens = load_prescription(_beside(camera_file, choice.prescription))
+    if choice.focal_length_mm is not None:
+        lens = lens.scaled(choice.focal_length_mm)
+    if choice.f_number is not None:
+        lens = lens.stopped(choice.f_number)
+    if choice.max_field_deg is not None:
+        lens = lens.limited(choice.max_field_deg)
+    return lens
 
 
 def _beside(camera_file: Path, name: str) -> str:

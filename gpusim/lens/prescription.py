@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 import yaml
 from pydantic import (
@@ -27,6 +27,9 @@ from pydantic import (
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
+
+if TYPE_CHECKING:
+    from gpusim.lens.bank import Bank
 
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
@@ -218,6 +221,12 @@ class Prescription(_Strict):
     def history(self) -> tuple[str, ...]:
         """What was done since the file was read: one sentence for each step."""
         return self._history
+
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+        """Return its PSF bank, from the cache on disk where it is there."""
+        from gpusim.lens.bank import cached_bank
+
+        return cached_bank(self, progress=progress)
 
     def derived(self, step: str, **changes: object) -> Prescription:
         """Return a changed copy that remembers the step."""

@@ -1,0 +1,93 @@
+"""Cameras: a prescription, ready-made PSFs or an MTF table in front of a sensor, exactly one."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import assert_refused, gpusim
+from lens.exports import write_isetcam, write_zemax
+from optics.made import bank as made_bank
+
+from gpusim.camera import load_camera
+from gpusim.errors import UserError
+from gpusim.report.facts import plain
+
+SENSOR = "sensor: {preset: imx477, rows: 96, cols: 128}"
+
+
+def camera(folder: Path, lens: str) -> Path:
+    file = folder / "camera.yaml"
+    file.write_text(f"title: a camera\nlens: {lens}\n{SENSOR}\n")
+    return file
+
+
+def test_a_camera_takes_every_kind_of_lens(tmp_path):
+    made_bank().save(tmp_path / "a.nc")
+    (tmp_path / "folder").mkdir()
+    write_isetcam(tmp_path / "folder")
+    (tmp_path / "zemax").mkdir()
+    write_zemax(tmp_path / "zemax")
+    for lens, title in {
+        "{bank: a.nc}": "Gaussians",
+        "{bank: folder}": "made-up",
+        "{bank: folder/ISETPARMS.TXT}": "made-up",
+        "{bank: zemax/lens.yaml}": "Gaussians",
+        "{mtf: diffraction-limited}": "Diffraction-limited f/2.8 lens by its MTF (synthetic)",
+    }.items():
+        one = load_camera(camera(tmp_path, lens))
+        assert one.lens.title == title
+        assert one.bank().image_circle_um > 124
+        facts = plain(one.lens.model_dump())
+        assert json.loads(json.dumps(facts))["title"] == title
+    prescribed = load_camera(camera(tmp_path, "{prescription: double-gauss, f_number: 4}"))
+    assert prescribed.lens.history == ("stop closed to f/4",)
+
+
+@pytest.mark.parametrize(
+    ("lens", "words"),
+    [
+        ("{}", ["exactly one", "lens"]),
+        ("{prescription: double-gauss, bank: a.nc}", ["exactly one"]),
+        ("{bank: a.nc, mtf: diffraction-limited}", ["exactly one"]),
+        ("{bank: a.nc, focal_length_mm: 8}", ["focal_length_mm", "lens.bank", "traced again"]),
+        ("{bank: a.nc, f_number: 8}", ["f_number", "lens.bank"]),
+        ("{mtf: diffraction-limited, f_number: 8}", ["f_number", "lens.mtf"]),
+        ("{mtf: diffraction-limited, max_field_deg: 8}", ["max_field_deg", "lens.mtf"]),
+        ("{mtf: a.nc}", ["no table of an MTF", "lens.bank for this file"]),
+        ("{bank: table.yaml}", ["a table of the MTF", "lens.mtf for this file"]),
+        ("{bank: none.nc}", ["no such lens", "none.nc"]),
+        ("{mtf: none}", ["no such lens", "none"]),
+        ("{mtf: 3}", ["lens.mtf"]),
+    ],
+)
+def test_what_is_no_choice_of_a_lens_is_refused(tmp_path, lens, words):
+    made_bank().save(tmp_path / "a.nc")
+    preset = Path(__file__).parents[1] / "gpusim" / "data" / "mtf" / "diffraction-limited.yaml"
+    (tmp_path / "table.yaml").write_bytes(preset.read_bytes())
+    with pytest.raises(UserError) as caught:
+        load_camera(camera(tmp_path, lens))
+    for word in words:
+        assert word in caught.value.screen()
+    assert "Value error" not in caught.value.screen()
+
+
+def test_an_image_circle_that_misses_the_corners_is_refused(tmp_path):
+    made_bank(circle_um=100.0).save(tmp_path / "a.nc")
+    with pytest.raises(UserError, match="Gaussians misses the corners") as caught:
+        load_camera(camera(tmp_path, "{bank: a.nc}")).bank()
+    # 96 x 128 pixels of 1.55 um: half a diagonal is 80 pixels.
+    assert "0.124 mm" in caught.value.screen()
+    np.testing.assert_allclose(80 * 1.55, 124)
+
+
+def test_the_command_line_refuses_a_broken_lens_on_one_screen(tmp_path):
+    (tmp_path / "a.nc").write_bytes(b"no bank")
+    ran = gpusim("render", camera(tmp_path, "{bank: a.nc}"), "demo", "--out", tmp_path / "out")
+    assert_refused(ran, "not a whole bank", "a.nc")
+
+
+def test_the_preset_of_the_mtf_only_model_covers_its_sensor():
+    one = load_camera("mtf-only")
+    assert one.lens.kind == "MTF table"
+    assert one.bank().provenance["lens_model"].startswith("MTF only")
