@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates
 
 from gpusim.lens.bank import Bank
 
@@ -78,7 +78,7 @@ def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.n
 
     Returns
     -------
-    images : ndarray (F', J, C, n, n)
+    images : ndarray of float32 (F', J, C, n, n)
         On the bank's grid, [tangential, radial].
     radius_um : ndarray (F',)
     """
@@ -86,14 +86,15 @@ def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.n
     fx = scipy.fft.rfftfreq(n, bank.pitch_um)
     radius_um = bank.real_height_um[:, bank.reference]
     fields = min(int(np.searchsorted(radius_um, reach_um)) + 1, len(radius_um))
-    images = np.empty((fields, *weights.shape[:2], n, n))
+    images = np.empty((fields, *weights.shape[:2], n, n), np.float32)
     for field in range(fields):
         shift_um = bank.real_height_um[field] - radius_um[field]
-        padded = np.pad(bank.psf[field].astype(np.float64), ((0, 0), (PAD, PAD), (PAD, PAD)))
+        padded = np.pad(bank.psf[field], ((0, 0), (PAD, PAD), (PAD, PAD)))
         # Along the rows only: the shifts are radial, and the sum over wavelengths is linear.
         lines = scipy.fft.rfft(padded, axis=-1, workers=2)
-        lines *= np.exp(-2j * np.pi * fx * shift_um[:, None, None])
-        mixed = np.tensordot(weights * bank.relative_illumination[field], lines, axes=1)
+        lines *= np.exp(-2j * np.pi * fx * shift_um[:, None, None]).astype(np.complex64)
+        share = (weights * bank.relative_illumination[field]).astype(np.float32)
+        mixed = np.tensordot(share, lines, axes=1)
         images[field] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
     return images, radius_um[:fields]
 
@@ -116,15 +117,16 @@ def field_kernels(
         Weight of each sample: the core, the tail, or all.
     """
     n = images.shape[-1]
-    frequency = np.hypot(
-        scipy.fft.rfftfreq(n, bank_pitch_um), scipy.fft.fftfreq(n, bank_pitch_um)[:, None]
+    fx, fy = scipy.fft.rfftfreq(n, bank_pitch_um), scipy.fft.fftfreq(n, bank_pitch_um)[:, None]
+    # The spectrum of the cubic B-spline's samples is (2 + cos) / 3 along each axis (Unser 1999):
+    # splines through the samples are the samples with it divided out.
+    along_x, along_y = ((2 + np.cos(2 * np.pi * f * bank_pitch_um)) / 3 for f in (fx, fy))
+    shaping = low_pass(np.hypot(fx, fy), sim_pitch_um) / (along_x * along_y)
+    shaped = scipy.fft.rfft2(images * part.astype(np.float32), workers=2)
+    shaped *= shaping.astype(np.float32)
+    return FieldKernels(
+        scipy.fft.irfft2(shaped, s=(n, n), workers=2, overwrite_x=True), radius_um, bank_pitch_um
     )
-    limited = scipy.fft.rfft2(images * part, workers=2) * low_pass(frequency, sim_pitch_um)
-    smooth = scipy.fft.irfft2(limited, s=(n, n), workers=2)
-    splines = np.empty(images.shape, np.float32)
-    for index in np.ndindex(images.shape[:3]):
-        splines[index] = spline_filter(smooth[index], order=3, mode="mirror")
-    return FieldKernels(splines, radius_um, bank_pitch_um)
 
 
 def distances_um(n: int, pitch_um: float) -> np.ndarray:
