@@ -13,6 +13,7 @@ was sampled on the sim grid.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -253,12 +254,21 @@ def kernel_spectra(
         divided by T^2 for the inverse transforms, which are not normalised.
     """
     half = length // 2 + 1
-    spectra = scipy.fft.rfft2(sampled, s=(length, length))
+    spectra = scipy.fft.rfft2(sampled.astype(np.float32), s=(length, length))
     result = np.empty((len(sampled), half, length // 64, len(outputs), 4, 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
-        along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2
-        along_x = aperture_spectrum(length, width, sigma, shift_x)[:half]
-        one = (spectra[:, channel] * (along_y * along_x)).swapaxes(1, 2)
+        aperture = _aperture_spectra(length, width, sigma, shift_x, shift_y)
+        one = (spectra[:, channel] * aperture).swapaxes(1, 2)
         lanes = one.reshape(-1, half, 4, 2, length // 64, 8)
         result[:, :, :, place] = lanes.transpose(0, 1, 4, 2, 5, 3)
     return result
+
+
+@functools.lru_cache(maxsize=64)  # the nodes of a scale share theirs, sixteen sites at most
+def _aperture_spectra(
+    length: int, width: float, sigma: float, shift_x: float, shift_y: float
+) -> np.ndarray:
+    """Return the aperture's spectrum in y and x, (T, T/2+1), over T^2."""
+    along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2
+    along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1]
+    return (along_y * along_x).astype(np.complex64)
