@@ -123,8 +123,8 @@ class Camera:
                 f"The image circle of {self.lens.title} misses the corners of the sensor.",
                 field="lens",
                 value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: another lens, a longer focal "
-                "length or fewer pixels",
+                allowed=f"at least {corner_um / 1e3:.3f} mm: fewer pixels, another "
+                "lens, or a larger focal_length_mm of a prescription",
             )
         if bank.rectilinear_circle_um < corner_um:
             # Scenes lie on the ideal plane, which has no place for light from the side.
