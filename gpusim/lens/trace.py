@@ -132,8 +132,8 @@ def _meet(
     ok = square >= 0
     t = quad_c / (quad_b + np.sqrt(np.maximum(square, 0)))
     if a.any():
-        # Newton starts from the conic or from the vertex's plane, whichever is nearer to the surface
-        # there: a ray may miss the conic, or meet it far from the asphere.
+        # Newton starts from the conic or from the vertex's plane, whichever is nearer to the
+        # surface there: a ray may miss the conic, or meet it far from the asphere.
         plane = -z / dz
         gaps = [
             np.abs(z + s * dz - _sag((x + s * dx) ** 2 + (y + s * dy) ** 2, c, conic, a)[0])
