@@ -339,13 +339,26 @@ def _ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
     return np.where(below, 1e3 * efl_mm * np.tan(np.radians(np.where(below, field_deg, 0))), np.inf)
 
 
+def default_pitch_um(prescription: Prescription, wavelengths_nm: np.ndarray) -> float:
+    """Return 0.5 um, halved as often as the aperture needs at the shortest wavelength.
+
+    The finest pattern of a PSF has a period of lambda / (2 sin theta') = lambda N, and two samples
+    to a period are needed. Real apertures exceed the paraxial f-number's by some percent.
+    """
+    needed = 0.95 * 1e-3 * float(np.min(wavelengths_nm)) * first_order(prescription).f_number / 2
+    pitch = PITCH_UM
+    while pitch > needed:
+        pitch /= 2
+    return pitch
+
+
 def compute_bank(
     prescription: Prescription,
     wavelengths_nm: np.ndarray | None = None,
     field_deg: np.ndarray | None = None,
     *,
     reference_nm: float = REFERENCE_NM,
-    pitch_um: float = PITCH_UM,
+    pitch_um: float | None = None,
     size: int = SIZE,
     rays: int = RAYS,
     focus_um: float = 0.0,
@@ -362,8 +375,10 @@ def compute_bank(
         15 fields from 0 to the lens's largest (``default_fields_deg``).
     reference_nm : float
         One of the wavelengths.
-    pitch_um, size : float, int
-        PSF sampling: spacing, and samples across (even).
+    pitch_um : float, optional
+        Spacing of the PSF's samples (``default_pitch_um``).
+    size : int
+        Samples across, even.
     rays : int
         Rays across the pupil, each way.
     focus_um : float
@@ -384,6 +399,8 @@ def compute_bank(
     wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
     angles = default_fields_deg(prescription) if field_deg is None else np.array(field_deg, float)
     _check_settings(prescription, wavelengths, angles, reference_nm, size)
+    if pitch_um is None:
+        pitch_um = default_pitch_um(prescription, wavelengths)
     generator = Generator(
         default_device(),
         build(prescription),

@@ -19,7 +19,7 @@ from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.system import System
 from gpusim.lens.tracer import Beams, starts
-from gpusim.lens.wavefront import OVERSIZE, within_hull
+from gpusim.lens.wavefront import RAY_OVERSIZE, within_hull
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -27,7 +27,7 @@ from gpusim.lens.wavefront import OVERSIZE, within_hull
 RAYS = 128
 TRANSFORM = 1024  # cells each way: with a pitch of 0.5 um the PSF repeats after 512 um
 FIRST_RADIX = 2  # 1024 = 2 8^3
-AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.12 stops
+AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.04 stops
 # Degree of the polynomial from the directions in which rays leave to where they enter. It only has
 # to lead rays to within 1e-3 of a node's direction: see shaders/lens/wavefront.
 DEGREE = 9
@@ -138,9 +138,9 @@ class Generator:
     def _aimed(self):
         """Yield the rays aimed at the stop, field by field: a list over wavelengths."""
         radius = self.system.stop_radius_mm
-        line = np.linspace(-OVERSIZE, OVERSIZE, AIMED_ACROSS)
+        line = np.linspace(-RAY_OVERSIZE, RAY_OVERSIZE, AIMED_ACROSS)
         x, y = (one.ravel() for one in np.meshgrid(line[line >= 0], line))
-        keep = x**2 + y**2 <= OVERSIZE**2
+        keep = x**2 + y**2 <= RAY_OVERSIZE**2
         x, y = x[keep], y[keep]
         p, miss = self._beams.aim(radius * np.stack([x, y], axis=-1))
         beams, count = miss.shape
@@ -149,7 +149,7 @@ class Generator:
         ok = (miss >= 0) & (rays.failed_at == 0).reshape(miss.shape)
         self.failed_rays[:] = (~ok & (x**2 + y**2 < 1)).sum(axis=1).reshape(self.failed_rays.shape)
         # Far outside a rim, rays turn back on others and only spoil the fit.
-        ok &= reach < OVERSIZE**2 + 1e-6
+        ok &= reach < RAY_OVERSIZE**2 + 1e-6
         cosines = rays.cosines.reshape(beams, count, 2).astype(float)
         lines = len(self.wavelengths_nm)
         for field, theta in enumerate(self.field_deg):

@@ -132,8 +132,14 @@ def _meet(
     ok = square >= 0
     t = quad_c / (quad_b + np.sqrt(np.maximum(square, 0)))
     if a.any():
-        # A ray may miss the conic and yet meet the asphere: it starts from the vertex's plane.
-        t = np.where(ok, t, -z / dz)
+        # Newton starts from the conic or from the vertex's plane, whichever is nearer to the
+        # surface there: a ray may miss the conic, or meet it far from the asphere.
+        plane = -z / dz
+        gaps = [
+            np.abs(z + s * dz - _sag((x + s * dx) ** 2 + (y + s * dy) ** 2, c, conic, a)[0])
+            for s in (t, plane)
+        ]
+        t = np.where(ok & (gaps[0] < gaps[1]), t, plane)
         ok = np.isfinite(t)
         for _ in range(20):  # quadratic convergence: 4 to 6 are enough on real lenses
             px, py = x + t * dx, y + t * dy

@@ -52,9 +52,9 @@ fn df_square(a: vec2f) -> vec2f {
     return quick_two_sum(p.x, p.y + 2.0 * a.x * a.y);
 }
 
-// One step of Newton from the square root of the high part: good to 2^-44, a > 0.
+// One step of Newton from the square root of the high part: good to 2^-44, a >= 0.
 fn df_sqrt(a: vec2f) -> vec2f {
     let root = sqrt(a.x);
     let left = df_add(a, -two_product(root, root));
-    return quick_two_sum(root, 0.5 * left.x / root);
+    return quick_two_sum(root, select(0.0, 0.5 * left.x / root, root > 0.0));
 }

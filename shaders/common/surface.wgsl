@@ -35,6 +35,11 @@ fn sag(s: u32, r2: f32) -> vec2f {
     return vec2f(c * r2 / (1.0 + root), 0.5 * c / root) + polynomial(s, r2);
 }
 
+// How far a point lies from surface s along the axis.
+fn gap_at(s: u32, q: vec3f) -> f32 {
+    return abs(q.z - sag(s, dot(q.xy, q.xy)).x);
+}
+
 // Meet surface s and bend there; ratio of the indices before and behind it.
 // A ray that misses it, meets its far side or is totally reflected stays as it was, not ok.
 fn bend(ray: Ray, s: u32, ratio: f32) -> Ray {
@@ -52,6 +57,10 @@ fn bend(ray: Ray, s: u32, ratio: f32) -> Ray {
     var q = p + t * d;
     var normal = vec3f(-c * q.xy, 1.0 - k * q.z);
     if (surfaces[s].terms > 0u) {
+        // Newton starts from the conic or from the vertex's plane, whichever is nearer to the surface there: a ray may
+        // miss the conic, or meet it far from the asphere.
+        let plane = -p.z / d.z;
+        t = select(plane, t, met && gap_at(s, p + t * d) < gap_at(s, p + plane * d));
         for (var n = 0u; n < 8u; n++) {  // quadratic convergence: 4 to 6 do
             q = p + t * d;
             let f = sag(s, dot(q.xy, q.xy));

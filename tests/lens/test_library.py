@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gpusim.errors import UserError
+from gpusim.lens.bank import compute_bank
 from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
@@ -101,8 +102,32 @@ def test_a_wrong_radius_or_index_fails_a_check(name):
             assert noticed(changed(lens, i, nd=surface.nd + 0.01)), f"surface {i}"
 
 
+@pytest.mark.parametrize("name", presets())
+def test_every_lens_gives_a_bank_at_full_aperture_and_full_field(name):
+    # With nothing asked for but a small window: the lens itself decides the pitch.
+    lens = load_prescription(name)
+    edge = [0.0, lens.max_field_deg]
+    bank = compute_bank(lens, [400.0, 550.0], edge, size=32)
+    assert bank.pitch_um in (0.5, 0.25)
+    assert np.isfinite(bank.psf).all()
+    # The requirement for the wavefront.
+    assert bank.fit_residual_waves.max() < 1e-3
+    assert (np.diff(bank.real_height_um, axis=0) > 0).all()
+    system = build(lens)
+    (pupil,) = pupils(
+        sample_field(system, system.index(np.array([550.0])), np.radians(edge[1])),
+        np.array([550.0]), 1.0, 256,
+    )  # fmt: skip
+    axis = bank.projected_solid_angle_sr[1]
+    # The device places the rim between 128 rays: measured 1e-4, and 1.1e-3 on axis for the phone
+    # lens, whose asphere lets no ray through beyond it.
+    assert bank.relative_illumination[1, 1] * axis == pytest.approx(
+        pupil.projected_solid_angle_sr, rel=2e-3
+    )
+
+
 # Paraxial checks do not see aspheres; how well the design is corrected does. Largest RMS of W at
-# the axis, 0.6 and 1.0 of the field, in waves: measured 0.09, 0.97 and 0.59. Then a surface in the
+# 0.6 and 1.0 of the field, in waves: measured 0.09, 0.78 and 0.59. Then a surface in the
 # middle of the lens whose a4 is wrong by a factor.
 ASPHERIC = {"phone": (0.15, 7, 1.05), "wide": (1.2, 12, 1.2), "compact-6mm": (0.8, 14, 1.2)}
 
@@ -112,11 +137,10 @@ def test_aspheric_lenses_are_corrected_and_a_wrong_coefficient_shows(name):
     lens = load_prescription(name)
     bound, number, factor = ASPHERIC[name]
 
-    def worst(lens):
-        system = build(lens)
-        return max(rms_waves(system, share * lens.max_field_deg) for share in (0.0, 0.6, 1.0))
-
-    assert worst(lens) < bound
+    system = build(lens)
+    for share in (0.6, 1.0):
+        assert rms_waves(system, share * lens.max_field_deg) < bound
     asphere = lens.surfaces[number - 1].asphere
     wrong = asphere.model_copy(update={"a4": factor * asphere.a4})
-    assert worst(changed(lens, number, asphere=wrong)) > 1.5 * bound
+    system = build(changed(lens, number, asphere=wrong))
+    assert rms_waves(system, lens.max_field_deg) > 1.5 * bound
