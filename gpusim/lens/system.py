@@ -10,7 +10,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
-from gpusim.lens.prescription import Prescription
+from gpusim.lens.prescription import Check, Prescription
 from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
 
 
@@ -296,15 +296,35 @@ def build(prescription: Prescription) -> System:
     return replace(system, image_z_mm=system.image_z_mm + shift)
 
 
+@dataclass(frozen=True)
+class Checked:
+    """A figure of the source beside the one that was found."""
+
+    check: Check
+    found: float
+
+    @property
+    def met(self) -> bool:
+        """Whether the two agree within the tolerance."""
+        return abs(self.found - self.check.value) <= self.check.tolerance
+
+
+def checked(prescription: Prescription) -> list[Checked]:
+    """Return each figure that the source states, with the one that the lens has."""
+    return [
+        Checked(
+            check,
+            getattr(first_order(prescription, printed=check.indices == "printed"), check.quantity),
+        )
+        for check in prescription.checks
+    ]
+
+
 def failed_checks(prescription: Prescription) -> list[str]:
     """Return one sentence for each figure of the source that the lens does not reproduce."""
-    failures = []
-    for check in prescription.checks:
-        order = first_order(prescription, printed=check.indices == "printed")
-        found = getattr(order, check.quantity)
-        if not abs(found - check.value) <= check.tolerance:
-            failures.append(
-                f"{check.quantity} ({check.indices} indices) is {found:.6g}, the source says "
-                f"{check.value:g} +- {check.tolerance:g}"
-            )
-    return failures
+    return [
+        f"{one.check.quantity} ({one.check.indices} indices) is {one.found:.6g}, the source says "
+        f"{one.check.value:g} +- {one.check.tolerance:g}"
+        for one in checked(prescription)
+        if not one.met
+    ]
