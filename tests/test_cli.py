@@ -16,7 +16,6 @@ from PIL import Image
 from gpusim.cli import devices as cli_devices
 from gpusim.cli import files
 from gpusim.errors import UserError
-from gpusim.lens.bank import Bank
 from gpusim.scene.colorimetry import encode_srgb
 from gpusim.scene.exr import read_exr
 
@@ -123,37 +122,6 @@ def test_an_unknown_chart_is_refused(tmp_path: Path):
 
 def test_an_output_file_of_another_kind_is_refused(tmp_path: Path):
     assert_refused(gpusim("chart", "grey", "--out", tmp_path / "c.jpg"), "--out", "c.jpg", ".png")
-
-
-# lens
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("no-such-lens",), ("lens", "no-such-lens", "double-gauss")),
-        (("missing.zmx",), ("missing.zmx",)),
-        (("double-gauss", "--focal-length", "-8"), ("efl_mm", "-8", "> 0")),
-        (("double-gauss", "--f-number", "0.5"), ("f_number", "0.5", ">=")),
-        (("double-gauss", "--out", "bank.csv"), ("--out", "bank.csv", ".nc or .png")),
-    ],
-)
-def test_a_wrong_lens_is_refused(arguments: tuple[str, ...], words: tuple[str, ...]):
-    assert_refused(gpusim("lens", *arguments), *words)
-
-
-def test_lens_shows_the_data_and_writes_bank_and_figures(tmp_path: Path):
-    # The lens of the demonstration camera: other tests have put its bank into the cache on disk.
-    asked = ("lens", "double-gauss", "--focal-length", "8.3", "--f-number", "2.8")
-    ran = gpusim(*asked, "--out", tmp_path / "bank.nc")
-    assert ran.code == 0, ran.err
-    for words in ("US 2,673,491", "8.3000 mm", "2.8", "22 deg", "closed to f/2.8"):
-        assert words in ran.out
-    bank = Bank.load(tmp_path / "bank.nc")
-    assert bank.f_number == pytest.approx(2.8, rel=1e-3)
-    assert f"{2e-3 * bank.image_circle_um:.3f} mm diameter" in ran.out
-    assert gpusim(*asked, "--out", tmp_path / "lens.png").code == 0
-    assert Image.open(tmp_path / "lens.png").size == (1320, 990)
 
 
 # develop

@@ -104,8 +104,11 @@ def chart(
 @app.command()
 def lens(
     name: Annotated[
-        str, typer.Argument(metavar="LENS", help="A preset name, a YAML or a Zemax .zmx file.")
-    ],
+        str | None,
+        typer.Argument(
+            metavar="[LENS]", help="A preset name or a lens file; without it, list the presets."
+        ),
+    ] = None,
     focal_length: Annotated[
         float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
     ] = None,
@@ -113,10 +116,14 @@ def lens(
         float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="PSF bank as .nc, or figures as .png.")
+        Path | None,
+        typer.Option(metavar="FILE", help="PSF bank as .nc, or one page as .png or .html."),
     ] = None,
 ) -> None:
-    """Show what a lens does: first-order data, PSFs, MTF, distortion, colour."""
+    """Show what a lens does: first-order data, PSFs, MTF, distortion, colour.
+
+    Exit code 1 where a figure that the lens's source states is not met.
+    """
     from gpusim.cli.lens import run
 
     run(name, focal_length, f_number, out)

@@ -2,72 +2,118 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import ExitStack
 from pathlib import Path
 
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from gpusim.cli.files import whole_file
 from gpusim.cli.screen import progress_bar, texts
-from gpusim.lens.bank import Bank, cached_bank
-from gpusim.lens.prescription import Prescription, load_prescription
-from gpusim.lens.system import first_order
+from gpusim.errors import UserError
+from gpusim.lens.account import Account
+from gpusim.lens.bank import cached_bank
+from gpusim.lens.prescription import load_prescription, presets
+from gpusim.lens.sampling import fitting
+from gpusim.lens.system import Checked, build, checked, first_order
+from gpusim.report.lens_facts import checks_table, identity, lens_facts
+
+KINDS = (".nc", ".png", ".html")
 
 
-def run(name: str, focal_length_mm: float | None, f_number: float | None, out: Path | None) -> None:
-    """Show the data of a lens; write its bank or its figures where `out` asks for them."""
+def run(
+    name: str | None, focal_length_mm: float | None, f_number: float | None, out: Path | None
+) -> None:
+    """Show the data of a lens; write its bank or its page where `out` asks for them.
+
+    Without a name, list the lenses that come with the package. Where a figure that the source
+    states is not met, the exit code is 1, after everything was shown and written.
+    """
+    if name is None:
+        if (focal_length_mm, f_number, out) != (None, None, None):
+            raise UserError(
+                "the options need a lens", field="LENS", allowed=", ".join(presets()) + ", a file"
+            )
+        Console().print(library())
+        return
     lens = load_prescription(name)
+    # The source's figures hold for the lens as published.
+    checks = checked(lens)
+    account = Account() if name in presets() else lens.account
     if focal_length_mm is not None:
         lens = lens.scaled(focal_length_mm)
     if f_number is not None:
         lens = lens.stopped(f_number)
     with ExitStack() as stack:
-        file = None if out is None else stack.enter_context(whole_file(out, (".nc", ".png")))
+        file = None if out is None else stack.enter_context(whole_file(out, KINDS))
+        system = build(lens)
         with progress_bar() as progress:
-            bank = cached_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
-        if file is not None and file.suffix.lower() == ".nc":
-            bank.save(file)
-        elif file is not None:
-            from gpusim.cli.lens_figure import save
+            bank = cached_bank(
+                lens,
+                progress=lambda done, all_: progress("PSF bank", done, all_),
+                **fitting(system),
+            )
+            kind = None if file is None else file.suffix.lower()
+            if kind == ".nc":
+                bank.save(file)
+            elif kind is not None:
+                from gpusim.report.lens_figure import png
+                from gpusim.report.lens_html import lens_html
+                from gpusim.report.lens_page import lens_page
 
-            save(bank, file)
-    Console().print(texts(data(lens, bank)))
+                page = lens_page(bank, system, lambda done, all_: progress("page", done, all_))
+                if kind == ".png":
+                    file.write_bytes(png(page))
+                else:
+                    file.write_text(lens_html(page, checks, lens.account), encoding="utf-8")
+    console = Console()
+    console.print(texts([*identity(system.prescription), *lens_facts(bank, system)]))
+    show_account(console, account)
+    show_checks(console, checks)
     if out is not None:
         print(out)
+    if not all(one.met for one in checks):
+        sys.exit(1)
 
 
-def data(lens: Prescription, bank: Bank) -> list[tuple[str, str]]:
-    """Return what there is to know of a lens at first glance, as names and texts."""
-    order = first_order(lens)
-    reference = bank.reference
-    lateral_um = bank.real_height_um[-1].max() - bank.real_height_um[-1].min()
-    return [
-        ("lens", lens.title),
-        ("patent", lens.patent or "none"),
-        ("source", lens.source),
-        ("changes", "; ".join(lens.history) or "none: as published"),
-        ("wavelength", f"{order.wavelength_nm:g} nm, for the paraxial data"),
-        ("focal length", f"{order.efl_mm:.4f} mm"),
-        ("f-number", f"{order.f_number:.4g}"),
-        ("back focal length", f"{order.bfl_mm:.4f} mm"),
-        ("length, first to last vertex", f"{order.length_mm:.4f} mm"),
-        (
-            "entrance pupil",
-            _pupil(order.entrance_pupil_diameter_mm, order.entrance_pupil_z_mm, "first"),
-        ),
-        ("exit pupil", _pupil(order.exit_pupil_diameter_mm, order.exit_pupil_z_mm, "last")),
-        ("largest field", f"{bank.field_deg[-1]:g} deg"),
-        ("image circle", f"{2e-3 * bank.image_circle_um:.3f} mm diameter"),
-        ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
-        ("relative illumination", f"{bank.relative_illumination[-1, reference]:.3f} at the edge"),
-        ("distortion", f"{bank.distortion[-1]:+.2%} at the edge"),
-        (
-            "lateral colour",
-            f"{lateral_um:.2f} um at the edge, {bank.wavelengths_nm[0]:g} to "
-            f"{bank.wavelengths_nm[-1]:g} nm",
-        ),
-    ]
+def library() -> Table:
+    """Return the lenses that come with the package."""
+    table = Table("lens", "f", "", "full field", "title", box=None, header_style="bold")
+    for name in presets():
+        lens = load_prescription(name)
+        order = first_order(lens)
+        table.add_row(
+            name,
+            f"{order.efl_mm:.4g} mm",
+            f"f/{order.f_number:.3g}",
+            f"{2 * lens.max_field_deg:.3g}\N{DEGREE SIGN}",
+            Text(lens.title),
+        )
+    return table
 
 
-def _pupil(diameter_mm: float, z_mm: float, vertex: str) -> str:
-    return f"{diameter_mm:.4f} mm wide, {z_mm:+.4f} mm from the {vertex} vertex"
+def show_account(console: Console, account: Account) -> None:
+    """Print what became of each thing that a lens file states."""
+    if not account.rows:
+        return
+    table = Table("surface", "", "what", box=None, header_style="bold")
+    styles = {"read": "", "ignored": "dim", "substituted": "yellow"}
+    for row in account.rows:
+        table.add_row(str(row.where), Text(row.how, style=styles[row.how]), Text(row.what))
+    console.print()
+    console.print(table)
+
+
+def show_checks(console: Console, checks: list[Checked]) -> None:
+    """Print the source's figures beside those that were found, one line each."""
+    console.print()
+    if not checks:
+        console.print("check values: the source states none, or not for a lens that was changed")
+    for quantity, indices, source, found, verdict in checks_table(checks):
+        style = "green" if verdict == "ok" else "bold red"
+        console.print(
+            Text(f"{quantity}, {indices} indices: source {source}, found {found}: ")
+            + Text(verdict, style=style)
+        )

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
-from gpusim.lens.prescription import Prescription
+from gpusim.lens.prescription import Check, Prescription
 from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
 
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Paraxial properties at one wavelength; lengths in mm.
+    """Paraxial properties at one wavelength, of the surfaces on their axis; lengths in mm.
 
     ``bfl_mm`` is the distance from the last vertex to the paraxial focus; pupil positions are
     measured from the first vertex (entrance) and from the last (exit).
@@ -69,6 +70,8 @@ def geometry_of(prescription: Prescription) -> Geometry:
         asphere=np.array([s.asphere.coefficients for s in surfaces]),
         vertex_z=np.concatenate([[0.0], np.cumsum(gaps)]),
         stop=prescription.stop - 1,
+        decentre=np.array([s.decentre_mm for s in surfaces]),
+        rotation=np.array([s.rotation for s in surfaces]),
     )
 
 
@@ -148,12 +151,48 @@ def first_order(
     )
 
 
+def transmission(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return the share of the light on the axis that no surface reflects, shape (L,).
+
+    Normal incidence: R = ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5), or the coating's where
+    glass meets air.
+
+    Raises
+    ------
+    UserError
+        Where a glass or the coating has no data at a wavelength.
+    """
+    wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
+    index = indices(prescription, wavelengths)
+    reflectance = ((index[1:] - index[:-1]) / (index[1:] + index[:-1])) ** 2
+    if prescription.coating is not None:
+        glasses = [None, *(surface.glass for surface in prescription.surfaces)]
+        coated = [(a is None) != (b is None) for a, b in itertools.pairwise(glasses)]
+        reflectance[coated] = _coating(prescription, wavelengths)
+    return np.prod(1 - reflectance, axis=0)
+
+
+def _coating(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return the coating's reflectance, shape (L,), straight between the wavelengths given."""
+    lines = prescription.coating.wavelength_nm
+    for wavelength in wavelengths_nm:
+        if not lines[0] <= wavelength <= lines[-1]:
+            raise UserError(
+                f"the coating has no reflectance at {wavelength:g} nm",
+                file=prescription.file,
+                field="coating.wavelength_nm",
+                value=f"{lines[0]:g} to {lines[-1]:g}",
+                allowed="a range that holds every wavelength used",
+            )
+    return np.interp(wavelengths_nm, lines, prescription.coating.reflectance)
+
+
 @functools.lru_cache(maxsize=64)
 def _stop_radius(prescription: Prescription) -> float:
     """Real radius of the stop: where the marginal ray of the axial beam crosses it."""
     if prescription.stop_semi_diameter_mm is not None:
         return prescription.stop_semi_diameter_mm
-    geometry = geometry_of(prescription)
+    geometry = geometry_of(prescription).centred()
     order = first_order(prescription)
     half = np.array([[order.entrance_pupil_diameter_mm / 2]])
     index = indices(prescription, prescription.reference_nm)
@@ -175,7 +214,7 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
 
     A surface whose source gives none must pass the whole beam at every field: its semi-diameter
     is the largest height of 64 rim rays and the chief ray at 9 fields from the axis to the largest,
-    at the design wavelengths.
+    at the design wavelengths, with every surface on the axis.
 
     Raises
     ------
@@ -191,7 +230,7 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
     ]
     if not missing:
         return prescription
-    geometry, radius = geometry_of(prescription), _stop_radius(prescription)
+    geometry, radius = geometry_of(prescription).centred(), _stop_radius(prescription)
     index = indices(prescription, np.array(prescription.design_wavelengths_nm))
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     needed = np.zeros(len(prescription.surfaces))
@@ -229,6 +268,8 @@ def _is_dummy(prescription: Prescription, i: int) -> bool:
 def build(prescription: Prescription) -> System:
     """Return the lens ready to be traced.
 
+    The stop's radius and the focus are those of the lens with every surface on the axis.
+
     Raises
     ------
     UserError
@@ -250,19 +291,40 @@ def build(prescription: Prescription) -> System:
     )
     if prescription.focus != "best":
         return system
-    shift = best_focus_shift(system, np.array(prescription.design_wavelengths_nm))
+    aligned = replace(system, geometry=geometry.centred())
+    shift = best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
     return replace(system, image_z_mm=system.image_z_mm + shift)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A figure of the source beside the one that was found."""
+
+    check: Check
+    found: float
+
+    @property
+    def met(self) -> bool:
+        """Whether the two agree within the tolerance."""
+        return abs(self.found - self.check.value) <= self.check.tolerance
+
+
+def checked(prescription: Prescription) -> list[Checked]:
+    """Return each figure that the source states, with the one that the lens has."""
+    return [
+        Checked(
+            check,
+            getattr(first_order(prescription, printed=check.indices == "printed"), check.quantity),
+        )
+        for check in prescription.checks
+    ]
 
 
 def failed_checks(prescription: Prescription) -> list[str]:
     """Return one sentence for each figure of the source that the lens does not reproduce."""
-    failures = []
-    for check in prescription.checks:
-        order = first_order(prescription, printed=check.indices == "printed")
-        found = getattr(order, check.quantity)
-        if not abs(found - check.value) <= check.tolerance:
-            failures.append(
-                f"{check.quantity} ({check.indices} indices) is {found:.6g}, the source says "
-                f"{check.value:g} +- {check.tolerance:g}"
-            )
-    return failures
+    return [
+        f"{one.check.quantity} ({one.check.indices} indices) is {one.found:.6g}, the source says "
+        f"{one.check.value:g} +- {one.check.tolerance:g}"
+        for one in checked(prescription)
+        if not one.met
+    ]

@@ -44,7 +44,27 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         f"seed {capture['seed']}, frame {capture['frame']}. "
         f"Made {facts['created']} by gpusim {facts['gpusim']}."
     )
+    return document(
+        title,
+        summary,
+        _cards(facts),
+        _pictures(developed),
+        _stages(facts),
+        _certificate(facts),
+        _details(facts),
+    )
+
+
+def document(title: str, summary: str, *sections: str) -> str:
+    """Return a whole HTML document with the report's style.
+
+    Parameters
+    ----------
+    title, summary, *sections : str
+        HTML.
+    """
     style = resources.files("gpusim.report").joinpath("style.css").read_text()
+    body = "\n".join(sections)
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -56,11 +76,7 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
 </head>
 <body>
 <header><h1>{title}</h1><p class="soft">{summary}</p></header>
-{_cards(facts)}
-{_pictures(developed)}
-{_stages(facts)}
-{_certificate(facts)}
-{_details(facts)}
+{body}
 </body>
 </html>
 """
@@ -185,7 +201,7 @@ def _certificate(facts: Mapping[str, Any]) -> str:
 evaluated for that one pixel in float64 by code that shares nothing with the shaders.</p>
 <div class="probes"><figure>{probe_map(probes, facts["capture"])}
 <figcaption>The probes on the sensor by relative error. The worst is ringed.</figcaption></figure>
-<div>{_pairs(figures)}<p class="soft">{escape(certificate["confidence"])}</p></div></div>
+<div>{pairs(figures)}<p class="soft">{escape(certificate["confidence"])}</p></div></div>
 <details><summary>The {len(worst)} worst probes</summary>{_numbers(columns, worst)}</details>"""
 
 
@@ -201,7 +217,7 @@ def _details(facts: Mapping[str, Any]) -> str:
         "Versions": {**facts["versions"], "shaders_sha256": facts["shaders_sha256"]},
     }
     tables = "".join(
-        f"<section><h2>{name}</h2>{_pairs(_lines(entry))}</section>"
+        f"<section><h2>{name}</h2>{pairs(_lines(entry))}</section>"
         for name, entry in sections.items()
     )
     files = "".join(
@@ -224,10 +240,10 @@ def _lines(entry: Mapping[str, Any]) -> dict[str, str]:
     return lines
 
 
-def _pairs(pairs: Mapping[str, str]) -> str:
+def pairs(entries: Mapping[str, str]) -> str:
     """Return a table of names and texts."""
     rows = (
-        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in pairs.items()
+        f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in entries.items()
     )
     return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
 

@@ -1,0 +1,151 @@
+"""What there is to know of a lens at first glance, as names and texts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gpusim.lens.bank import Bank
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import Checked, System, first_order
+
+THETA = "\N{GREEK SMALL LETTER THETA}"
+# Beyond this half field f tan(theta) says little, and from the second nothing.
+WIDE_DEG, VERY_WIDE_DEG = 45.0, 75.0
+
+
+def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
+    """Return first-order data and the main properties of the image.
+
+    Parameters
+    ----------
+    bank : Bank
+    system : System
+        The lens of the bank.
+    """
+    order = first_order(system.prescription)
+    edge = f"at {bank.field_deg[-1]:.4g}\N{DEGREE SIGN}"
+    reference = bank.reference
+    lateral_um = np.ptp(bank.real_height_um[-1])
+    return [
+        ("focal length", f"{order.efl_mm:.4f} mm"),
+        ("back focal length", f"{order.bfl_mm:.4f} mm"),
+        ("image plane", f"{behind(system):.4f} mm behind the last vertex"),
+        ("f-number", f"f/{order.f_number:.4g}"),
+        ("working f-number, NA", _working(bank)),
+        ("T-stop", f"T/{t_stop(bank):.4g}"),
+        ("entrance pupil", _pupil(order.entrance_pupil_diameter_mm, order.entrance_pupil_z_mm, 1)),
+        (
+            "exit pupil",
+            _pupil(
+                order.exit_pupil_diameter_mm,
+                order.exit_pupil_z_mm,
+                len(system.prescription.surfaces),
+            ),
+        ),
+        ("length, vertex to vertex", f"{order.length_mm:.4f} mm"),
+        ("largest field", f"{bank.field_deg[-1]:.4g}\N{DEGREE SIGN} from the axis"),
+        ("image circle", f"{2e-3 * bank.image_circle_um:.3f} mm diameter"),
+        *(
+            (f"distortion, {name}", f"{percent[-1]:+.2f} % {edge}, against the scale on axis")
+            for name, percent in distortions(
+                bank.field_deg, bank.real_height_um[:, reference]
+            ).items()
+        ),
+        (
+            "lateral colour",
+            f"{lateral_um:.2f} \N{MICRO SIGN}m {edge}, {bank.wavelengths_nm[0]:g} to "
+            f"{bank.wavelengths_nm[-1]:g} nm",
+        ),
+        (
+            "relative illumination",
+            f"{bank.relative_illumination[-1, reference]:.3f} {edge}",
+        ),
+        ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
+    ]
+
+
+def identity(lens: Prescription) -> list[tuple[str, str]]:
+    """Return what the lens is and where it comes from."""
+    return [
+        ("lens", lens.title),
+        ("patent", lens.patent or "none"),
+        ("source", lens.source),
+        ("changes", "; ".join(lens.history) or "none: as published"),
+        ("paraxial data at", f"{lens.reference_nm:g} nm"),
+    ]
+
+
+def checks_table(checks: Sequence[Checked]) -> list[tuple[str, str, str, str, str]]:
+    """Return quantity, indices, the source's figure, the one found, and the verdict."""
+    return [
+        (
+            one.check.quantity,
+            one.check.indices,
+            f"{one.check.value:g} \N{PLUS-MINUS SIGN} {one.check.tolerance:g}",
+            f"{one.found:.6g}",
+            "ok" if one.met else "FAILED",
+        )
+        for one in checks
+    ]
+
+
+def working_f_number(bank: Bank) -> float:
+    """Return 1 / (2 sin theta') of the axial pupil at the reference wavelength."""
+    return 0.5 / float(np.sqrt(bank.projected_solid_angle_sr[bank.reference] / np.pi))
+
+
+def t_stop(bank: Bank) -> float:
+    """Return the f-number of a lossless lens that is as bright on axis, at the reference."""
+    return working_f_number(bank) / float(np.sqrt(bank.transmission[bank.reference]))
+
+
+def behind(system: System) -> float:
+    """Return how far the image plane lies behind the last vertex, mm."""
+    return system.image_z_mm - float(system.geometry.vertex_z[-1])
+
+
+def distortions(field_deg: np.ndarray, height_um: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the distortion of chief rays by each law of projection that says much of the lens.
+
+    Against the image's own scale on axis, as lens designers calibrate it: the distance of the image
+    plane changes that scale and bends no line.
+
+    Parameters
+    ----------
+    field_deg, height_um : ndarray, shape (F,)
+        Rising from 0.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (F,)
+        Percent, by the name of the law; 0 on axis.
+    """
+    theta = np.radians(field_deg[1:])
+    laws = {}
+    if field_deg[-1] < VERY_WIDE_DEG:
+        laws[f"f tan {THETA}"] = np.tan(theta)
+    if field_deg[-1] > WIDE_DEG:
+        laws[f"f {THETA}"] = theta
+    found = {}
+    for name, law in laws.items():
+        scale = height_um[1:] / law
+        # On axis: even in theta, so straight in theta^2 through the first two fields.
+        axis = scale[0]
+        if len(scale) > 1:
+            square = theta**2
+            axis -= (scale[1] - scale[0]) * square[0] / (square[1] - square[0])
+        found[name] = np.concatenate([[0.0], 100 * (scale / axis - 1)])
+    return found
+
+
+def _working(bank: Bank) -> str:
+    number = working_f_number(bank)
+    return f"f/{number:.4g}, NA {0.5 / number:.4g}"
+
+
+def _pupil(diameter_mm: float, z_mm: float, surface: int) -> str:
+    if not np.isfinite(z_mm):
+        return "at infinity: telecentric"
+    return f"{diameter_mm:.4f} mm wide, {z_mm:+.4f} mm from surface {surface}"

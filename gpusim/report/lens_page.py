@@ -1,0 +1,217 @@
+"""What the page on a lens shows, as plain numbers: ``lens_figure`` draws them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gpusim.lens import transfer
+from gpusim.lens.bank import Bank
+from gpusim.lens.layout import Element, beam, elements
+from gpusim.lens.system import System
+from gpusim.lens.wavefront import sample_rays
+from gpusim.report.lens_facts import working_f_number
+
+# Parts of the largest field, by the bank's fields.
+CURVE_FIELDS = (0.0, 0.5, 1.0)
+COLOUR_WAVELENGTHS_NM = (425.0, 475.0, 600.0, 650.0)
+RAYS = 7
+# Chief rays for distortion and lateral colour: more than the bank has fields, for smooth curves.
+CHIEF_RAYS = 121
+
+
+@dataclass(frozen=True)
+class Curves:
+    """MTF of one field, each with the tangential and the sagittal direction; shape (2, n)."""
+
+    field_deg: float
+    against_frequency: np.ndarray
+    through_focus: np.ndarray
+
+
+@dataclass(frozen=True)
+class LensPage:
+    """Everything that the page shows.
+
+    Attributes
+    ----------
+    bank : Bank
+    system : System
+    elements : list of Element
+    beams : list of ndarray
+        One for each of CURVE_FIELDS, see :func:`gpusim.lens.layout.beam`.
+    frequency : ndarray, shape (K,)
+        Cycles/mm.
+    limit : ndarray, shape (K,)
+        MTF of a perfect lens with the axial pupil and the same spectrum.
+    focus_frequency : float
+        Cycles/mm of the through-focus curves.
+    focus_mm : ndarray, shape (Z,)
+        Shifts of the image plane.
+    curves : list of Curves
+        One for each of CURVE_FIELDS.
+    chief_deg : ndarray, shape (C,)
+        Field angles of the chief rays.
+    chief_nm : ndarray, shape (W,)
+        Their wavelengths; the first is the reference.
+    chief_um : ndarray, shape (C, W)
+        Where they land.
+    """
+
+    bank: Bank
+    system: System
+    elements: list[Element]
+    beams: list[np.ndarray]
+    frequency: np.ndarray
+    limit: np.ndarray
+    focus_frequency: float
+    focus_mm: np.ndarray
+    curves: list[Curves]
+    chief_deg: np.ndarray
+    chief_nm: np.ndarray
+    chief_um: np.ndarray
+
+
+def lens_page(
+    bank: Bank, system: System, progress: Callable[[int, int], None] | None = None
+) -> LensPage:
+    """Compute what the page shows.
+
+    Parameters
+    ----------
+    bank : Bank
+    system : System
+        The lens of the bank.
+    progress : callable, optional
+        Called with (steps done, steps in all).
+    """
+    fields = [np.radians(bank.field_deg[field_number(bank, part)]) for part in CURVE_FIELDS]
+    # Every other wavelength: 50 nm of the default bank, enough for a curve.
+    lines = slice(bank.reference % 2, None, 2)
+    wavelengths = bank.wavelengths_nm[lines]
+    light = (bank.transmission * quadrature(bank))[lines]
+    reference = bank.reference // 2
+    done = 0
+
+    def step() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, 2 * len(fields) + 1)
+
+    def traced(theta: float) -> transfer.FieldPupils:
+        found = transfer.field_pupils(system, theta, wavelengths, light, reference=reference)
+        step()
+        return found
+
+    with threadpool_limits(1), ThreadPoolExecutor() as pool:
+        pupils = list(pool.map(traced, fields))
+        top, focus_frequency = _frequencies(bank, pupils[0])
+        frequency = np.linspace(0, top, 101)
+        depth_mm = _depth_mm(bank, pupils, focus_frequency)
+        focus_mm = np.linspace(-depth_mm, depth_mm, 61)
+
+        def curves(one: tuple[float, transfer.FieldPupils]) -> Curves:
+            theta, field = one
+            found = Curves(
+                field_deg=float(np.degrees(theta)),
+                against_frequency=_both(field.otf, frequency),
+                through_focus=_both(
+                    lambda f, direction: field.through_focus(f, direction, focus_mm),
+                    focus_frequency,
+                ),
+            )
+            step()
+            return found
+
+        drawn = list(pool.map(curves, zip(fields, pupils, strict=True)))
+        chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
+        chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
+        chief_um = np.stack(list(pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))))
+        step()
+    f_number = working_f_number(bank)
+    limits = np.stack([transfer.diffraction_mtf(frequency, w, f_number) for w in wavelengths])
+    light = pupils[0].weight
+    return LensPage(
+        bank=bank,
+        system=system,
+        elements=elements(system),
+        beams=[beam(system, theta, RAYS, 0.12 * system.image_z_mm) for theta in fields],
+        frequency=frequency,
+        limit=light @ limits / light.sum(),
+        focus_frequency=focus_frequency,
+        focus_mm=focus_mm,
+        curves=drawn,
+        chief_deg=chief_deg,
+        chief_nm=chief_nm,
+        chief_um=chief_um,
+    )
+
+
+def _chief_um(system: System, wavelengths_nm: np.ndarray) -> Callable[[float], np.ndarray]:
+    """Return a function from field angle (rad) to where its chief rays land."""
+    index, centre = system.index(wavelengths_nm), np.zeros(1)
+    return lambda theta: 1e3 * sample_rays(system, index, theta, centre, centre).chief_y_mm
+
+
+def quadrature(bank: Bank) -> np.ndarray:
+    """Return the weights of the trapezoidal rule over the bank's wavelengths."""
+    steps = np.diff(bank.wavelengths_nm)
+    return (np.append(steps, 0.0) + np.insert(steps, 0, 0.0)) / 2 if steps.size else np.ones(1)
+
+
+def field_number(bank: Bank, part: float) -> int:
+    """Return the number of the bank's field that lies at a part of the largest."""
+    return round(part * (len(bank.field_deg) - 1))
+
+
+def _both(otf: Callable, *arguments: object) -> np.ndarray:
+    return np.abs([otf(*arguments, direction) for direction in transfer.DIRECTIONS])
+
+
+def round_near(value: float, series: tuple[float, ...] = (1, 2, 3, 4, 5, 6, 8)) -> float:
+    """Return the round number nearest to a value by ratio."""
+    return _rounds(value, series)[np.abs(np.log(_rounds(value, series) / value)).argmin()]
+
+
+def round_above(value: float, series: tuple[float, ...] = (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8)) -> float:
+    """Return the least round number that is not below a value."""
+    rounds = _rounds(value, series)
+    return rounds[rounds >= value * (1 - 1e-9)][0]
+
+
+def _rounds(value: float, series: tuple[float, ...]) -> np.ndarray:
+    """Return the round numbers around a value."""
+    decade = 10.0 ** np.floor(np.log10(value))
+    return np.concatenate([np.array(series) * decade, [10 * decade * series[0]]])
+
+
+def _frequencies(bank: Bank, axis: transfer.FieldPupils) -> tuple[float, float]:
+    """Return round frequencies: where the axis keeps 10 %, or a little more; and about 50 %."""
+    cut_off = 1e6 / (bank.wavelengths_nm[0] * working_f_number(bank))
+    tried = np.geomspace(cut_off / 500, cut_off, 120)
+    modulus = np.abs(axis.otf(tried, "tangential"))
+    lost = np.flatnonzero(modulus < 0.1)
+    half = np.flatnonzero(modulus < 0.5)
+    top = tried[lost[0]] if lost.size else cut_off
+    return round_above(top), round_near(tried[half[0]] if half.size else cut_off / 2)
+
+
+def _depth_mm(bank: Bank, pupils: list[transfer.FieldPupils], frequency: float) -> float:
+    """Return how far to shift the image plane: until a perfect lens has lost the frequency.
+
+    A disc of blur dz / N has its first zero at 1.22 N / dz: twice that, and the best focus of every
+    field and direction where it lies within four times.
+    """
+    unit = 1.22 * working_f_number(bank) / frequency
+    tried = np.linspace(-4, 4, 65) * unit
+    best = [
+        abs(tried[np.abs(field.through_focus(frequency, direction, tried)).argmax()])
+        for field in pupils
+        for direction in transfer.DIRECTIONS
+    ]
+    return round_above(max(2 * unit, max(best) + unit))

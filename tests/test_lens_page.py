@@ -1,0 +1,278 @@
+"""The page on a lens: its numbers are right, its labels readable, its files whole in themselves."""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from PIL import Image
+
+from gpusim.lens.bank import compute_bank, default_fields_deg
+from gpusim.lens.prescription import load_prescription
+from gpusim.lens.system import build, checked, first_order
+from gpusim.report import lens_figure
+from gpusim.report.lens_facts import distortions, lens_facts, t_stop, working_f_number
+from gpusim.report.lens_figure import colour_image, draw, png, svg
+from gpusim.report.lens_html import lens_html
+from gpusim.report.lens_page import LensPage, lens_page
+
+
+@pytest.fixture(scope="module")
+def demo_lens():
+    return load_prescription("double-gauss").scaled(8.3).stopped(2.8).limited(14.3)
+
+
+@pytest.fixture(scope="module")
+def page(demo_lens) -> LensPage:
+    lines = [450.0, 500.0, 550.0, 600.0, 650.0]
+    bank = compute_bank(demo_lens, lines, default_fields_deg(demo_lens, 5), size=64)
+    return lens_page(bank, build(demo_lens))
+
+
+# numbers
+
+
+def test_mtf_begins_at_1_and_stays_below_the_diffraction_limit_on_axis(page: LensPage):
+    for curves in page.curves:
+        assert curves.against_frequency.shape == (2, len(page.frequency))
+        # The rim's rounding, see line_spread.
+        np.testing.assert_allclose(curves.against_frequency[:, 0], 1, rtol=0, atol=3e-3)
+    axis = page.curves[0].against_frequency
+    assert (axis <= page.limit + 2e-3).all()
+    np.testing.assert_allclose(axis[0], axis[1], rtol=0, atol=1e-3)  # round
+
+
+def test_through_focus_passes_through_the_mtf_at_its_frequency(page: LensPage):
+    here = np.flatnonzero(np.isclose(page.focus_mm, 0, atol=1e-12))
+    assert len(here) == 1
+    for curves in page.curves:
+        for focus, frequency in zip(curves.through_focus, curves.against_frequency, strict=True):
+            at = np.interp(page.focus_frequency, page.frequency, frequency)
+            # Two grids of the pupil: 1e-3 (COARSE_NODES); a chord of the curve: 1e-3.
+            assert focus[here[0]] == pytest.approx(at, abs=2e-3)
+
+
+def test_the_frequencies_fit_the_lens(page: LensPage):
+    axis = page.curves[0].against_frequency[0]
+    assert 0.35 < np.interp(page.focus_frequency, page.frequency, axis) < 0.65
+    assert axis[-1] <= 0.1
+
+
+def test_progress_counts_up_to_the_end(page: LensPage):
+    calls = []
+    lens_page(page.bank, page.system, lambda done, total: calls.append((done, total)))
+    assert calls == [(k, len(calls)) for k in range(1, len(calls) + 1)]
+
+
+@pytest.mark.parametrize(
+    ("edge_deg", "law", "wanted"),
+    [
+        (20.0, np.tan, {"f tan \N{GREEK SMALL LETTER THETA}": 3.0}),
+        (90.0, lambda theta: theta, {"f \N{GREEK SMALL LETTER THETA}": 3.0}),
+    ],
+)
+def test_distortion_is_what_was_planted(edge_deg, law, wanted):
+    field_deg = np.linspace(0, edge_deg, 15)
+    theta = np.radians(field_deg)
+    # 3 % at the edge, growing with theta^2; a scale of 1.01 is no distortion.
+    height = 1.01 * 8.3e3 * law(theta) * (1 + 0.03 * (theta / theta[-1]) ** 2)
+    found = distortions(field_deg, height)
+    assert found.keys() == wanted.keys()
+    for name, percent in found.items():
+        np.testing.assert_allclose(
+            percent, wanted[name] * (field_deg / edge_deg) ** 2, rtol=0, atol=1e-9
+        )
+
+
+def test_a_wide_lens_shows_both_laws_of_projection():
+    field_deg = np.linspace(0, 60, 121)
+    tangent, angle = distortions(field_deg, np.tan(np.radians(field_deg))).values()
+    np.testing.assert_allclose(tangent, 0, atol=1e-9)
+    exact = 100 * (np.tan(np.radians(60)) / np.radians(60) - 1)
+    assert angle[-1] == pytest.approx(exact, abs=0.01)  # the scale on axis: theta^4 left out
+
+
+def test_t_stop_and_working_f_number_are_those_of_the_axial_pupil(page: LensPage):
+    bank = page.bank
+    # An aplanatic lens at infinity works at its f-number; this one is within 1 %.
+    assert working_f_number(bank) == pytest.approx(2.8, rel=0.01)
+    bright = bank.projected_solid_angle_sr[bank.reference] * bank.transmission[bank.reference]
+    assert np.pi / (4 * t_stop(bank) ** 2) == pytest.approx(bright, rel=1e-12)
+
+
+def test_facts_have_the_first_order_data(page: LensPage, demo_lens):
+    facts = dict(lens_facts(page.bank, page.system))
+    order = first_order(demo_lens)
+    assert facts["focal length"] == "8.3000 mm"
+    assert facts["back focal length"] == f"{order.bfl_mm:.4f} mm"
+    assert facts["f-number"] == "f/2.8"
+    assert "NA 0.17" in facts["working f-number, NA"]
+    for name in ("T-stop", "entrance pupil", "exit pupil", "image circle", "transmission"):
+        assert facts[name]
+
+
+# pictures
+
+
+def test_the_radius_points_up():
+    image = np.zeros((8, 8, 3))
+    image[4, 7] = 1.0  # eta 0, xi at its greatest
+    axes = Figure().add_subplot()
+    lens_figure._psf_image(axes, image, 1.0, 4.0)
+    (shown,) = axes.get_images()
+    row, col = np.argwhere(shown.get_array()[..., 0] == 1)[0]
+    left, right, low, high = shown.get_extent()
+    assert shown.origin == "lower"
+    assert low + (row + 0.5) * (high - low) / 8 == 3.0  # up
+    assert left + (col + 0.5) * (right - left) / 8 == 0.0
+
+
+def test_equal_psfs_of_all_wavelengths_are_grey_and_unequal_ones_have_colour(page: LensPage):
+    bank = page.bank
+    spot = np.zeros((16, 16))
+    spot[6:10, 6:10] = 1.0
+    same = np.tile(spot, (len(bank.wavelengths_nm), 1, 1))
+    picture = colour_image(same, bank)
+    np.testing.assert_allclose(picture - picture[..., :1], 0, atol=1e-12)
+    assert picture.max() == pytest.approx(1)
+    apart = same.copy()
+    apart[-2] = np.roll(spot, 3, axis=1)  # 650 nm
+    red, green, _ = colour_image(apart, bank)[8, 11]
+    assert red > 2 * green
+
+
+def test_brightness_is_stretched_over_the_decades_that_the_page_states():
+    light = np.array([1.0, 10**-1.5, 1e-3, 1e-9])
+    np.testing.assert_allclose(lens_figure.stretched(light), [1, 0.5, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("wavelength", [400.0, 425, 475, 500, 550, 600, 650, 700])
+def test_wavelengths_have_colours_that_read_on_white(wavelength: float):
+    colour = np.array(lens_figure.wavelength_colour(wavelength))
+    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    # WCAG 2.2, 1.4.11: graphics need a contrast of 3 : 1.
+    assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3
+    hue = {400.0: 2, 425: 2, 475: 2, 550: 1, 650: 0, 700: 0}
+    if wavelength in hue:
+        assert colour.argmax() == hue[wavelength]
+
+
+def words(figure: Figure) -> list[tuple[str, object]]:
+    """Return every text that a figure shows, with its box in pixels."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    texts = list(figure.texts)
+    for axes in figure.axes:
+        texts += [child for child in axes.get_children() if isinstance(child, Text)]
+        if axes.get_legend() is not None:
+            texts += axes.get_legend().get_texts()
+        for axis in (axes.xaxis, axes.yaxis) if axes.axison else ():
+            low, high = sorted(axis.get_view_interval())
+            texts.append(axis.label)
+            # Beyond the limits matplotlib keeps ticks that it does not draw.
+            texts += [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
+    renderer = canvas.get_renderer()
+    return [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text().strip()]
+
+
+def overlaps(shown) -> list[tuple[str, str]]:
+    return [
+        (a, b)
+        for (a, box), (b, other) in itertools.combinations(shown, 2)
+        # A pixel of slack: boxes are wider than letters.
+        if min(box.x1, other.x1) - max(box.x0, other.x0) > 1
+        and min(box.y1, other.y1) - max(box.y0, other.y0) > 1
+    ]
+
+
+def test_no_two_labels_overlap_and_none_leaves_the_page(page: LensPage):
+    figure = draw(page)
+    shown = words(figure)
+    assert len(shown) > 80
+    assert overlaps(shown) == []
+    width, height = figure.get_size_inches() * figure.dpi
+    for text, box in shown:
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+
+
+def test_labels_that_overlap_would_be_found():
+    figure = Figure()
+    figure.text(0.5, 0.5, "one")
+    figure.text(0.51, 0.5, "two")
+    assert overlaps(words(figure)) == [("one", "two")]
+
+
+def test_names_at_the_ends_of_curves_keep_apart_and_inside():
+    axes = Figure().add_subplot()
+    axes.set_ylim(0, 1)
+    lens_figure._end_labels(axes, [(0.99, "a", "k"), (1.0, "b", "k"), (0.985, "c", "k")])
+    at = {text.get_text(): text.xy[1] for text in axes.texts}
+    assert at["c"] < at["a"] < at["b"] <= 1
+    height = axes.get_position().height * axes.figure.get_size_inches()[1] * 72
+    assert min(at["a"] - at["c"], at["b"] - at["a"]) * height >= 9.9  # points
+
+
+# files
+
+
+def test_the_picture_has_its_size_and_is_not_empty(page: LensPage):
+    picture = Image.open(io.BytesIO(png(page)))
+    assert picture.size == (1920, 2144)
+    assert len(np.unique(np.asarray(picture.convert("L")))) > 100
+
+
+def test_the_drawing_is_the_same_each_time_and_needs_nothing_from_elsewhere(page: LensPage):
+    text = svg(page)
+    assert text == svg(page)
+    for link in re.findall(r'(?:href|src)="([^"]*)"', text):
+        assert link.startswith(("#", "data:"))
+    assert "<text" not in text  # letters are outlines: no font is asked for
+
+
+class Links(HTMLParser):
+    """Collects what a document would load, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.texts: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Remember links."""
+        self.loaded += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_data(self, data: str) -> None:
+        """Remember a text."""
+        self.texts.append(data)
+
+
+def test_the_html_page_is_whole_in_itself_and_has_all_numbers(page: LensPage, demo_lens):
+    account = demo_lens.account
+    text = lens_html(page, checked(demo_lens), account)
+    document = Links(text)
+    (picture,) = document.loaded
+    head, _, data = picture.partition(",")
+    assert head == "data:image/svg+xml;base64"
+    assert base64.b64decode(data).decode().rstrip().endswith("</svg>")
+    words = " ".join(document.texts)
+    for expected in ("8.3000 mm", "closed to f/2.8", "N-BAF10", "6 stop", "refractiveindex"):
+        assert expected in words
+
+
+def test_markup_in_a_lens_file_stays_text(page: LensPage, demo_lens):
+    named = demo_lens.model_copy(update={"title": "<b>lens</b>", "notes": "<script>"})
+    system = replace(page.system, prescription=named)
+    text = lens_html(replace(page, system=system), [], demo_lens.account)
+    assert "<b>lens</b>" not in text
+    assert "<script>" not in text
+    assert "&lt;b&gt;lens&lt;/b&gt;" in text
