@@ -66,6 +66,20 @@ def test_a_singlet_is_read_as_it_stands(read):
     )
 
 
+def test_the_paraxial_image_is_where_code_v_solved_it(read):
+    # An achromat of Edmund Optics, no. 32-327: radii, thicknesses and glasses of its published
+    # file, and beside PIM the distance to the paraxial image that CODE V computed.
+    achromat = (
+        "S 50.0 3.0 NBK7_SCHOTT\n  STO\nS -50.0 48.0\n",
+        "S 61.47 6.0 NBK7_SCHOTT\nSTO\nS -44.64 2.5 NSF5_SCHOTT\nS -129.94 95.95194415183156\n",
+    )
+    lens = read(SINGLET, achromat, ("650 550 450", "587.6"), ("REF 2", "REF 1"), ("-0.25", "0"))
+    order = first_order(lens)
+    # Its radii were written with rounding in the 16th digit.
+    assert order.bfl_mm == pytest.approx(95.95194415183156, rel=1e-13)
+    assert lens.surfaces[-1].thickness == 95.95194415183156
+
+
 def test_load_prescription_knows_the_kind_by_its_ending(tmp_path):
     file = tmp_path / "Lens.SEQ"
     file.write_text(SINGLET)
