@@ -380,7 +380,8 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
 def _parse_yaml(content: bytes, path: Path) -> Prescription:
     try:
         data = yaml.safe_load(content.decode("utf-8"))
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    # ValueError: wrong bytes, and dates and numbers that look like such and are none.
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         problem = " ".join(str(error).split())
         raise UserError(
             f"not a YAML file: {problem}", file=path, allowed="a prescription"

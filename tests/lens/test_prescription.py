@@ -203,6 +203,8 @@ def test_printed_indices_beside_a_catalogue_glass_are_told_apart_in_the_account(
     [
         (b"title: [unclosed", ["not a YAML file"]),
         (b"\xff\xfe\x00\x01", ["not a YAML file"]),
+        (b"title: 2026-99-99", ["not a YAML file", "month"]),
+        (b"[" * 5000, ["not a YAML file"]),
         (b"", ["holds no prescription", "NoneType"]),
         (b"- 1\n- 2\n", ["holds no prescription", "list"]),
     ],
