@@ -104,7 +104,7 @@ def chart(
 @app.command()
 def lens(
     name: Annotated[
-        str, typer.Argument(metavar="LENS", help="A preset name, a YAML or a Zemax .zmx file.")
+        str, typer.Argument(metavar="LENS", help="A preset name, or a .yaml, .zmx, .seq or .dat file.")
     ],
     focal_length: Annotated[
         float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")

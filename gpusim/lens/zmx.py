@@ -64,6 +64,8 @@ class _Reader:
         self.account = Account()
         self.head = _Block(None)
         self.surfaces: list[_Block] = []
+        self.vignetted = False  # some field has vignetting factors
+        self.beams_known = True  # and all of them are in the meridional plane
         for line in text.splitlines():
             words = line.split()
             if not words:
@@ -258,9 +260,6 @@ class _Reader:
             )
         used |= {"VDXN", "VDYN", "VCXN", "VCYN", "VANN"}
         return Fields(kinds[int(kind)], sizes, tuple(beams) if self.vignetted else ())
-
-    vignetted = False  # some field has vignetting factors
-    beams_known = True  # and they are in the meridional plane
 
     def _aperture(self, used: set[str]) -> dict[str, object]:
         head = self.head
