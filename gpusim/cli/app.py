@@ -104,7 +104,8 @@ def chart(
 @app.command()
 def lens(
     name: Annotated[
-        str, typer.Argument(metavar="LENS", help="A preset name, or a .yaml, .zmx, .seq or .dat file.")
+        str,
+        typer.Argument(metavar="LENS", help="A preset name, or a .yaml, .zmx, .seq or .dat file."),
     ],
     focal_length: Annotated[
         float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
