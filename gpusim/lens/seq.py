@@ -123,6 +123,7 @@ class _Reader:
         self.solved = False  # the image is at the paraxial focus
         self.system_ignored: list[str] = []
         self.private: set[str] = set()
+        self.files: dict[str, None] = {}  # catalogue files beside the lens that its glasses name
         in_private = False
         for words in _commands(text):
             name = words[0].upper()
@@ -358,7 +359,7 @@ class _Reader:
             "patent": None,
             "source": f"CODE V file {self.file.name}",
             "units": "mm",
-            "glass_catalogues": tuple(dict.fromkeys(self.files)),
+            "glass_catalogues": tuple(self.files),
             "focus": focus,
             "design_wavelengths_nm": wavelengths,
             "reference_nm": reference,
@@ -483,8 +484,6 @@ class _Reader:
             value = 1 / (2 * value)
         return {names[key]: value}
 
-    files: tuple[str, ...] = ()  # catalogue files beside the lens that its glasses name
-
     def _converted(self, row: _Row, curvatures: bool) -> dict[str, object]:
         """Return a surface as the fields of the prescription."""
         where = f"S{row.number}"
@@ -531,7 +530,7 @@ class _Reader:
             return {"glass": row.glass}
         beside = {path.name.upper(): path.name for path in self.file.parent.glob("*.*")}
         if f"{book}.AGF" in beside:
-            self.files = (*self.files, beside[f"{book}.AGF"])
+            self.files[beside[f"{book}.AGF"]] = None
             return {"glass": f"{book}/{bare}"}
         if book not in BOOKS:
             raise self.refuse(

@@ -64,6 +64,8 @@ class _Reader:
         self.account = Account()
         self.head = _Block(None)
         self.surfaces: list[_Block] = []
+        self.vignetted = False  # some field has vignetting factors
+        self.beams_known = True  # and all of them are in the meridional plane
         for line in text.splitlines():
             words = line.split()
             if not words:
@@ -259,9 +261,6 @@ class _Reader:
         used |= {"VDXN", "VDYN", "VCXN", "VCYN", "VANN"}
         return Fields(kinds[int(kind)], sizes, tuple(beams) if self.vignetted else ())
 
-    vignetted = False  # some field has vignetting factors
-    beams_known = True  # and they are in the meridional plane
-
     def _aperture(self, used: set[str]) -> dict[str, object]:
         head = self.head
         for key, name in (("FNUM", "f_number"), ("ENPD", "entrance_pupil_diameter_mm")):
@@ -441,37 +440,43 @@ class _Reader:
         XDAT 2 + i the coefficient of (r/R)^(2i).
         """
         place = f"SURF {block.number}"
-        parameters, extra = self._indexed(block, "PARM"), self._indexed(block, "XDAT")
-        terms = dict(parameters) if kind == "EVENASPH" else {}
-        if kind == "XASPHERE":
-            count, radius = extra.pop(1, 0.0), extra.pop(2, 0.0)
-            if count < 0 or radius <= 0:
+        lines = {
+            f"{key} {order}": value
+            for key in ("PARM", "XDAT")
+            for order, value in self._indexed(block, key).items()
+        }
+        terms = {}
+        if kind == "EVENASPH":
+            names = {f"PARM {i}": 2 * i for i in range(1, _EVEN_TERMS + 1)}
+            terms = {names[line]: lines.pop(line) for line in names.keys() & lines.keys()}
+        elif kind == "XASPHERE":
+            count, radius = lines.pop("XDAT 1", 0.0), lines.pop("XDAT 2", 0.0)
+            # A radius whose 30th power is no double is no length of a lens either.
+            if count < 0 or not 1e-10 < radius < 1e10:
                 raise self.refuse(
                     "an extended asphere is incomplete",
                     f"{place} XDAT",
                     f"{count:g} terms, normalisation radius {radius:g}",
-                    "XDAT 1 terms, XDAT 2 normalisation radius > 0",
+                    "XDAT 1 terms, XDAT 2 normalisation radius in mm",
                 )
-            # OpticStudio keeps coefficients beyond the stated number of terms, and does not use
-            # them.
+            names = {f"XDAT {i + 2}": 2 * i for i in range(1, len(ASPHERE_POWERS) + 1)}
             terms = {
-                order - 2: value / radius ** (2 * (order - 2))
-                for order, value in extra.items()
-                if order - 2 <= count
+                names[line]: lines.pop(line) / radius ** names[line]
+                for line in names.keys() & lines.keys()
             }
-            extra = {}
-        limit = _EVEN_TERMS if kind == "EVENASPH" else len(ASPHERE_POWERS)
-        wrong = [order for order in terms if not 1 <= order <= limit]
-        strange = wrong or list(extra) or (list(parameters) if kind != "EVENASPH" else [])
-        if strange:
+            # Coefficients beyond the stated number of terms count for nothing.
+            terms = {power: value for power, value in terms.items() if power <= 2 * count}
+            lines = {line: v for line, v in lines.items() if int(line.split()[1]) - 2 <= count}
+        if lines:
+            line, value = next(iter(lines.items()))
             raise self.refuse(
                 "a surface parameter is not understood",
-                f"{place} {'XDAT' if kind == 'XASPHERE' or extra else 'PARM'} {strange[0]}",
-                (terms | extra | parameters)[strange[0]],
+                f"{place} {line}",
+                value,
                 "PARM 1 to 8 of an EVENASPH, up to 15 terms of an XASPHERE",
             )
         if terms:
-            row["asphere"] = {f"a{2 * order}": value for order, value in terms.items()}
+            row["asphere"] = {f"a{power}": value for power, value in terms.items()}
 
     def _glass(self, block: _Block, row: dict[str, object]) -> None:
         """GLAS name mode pickup nd Vd dPgF ...: a catalogue glass, or the model glass."""

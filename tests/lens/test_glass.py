@@ -10,6 +10,7 @@ from gpusim.lens import glass
 from gpusim.lens.prescription import Surface
 
 FILE = Path("some-lens.yaml")
+LINES = np.array([glass.D_LINE_NM, glass.F_LINE_NM, glass.C_LINE_NM])
 
 
 @pytest.mark.parametrize(
@@ -22,19 +23,25 @@ FILE = Path("some-lens.yaml")
         ("OHARA", "S-LAH58", 1.88300, 40.76),
         ("CDGM", "H-LAK1", 1.65950, 57.35),
         ("HOYA", "FCD1", 1.49700, 81.61),
+        ("LZOS", "K8", 1.51637, 64.07),
     ],
 )
 def test_index_and_dispersion_are_those_of_the_data_sheet(catalogue, name, nd, vd):
-    lines = np.array([glass.D_LINE_NM, glass.F_LINE_NM, glass.C_LINE_NM])
-    d, f, c = glass.catalogue_index(catalogue, name, lines, surface=1, file=FILE)
+    d, f, c = glass.catalogue_index(catalogue, name, LINES, surface=1, file=FILE)
     assert abs(d - nd) < 0.6e-5  # half the last printed digit, and the fit of the dispersion law
     # Half the last digit, plus 1e-6 of rounding in nF - nC = 0.008 to 0.023.
     assert abs((d - 1) / (f - c) - vd) < 0.015
 
 
+def test_glasses_that_are_not_optical_ones_stand_in_their_makers_catalogue():
+    # Schott's data sheet of B 270 i: nd 1.5230 to four digits.
+    d = glass.catalogue_index("SCHOTT", "B270", LINES[:1], surface=1, file=FILE)
+    assert abs(d[0] - 1.5230) < 0.6e-4
+    assert glass.resolve("zerodur", (), surface=1, file=FILE) == ("SCHOTT", "ZERODUR")
+
+
 def test_model_glass_has_the_stated_index_and_abbe_number():
-    lines = np.array([glass.D_LINE_NM, glass.F_LINE_NM, glass.C_LINE_NM])
-    d, f, c = glass.model_index(1.6, 40.0, lines)
+    d, f, c = glass.model_index(1.6, 40.0, LINES)
     assert d == pytest.approx(1.6, abs=1e-14)
     assert (d - 1) / (f - c) == pytest.approx(40.0, rel=1e-12)
     assert f > d > c

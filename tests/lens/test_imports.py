@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lens.made import lens
@@ -10,7 +11,7 @@ from lens.written import pbrt_text, seq_text, zmx_text
 from gpusim.errors import UserError
 from gpusim.lens.agf import with_file_catalogues
 from gpusim.lens.pbrt import parse_pbrt
-from gpusim.lens.prescription import load_prescription
+from gpusim.lens.prescription import _parse_yaml, load_prescription
 from gpusim.lens.seq import parse_seq
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
@@ -155,7 +156,7 @@ def garbled(text, edits):
 
 ODD_WORDS = (
     st.sampled_from(
-        "|0|-1|1e308|1e-308|nan|-inf|1_0|0x1F|1e9999|\u0663|\x00|__import__('os')".split("|")
+        "|0|-1|1e308|1e-308|nan|-inf|1_0|0x1F|\u0663|\x00|2026-99-99|__import__('os')".split("|")
     )
     | st.sampled_from([*"é'\"&!;#/", "S3", "SI", "MIRROR", "A_B", "9" * 400])
     | st.text(max_size=12)
@@ -185,6 +186,10 @@ def whole_files():
             pbrt_text(constant, image_distance(constant), 2 * build(constant).stop_radius_mm),
         ),
     }
+    files["yaml"] = (
+        _parse_yaml,
+        yaml.safe_dump(yaml.safe_load(aspheric.model_dump_json())),
+    )
     for kind, (parse, text) in files.items():
         for old, new in VIGNETTED.items():
             text = text.replace(old, new)
@@ -192,7 +197,7 @@ def whole_files():
     return files
 
 
-@pytest.mark.parametrize("kind", ["zmx", "seq", "pbrt"])
+@pytest.mark.parametrize("kind", ["zmx", "seq", "pbrt", "yaml"])
 def test_a_damaged_file_is_read_or_is_a_clear_error_but_never_a_traceback(whole_files, kind):
     parse, text = whole_files[kind]
     outcomes = {"read": 0, "refused": 0}
@@ -237,7 +242,7 @@ def test_a_damaged_glass_catalogue_is_a_clear_error_but_never_a_traceback(tmp_pa
     assert min(outcomes.values()) > 0
 
 
-@pytest.mark.parametrize("kind", ["zmx", "seq", "pbrt"])
+@pytest.mark.parametrize("kind", ["zmx", "seq", "pbrt", "yaml"])
 @pytest.mark.parametrize(
     "content", [b"", b"\n", b"\x89PNG\r\n\x1a\n\x00\x00", bytes(range(256)) * 9]
 )

@@ -8,6 +8,7 @@ from lens.made import lens, model
 from gpusim.errors import UserError
 from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, failed_checks, first_order, with_clear_apertures
+from gpusim.lens.wavefront import sample_rays
 
 
 @pytest.mark.parametrize("name", presets())
@@ -155,7 +156,11 @@ def changed(path, value):
         (["surfaces", 0, "radius"], 0, ["surfaces.1", "radius must not be 0"]),
         (["surfaces", 0, "radius"], "5O.0", ["surfaces.1.radius", "5O.0", "number"]),
         (["surfaces", 0, "curvature"], 0.1, ["surfaces.1", "either radius or curvature"]),
-        (["surfaces", 0, "thickness"], -1, ["surfaces.1.thickness", "-1", "greater than or equal"]),
+        (
+            ["surfaces", 0, "thickness"],
+            -1,
+            ["surfaces.1", "glass thickness must be greater than 0"],
+        ),
         (["surfaces", 0, "thickness"], 0, ["surfaces.1", "glass thickness must be greater than 0"]),
         (["surfaces", 0, "thickness"], ..., ["surface 1 needs a thickness"]),
         (["surfaces", 0, "thickness"], float("nan"), ["surfaces.1.thickness", "finite"]),
@@ -182,7 +187,7 @@ def changed(path, value):
             {"wavelength_nm": [400.0], "reflectance": [1.0]},
             ["coating.reflectance.1", "less than 1"],
         ),
-        (["focus"], "as-given", ["needs the thickness behind the last surface"]),
+        (["focus"], "as-given", ["needs a thickness > 0 behind the last surface"]),
         (["focus"], "sharp", ["focus", "sharp", "'best', 'paraxial' or 'as-given'"]),
     ],
 )
@@ -220,6 +225,8 @@ def test_printed_indices_beside_a_catalogue_glass_are_told_apart_in_the_account(
     [
         (b"title: [unclosed", ["not a YAML file"]),
         (b"\xff\xfe\x00\x01", ["not a YAML file"]),
+        (b"title: 2026-99-99", ["not a YAML file", "month"]),
+        (b"[" * 1000, ["not a YAML file"]),
         (b"", ["holds no prescription", "NoneType"]),
         (b"- 1\n- 2\n", ["holds no prescription", "list"]),
     ],
@@ -260,6 +267,32 @@ def test_first_order_of_a_thick_lens_is_the_lens_makers():
     assert order.exit_pupil_diameter_mm / (order.bfl_mm - order.exit_pupil_z_mm) == pytest.approx(
         1 / order.f_number, rel=1e-13
     )
+
+
+def test_a_diaphragm_may_be_placed_by_a_step_back():
+    front = {"radius": 30.0, "thickness": 4.0, **model(1.6)}
+    rear = {"radius": -90.0, "semi_diameter": 9.0}
+    plane = {"radius": np.inf, "semi_diameter": 9.0}
+    # A diaphragm 1.5 mm behind the vertex of the front surface, within its sag at the rim.
+    back = lens([{"radius": np.inf, "thickness": -1.5}, {**front, "semi_diameter": 9.0}, rear])
+    # The same diaphragm, from a plane in front: 0.5 mm on, and 1.5 mm back.
+    rows = [plane | {"thickness": 0.5}, {"radius": np.inf, "thickness": -1.5}]
+    other = lens([*rows, {**front, "semi_diameter": 9.0}, rear], stop=2)
+    # And the lens alone, whose entrance pupil lies 1.5 mm behind its front vertex.
+    alone = lens([front, {"radius": -90.0}])
+    assert first_order(back).efl_mm == pytest.approx(first_order(alone).efl_mm, rel=1e-14)
+    theta = np.radians(5.0)
+    ends = np.array([0.0, 2.0, -2.0])
+    one, two = (
+        sample_rays(s, s.index(np.array([550.0])), theta, 0 * ends, ends)
+        for s in (build(back), build(other))
+    )
+    assert one.ok.all()
+    np.testing.assert_allclose(two.chief_y_mm, one.chief_y_mm, rtol=1e-13)
+    # Paths of some 100 mm, of which rounding leaves 1e-14 mm for each of six legs.
+    np.testing.assert_allclose(two.opd_mm, one.opd_mm, rtol=0, atol=1e-12)
+    order = first_order(back)
+    assert order.entrance_pupil_z_mm == 0  # the stop comes first: it is its own image
 
 
 def test_pupils_of_a_symmetric_lens_mirror_each_other():

@@ -66,6 +66,20 @@ def test_a_singlet_is_read_as_it_stands(read):
     )
 
 
+def test_the_paraxial_image_is_where_code_v_solved_it(read):
+    # An achromat of Edmund Optics, no. 32-327: radii, thicknesses and glasses of its published
+    # file, and beside PIM the distance to the paraxial image that CODE V computed.
+    achromat = (
+        "S 50.0 3.0 NBK7_SCHOTT\n  STO\nS -50.0 48.0\n",
+        "S 61.47 6.0 NBK7_SCHOTT\nSTO\nS -44.64 2.5 NSF5_SCHOTT\nS -129.94 95.95194415183156\n",
+    )
+    lens = read(SINGLET, achromat, ("650 550 450", "587.6"), ("REF 2", "REF 1"), ("-0.25", "0"))
+    order = first_order(lens)
+    # Its radii were written with rounding in the 16th digit.
+    assert order.bfl_mm == pytest.approx(95.95194415183156, rel=1e-13)
+    assert lens.surfaces[-1].thickness == 95.95194415183156
+
+
 def test_load_prescription_knows_the_kind_by_its_ending(tmp_path):
     file = tmp_path / "Lens.SEQ"
     file.write_text(SINGLET)
@@ -227,6 +241,7 @@ def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
         ("SI 0 -0.25\n", "", ["not a CODE V lens file", "SI"]),
         ("S -50.0 48.0", "S -50.0 48.0 REFL", ["mirrors", "S2", "REFL"]),
         ("  STO", "  STO; RMD REFL", ["mirrors", "S1 RMD"]),
+        ("SI 0 -0.25", "SI 0 -48", ["thickness > 0 behind the last surface"]),
         ("S -50.0 48.0", "S -50.0", ["value is missing", "S2", "2 numbers"]),
         ("S -50.0", "S -5O.0", ["not a number", "S2", "-5O.0"]),
         ("EPD 10.0\n", "", ["no aperture", "EPD"]),
@@ -261,7 +276,7 @@ def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
         ("NBK7_SCHOTT", "NBK7_SCHOTT GRIN", ["follow the glass", "GRIN"]),
         ("NBK7_SCHOTT", "NBK7_SCHOTT REFL", ["mirrors"]),
         ("S 50.0 3.0", "S 50.0 0.0", ["glass thickness must be greater than 0"]),
-        ("S 50.0 3.0", "S 50.0 -3.0", ["surfaces.1.thickness", "-3.0"]),
+        ("S 50.0 3.0", "S 50.0 -3.0", ["surfaces.1", "glass thickness must be greater"]),
         ("S -50.0 48.0", "S -50.0 48.0 NBK7_SCHOTT", ["air behind it"]),
         ("SI 0 -0.25", "SI 0 0\nS 1 1", ["after the image"]),
         ("SO 0 1e13\n", "", ["before the object"]),

@@ -176,7 +176,7 @@ def test_an_extended_asphere_has_normalised_coefficients(tmp_path, written):
     assert asphere.a4 == pytest.approx(0.01 / 2.5**4, rel=1e-15)
     assert asphere.a8 == 0
     sixteen = change[1].replace("XDAT 1 3", "XDAT 1 16").replace("XDAT 6 7.0", "XDAT 18 7.0")
-    with pytest.raises(UserError, match="XDAT 16"):
+    with pytest.raises(UserError, match="SURF 3 XDAT 18"):
         parse_zmx(text_of(written, (change[0], sixteen)), tmp_path / "a.zmx")
 
 
