@@ -379,7 +379,7 @@ def compute_bank(
     ------
     UserError
         Where a glass has no data at a wavelength, a field lies beyond the lens, the pitch does not
-        sample the PSF, or distortion folds the image over.
+        sample the PSF, distortion folds the image over, or an element is decentred or tilted.
     """
     wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
     angles = default_fields_deg(prescription) if field_deg is None else np.array(field_deg, float)
@@ -476,6 +476,15 @@ def bank_of(
 def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> None:
     """Refuse settings that make no bank."""
     file = prescription.file
+    for number, surface in enumerate(prescription.surfaces, start=1):
+        if not surface.is_centred:
+            raise UserError(
+                "a bank is symmetric about the axis, and this lens is not: single rays only",
+                file=file,
+                field=f"surfaces.{number}",
+                value=f"decentre_mm {list(surface.decentre_mm)}, tilt_deg {list(surface.tilt_deg)}",
+                allowed="no decentre_mm and no tilt_deg",
+            )
     if reference_nm not in wavelengths:
         raise UserError(
             "the reference wavelength is not one of the bank's",

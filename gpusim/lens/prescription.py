@@ -11,8 +11,9 @@ import math
 from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
+import numpy as np
 import yaml
 from pydantic import (
     BaseModel,
@@ -89,6 +90,9 @@ class Dispersion(_Strict):
         return range_um
 
 
+TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+
+
 class Surface(_Strict):
     """One surface and the space behind it.
 
@@ -96,6 +100,11 @@ class Surface(_Strict):
     ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``: nd at every
     wavelength, for sources without dispersion; else a glass of a catalogue, or one with its own
     ``dispersion``, beside which nd and vd record what the source printed).
+
+    ``decentre_mm`` [x, y] moves the vertex off the axis, then ``tilt_deg`` [ax, ay] turns the
+    surface about its own vertex: by ax about x, then by ay about the y axis that was turned with
+    it (R = Rx(ax) Ry(ay); right-handed: ax > 0 turns y towards z, ay > 0 turns z towards x). Each
+    surface states its own: the surfaces that follow stay where they are.
     """
 
     radius: float | None = Field(None, allow_inf_nan=True)
@@ -108,6 +117,8 @@ class Surface(_Strict):
     conic: float = 0.0
     asphere: Asphere = Asphere()
     semi_diameter: float | None = Field(None, gt=0)
+    decentre_mm: tuple[float, float] = (0.0, 0.0)
+    tilt_deg: tuple[TiltDeg, TiltDeg] = (0.0, 0.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -135,6 +146,16 @@ class Surface(_Strict):
         """Curvature of the base conic in 1/mm."""
         return 1.0 / self.radius if self.curvature is None else self.curvature
 
+    @property
+    def is_centred(self) -> bool:
+        """Whether it is neither decentred nor tilted."""
+        return not any((*self.decentre_mm, *self.tilt_deg))
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation from the surface's own frame to that of the lens, shape (3, 3)."""
+        return tilt_matrix(self.tilt_deg)
+
     def scaled(self, factor: float) -> Surface:
         """Return the same shape, larger by a factor."""
         asphere = {
@@ -150,6 +171,7 @@ class Surface(_Strict):
                 if self.semi_diameter is None
                 else self.semi_diameter * factor,
                 "asphere": Asphere(**asphere),
+                "decentre_mm": tuple(factor * d for d in self.decentre_mm),
             }
         )
 
@@ -315,6 +337,83 @@ class Prescription(_Strict):
         return with_clear_apertures(self).derived(
             f"field limited to {max_field_deg:g} deg", max_field_deg=float(max_field_deg)
         )
+
+    def with_element_moved(
+        self,
+        first: int,
+        last: int,
+        decentre_mm: tuple[float, float] = (0.0, 0.0),
+        tilt_deg: tuple[float, float] = (0.0, 0.0),
+    ) -> Prescription:
+        """Return the lens with an element decentred and tilted as one rigid body.
+
+        Parameters
+        ----------
+        first, last : int
+            Numbers of its first and last surface, from 1.
+        decentre_mm, tilt_deg : tuple of float
+            As for a ``Surface``, about the vertex of the first one. The vertices behind it move
+            along the axis too: the spaces there take up the difference, so that everything else,
+            the image plane with it, stays where it is.
+
+        Raises
+        ------
+        UserError
+            Where there are no such surfaces, or a surface would be turned by 90 deg or more.
+        """
+        from gpusim.lens.system import with_clear_apertures
+
+        count = len(self.surfaces)
+        if not 1 <= first <= last <= count:
+            raise UserError(
+                "no such element",
+                file=self.file,
+                field="surfaces",
+                value=f"{first} to {last}",
+                allowed=f"surface numbers from 1 to {count}, the first not after the last",
+            )
+        lens = with_clear_apertures(self)  # the glass keeps its size
+        surfaces, turn = list(lens.surfaces), tilt_matrix(tilt_deg)
+        pivot = np.array([*surfaces[first - 1].decentre_mm, 0.0])
+        z, moved_by = 0.0, np.zeros(count + 1)  # along the axis; the image plane is last
+        for i in range(first - 1, last):
+            arm = np.array([*surfaces[i].decentre_mm, z]) - pivot
+            place = pivot + turn @ arm + np.array([*decentre_mm, 0.0])
+            moved_by[i] = place[2] - z
+            # A surface of revolution is turned by where its axis points.
+            ax, ay, az = turn @ surfaces[i].rotation[:, 2]
+            tilt = (math.degrees(math.atan2(-ay, az)), math.degrees(math.asin(ax)))
+            if not max(abs(a) for a in tilt) < 90:
+                raise UserError(
+                    "the element is turned too far",
+                    file=self.file,
+                    field=f"surfaces.{i + 1}.tilt_deg",
+                    value=f"{tilt[0]:g}, {tilt[1]:g}",
+                    allowed="less than 90",
+                )
+            z += surfaces[i].thickness or 0.0
+            surfaces[i] = surfaces[i].model_copy(
+                update={"decentre_mm": (float(place[0]), float(place[1])), "tilt_deg": tilt}
+            )
+        for i in range(count):
+            if surfaces[i].thickness is not None:
+                longer = float(moved_by[i + 1] - moved_by[i])
+                thickness = surfaces[i].thickness + longer
+                surfaces[i] = surfaces[i].model_copy(update={"thickness": thickness})
+        x, y = decentre_mm
+        return lens.derived(
+            f"surfaces {first} to {last} decentred by {x:g}, {y:g} mm and tilted by "
+            f"{tilt_deg[0]:g}, {tilt_deg[1]:g} deg about the vertex of surface {first}",
+            surfaces=tuple(surfaces),
+        )
+
+
+def tilt_matrix(tilt_deg: tuple[float, float]) -> np.ndarray:
+    """Return Rx(ax) Ry(ay), shape (3, 3): by ax about x, then by ay about the turned y axis."""
+    (sx, sy), (cx, cy) = np.sin(np.radians(tilt_deg)), np.cos(np.radians(tilt_deg))
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    return about_x @ about_y
 
 
 def presets() -> dict[str, Path]:

@@ -15,7 +15,7 @@ from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_fiel
 
 @dataclass(frozen=True)
 class FirstOrder:
-    """Paraxial properties at one wavelength; lengths in mm.
+    """Paraxial properties at one wavelength, of the surfaces on their axis; lengths in mm.
 
     ``bfl_mm`` is the distance from the last vertex to the paraxial focus; pupil positions are
     measured from the first vertex (entrance) and from the last (exit).
@@ -69,6 +69,8 @@ def geometry_of(prescription: Prescription) -> Geometry:
         asphere=np.array([s.asphere.coefficients for s in surfaces]),
         vertex_z=np.concatenate([[0.0], np.cumsum(gaps)]),
         stop=prescription.stop - 1,
+        decentre=np.array([s.decentre_mm for s in surfaces]),
+        rotation=np.array([s.rotation for s in surfaces]),
     )
 
 
@@ -153,7 +155,7 @@ def _stop_radius(prescription: Prescription) -> float:
     """Real radius of the stop: where the marginal ray of the axial beam crosses it."""
     if prescription.stop_semi_diameter_mm is not None:
         return prescription.stop_semi_diameter_mm
-    geometry = geometry_of(prescription)
+    geometry = geometry_of(prescription).centred()
     order = first_order(prescription)
     half = np.array([[order.entrance_pupil_diameter_mm / 2]])
     index = indices(prescription, prescription.reference_nm)
@@ -175,7 +177,7 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
 
     A surface whose source gives none must pass the whole beam at every field: its semi-diameter
     is the largest height of 64 rim rays and the chief ray at 9 fields from the axis to the largest,
-    at the design wavelengths.
+    at the design wavelengths, with every surface on the axis.
 
     Raises
     ------
@@ -191,7 +193,7 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
     ]
     if not missing:
         return prescription
-    geometry, radius = geometry_of(prescription), _stop_radius(prescription)
+    geometry, radius = geometry_of(prescription).centred(), _stop_radius(prescription)
     index = indices(prescription, np.array(prescription.design_wavelengths_nm))
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     needed = np.zeros(len(prescription.surfaces))
@@ -229,6 +231,8 @@ def _is_dummy(prescription: Prescription, i: int) -> bool:
 def build(prescription: Prescription) -> System:
     """Return the lens ready to be traced.
 
+    The stop's radius and the focus are those of the lens with every surface on the axis.
+
     Raises
     ------
     UserError
@@ -250,7 +254,8 @@ def build(prescription: Prescription) -> System:
     )
     if prescription.focus != "best":
         return system
-    shift = best_focus_shift(system, np.array(prescription.design_wavelengths_nm))
+    aligned = replace(system, geometry=geometry.centred())
+    shift = best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
     return replace(system, image_z_mm=system.image_z_mm + shift)
 
 

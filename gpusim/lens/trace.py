@@ -1,4 +1,4 @@
-"""Sequential trace of real rays through rotationally symmetric surfaces, in float64.
+"""Sequential trace of real rays through surfaces of revolution, in float64.
 
 Coordinates: z along the axis in the direction of light, the first vertex at z = 0; the field lies
 in the y-z plane, so that a field angle theta > 0 sends the chief ray to y > 0 in the image. All
@@ -7,11 +7,14 @@ is totally reflected gets ``ok = False`` and keeps finite, meaningless numbers: 
 
 The rays of a field start on a plane perpendicular to it (``Launch``), never on the plane of the
 first vertex: tan(theta) appears nowhere, and fields of 90 deg and more are like any other.
+
+A surface that is decentred or tilted is met in its own frame; the others cost nothing more.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +31,10 @@ class Geometry:
         a2 ... a30, mm^(1-k).
     stop : int
         Index of the stop surface, from 0.
+    decentre : ndarray, shape (S, 2)
+        x and y of each vertex, mm.
+    rotation : ndarray, shape (S, 3, 3)
+        From the frame of each surface to that of the lens.
     """
 
     curvature: np.ndarray
@@ -35,6 +42,18 @@ class Geometry:
     asphere: np.ndarray
     vertex_z: np.ndarray
     stop: int
+    decentre: np.ndarray
+    rotation: np.ndarray
+
+    @functools.cached_property
+    def moved(self) -> np.ndarray:
+        """Which surfaces are decentred or tilted, shape (S,)."""
+        return self.decentre.any(axis=1) | (self.rotation != np.eye(3)).any(axis=(1, 2))
+
+    def centred(self) -> Geometry:
+        """Return the same surfaces, all on the axis."""
+        identity = np.broadcast_to(np.eye(3), self.rotation.shape)
+        return replace(self, decentre=np.zeros_like(self.decentre), rotation=identity)
 
 
 @dataclass(frozen=True)
@@ -85,6 +104,8 @@ class Rays:
     ----------
     x, y, z : ndarray, shape (S, L, R)
         Intersection with each surface that was traced, mm; z from the first vertex.
+    own_x, own_y : ndarray, shape (S, L, R)
+        The same from the surface's own vertex, along its own axes: what its aperture sees.
     point, direction : ndarray, shape (3, L, R)
         Last intersection and direction cosines behind it.
     path : ndarray, shape (L, R)
@@ -95,6 +116,8 @@ class Rays:
     x: np.ndarray
     y: np.ndarray
     z: np.ndarray
+    own_x: np.ndarray
+    own_y: np.ndarray
     point: np.ndarray
     direction: np.ndarray
     path: np.ndarray
@@ -187,29 +210,39 @@ def trace(
     direction = np.broadcast_to(launch.direction[:, None, None], point.shape)
     path = np.zeros(px.shape)
     ok = np.ones(px.shape, dtype=bool)
-    xs, ys, zs = np.empty((3, count, *px.shape))
+    places = np.empty((count, *point.shape))
+    moved = geometry.moved[:count].any()
+    own = np.empty((count, 2, *px.shape)) if moved else places[:, :2]
     with np.errstate(all="ignore"):  # failed rays run on with clipped numbers
         for s in range(count):
             n1, n2 = index[s][:, None], index[s + 1][:, None]
-            local = point.copy()
+            local, towards = point.copy(), direction
             local[2] -= geometry.vertex_z[s]
+            if geometry.moved[s]:
+                local[:2] -= geometry.decentre[s][:, None, None]
+                local = np.tensordot(geometry.rotation[s].T, local, 1)
+                towards = np.tensordot(geometry.rotation[s].T, direction, 1)
             t, normal, met = _meet(
-                local, direction, geometry.curvature[s], geometry.conic[s], geometry.asphere[s]
+                local, towards, geometry.curvature[s], geometry.conic[s], geometry.asphere[s]
             )
             ratio = n1 / n2
-            cos_in = (direction * normal).sum(0)
+            cos_in = (towards * normal).sum(0)
             square = 1 - ratio * ratio * (1 - cos_in * cos_in)
             # Snell's law in vector form (Welford 1986, ch. 4); total reflection: square < 0.
             good = met & (cos_in > 0) & (square >= 0) & np.isfinite(t)
             cos_out = np.sqrt(np.maximum(square, 0))
+            if geometry.moved[s]:
+                normal = np.tensordot(geometry.rotation[s], normal, 1)
             bent = ratio * direction + (cos_out - ratio * cos_in) * normal
             ok &= good
             # A failed ray stays where it was, so that its numbers remain finite.
             point = np.where(ok, point + t * direction, point)
             path = np.where(ok, path + n1 * t, path)
             direction = np.where(ok, bent, direction)
-            xs[s], ys[s], zs[s] = point
-    return Rays(xs, ys, zs, point, direction, path, ok)
+            places[s] = point
+            if moved:
+                own[s] = np.where(ok, local + t * towards, local)[:2]
+    return Rays(*places.swapaxes(0, 1), *own.swapaxes(0, 1), point, direction, path, ok)
 
 
 def paraxial(
@@ -318,7 +351,7 @@ def aim(
     launch : Launch
         From ``launch_field``: the search starts at the chief ray.
     stop_x, stop_y : ndarray, shape (R,)
-        Wanted intersections with the stop surface, mm.
+        Wanted intersections with the stop surface, from its own vertex, mm.
     tolerance_mm : float
         Accepted miss at the stop.
 
@@ -350,8 +383,8 @@ def _at_stop(geometry, index, launch, px, py, tolerance_mm):
         np.concatenate([py, py, py + step], axis=1),
         through=geometry.stop + 1,
     )
-    x0, x1, x2 = np.split(rays.x[-1], 3, axis=1)
-    y0, y1, y2 = np.split(rays.y[-1], 3, axis=1)
+    x0, x1, x2 = np.split(rays.own_x[-1], 3, axis=1)
+    y0, y1, y2 = np.split(rays.own_y[-1], 3, axis=1)
     slopes = ((x1 - x0) / step, (x2 - x0) / step, (y1 - y0) / step, (y2 - y0) / step)
     return x0, y0, slopes, np.split(rays.ok, 3, axis=1)
 

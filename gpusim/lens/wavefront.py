@@ -10,7 +10,7 @@ on the image point (of infinite radius: Debye's form, so that no exit pupil ente
 (Debye 1909; Stamnes, Waves in Focal Regions, 1986, ch. 15), and a ray lands at (x, y) =
 -(dW/d alpha, dW/d beta): the PSF and the spot diagram share one sign convention.
 
-Everything is symmetric about the meridional plane, so only alpha >= 0 is kept.
+A centred lens is symmetric about the meridional plane, so only alpha >= 0 is kept of it.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ AIM_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Samples:
-    """Real rays of one field, half of the pupil (alpha >= 0).
+    """Real rays of one field: half of the pupil (alpha >= 0), or all where the lens is not centred.
 
     Attributes
     ----------
-    chief_y_mm : ndarray, shape (L,)
+    chief_x_mm, chief_y_mm : ndarray, shape (L,)
         Where the chief ray lands in the image plane.
     alpha, beta, opd_mm : ndarray, shape (L, R)
         Direction cosines and W.
@@ -60,6 +60,7 @@ class Samples:
     ok : ndarray of bool, shape (L, R)
     """
 
+    chief_x_mm: np.ndarray
     chief_y_mm: np.ndarray
     alpha: np.ndarray
     beta: np.ndarray
@@ -179,16 +180,18 @@ def _sample(
     to_image = (system.image_z_mm - rays.point[2]) / np.where(ok, gamma, 1.0)
     land_x = rays.point[0] + to_image * alpha
     land_y = rays.point[1] + to_image * beta
-    chief_y = land_y[:, :1].copy()
-    land_y = land_y - chief_y
-    # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
-    side = np.where(alpha < 0, -1.0, 1.0)
-    alpha, land_x = side * alpha, side * land_x
+    chief_x, chief_y = land_x[:, :1].copy(), land_y[:, :1].copy()
+    land_x, land_y = land_x - chief_x, land_y - chief_y
+    if not geometry.moved.any():
+        # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
+        side = np.where(alpha < 0, -1.0, 1.0)
+        alpha, land_x = side * alpha, side * land_x
     path = rays.path + to_image - alpha * land_x - beta * land_y
-    height2 = rays.x**2 + rays.y**2
+    height2 = rays.own_x**2 + rays.own_y**2
     margin = height2 / system.semi_diameter_mm[:, None, None] ** 2 - 1
     diaphragm = height2[geometry.stop] / system.stop_radius_mm**2 - 1
     return Samples(
+        chief_x_mm=chief_x[:, 0],
         chief_y_mm=chief_y[:, 0],
         alpha=alpha[:, 1:],
         beta=beta[:, 1:],
@@ -211,16 +214,19 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
     radius = system.stop_radius_mm
     launch = field_launch(system, index, theta)
 
-    def grid(x_high, y_low, y_high, across):
+    half = not system.geometry.moved.any()
+
+    def grid(x_low, x_high, y_low, y_high, across):
         x, y = np.meshgrid(
-            np.linspace(0, x_high, across // 2 + 1), np.linspace(y_low, y_high, across)
+            np.linspace(x_low, x_high, across // 2 + 1 if half else across),
+            np.linspace(y_low, y_high, across),
         )
         keep = x**2 + y**2 <= (RAY_OVERSIZE * radius) ** 2
         return x[keep], y[keep]
 
     rim = RAY_OVERSIZE * radius
     coarse = 21
-    x, y = grid(rim, -rim, rim, coarse)
+    x, y = grid(0.0 if half else -rim, rim, -rim, rim, coarse)
     inside = _sample(system, index, launch, x, y).inside.any(axis=0)
     if not inside.any():
         raise UserError(
@@ -232,9 +238,10 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
         )
     # The rim lies within one coarse spacing of the last ray inside; one more reaches beyond it.
     spare = 2 * (2 * rim / (coarse - 1))
-    x_high = min(rim, x[inside].max() + spare)
+    x_low, x_high = max(-rim, x[inside].min() - spare), min(rim, x[inside].max() + spare)
     y_low, y_high = max(-rim, y[inside].min() - spare), min(rim, y[inside].max() + spare)
-    return _sample(system, index, launch, *grid(x_high, y_low, y_high, RAYS_ACROSS))
+    box = (0.0 if half else x_low, x_high, y_low, y_high)
+    return _sample(system, index, launch, *grid(*box, RAYS_ACROSS))
 
 
 def half_plane_share(h: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

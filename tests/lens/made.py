@@ -53,6 +53,7 @@ def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
     alpha, beta = half_width * u, beta_centre + half_width * v
     nothing = np.zeros((1, alpha.size))
     return Samples(
+        chief_x_mm=np.zeros(1),
         chief_y_mm=np.zeros(1),
         alpha=alpha[None],
         beta=beta[None],

@@ -173,6 +173,7 @@ def test_illumination_falls_as_the_view_factor_and_cos4_of_a_distant_pupil(angle
     samples = disc_samples(a)
     count = x.size
     samples = type(samples)(
+        chief_x_mm=np.zeros(1),
         chief_y_mm=np.zeros(1),
         alpha=(x / length)[None],
         beta=((h - y) / length)[None],
