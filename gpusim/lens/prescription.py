@@ -7,6 +7,7 @@ from 1, as lens designers count; the object is at infinity in air and the image 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from importlib import resources
@@ -91,6 +92,7 @@ class Dispersion(_Strict):
 
 
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+Reflectance = Annotated[float, Field(ge=0, lt=1)]
 
 
 class Surface(_Strict):
@@ -185,6 +187,21 @@ class Check(_Strict):
     indices: Literal["catalogue", "printed"] = "catalogue"
 
 
+class Coating(_Strict):
+    """Reflectance of every surface between glass and air at normal incidence, by wavelength."""
+
+    wavelength_nm: tuple[float, ...] = Field(min_length=1)
+    reflectance: tuple[Reflectance, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(self.wavelength_nm) != len(self.reflectance):
+            raise ValueError("as many reflectances as wavelengths")
+        if any(a >= b for a, b in itertools.pairwise((0.0, *self.wavelength_nm))):
+            raise ValueError("wavelengths greater than 0, rising")
+        return self
+
+
 class Prescription(_Strict):
     """A lens as published. ``load_prescription`` makes one; the methods derive others."""
 
@@ -203,6 +220,7 @@ class Prescription(_Strict):
     focus: Literal["best", "paraxial", "as-given"]
     stop: int
     surfaces: tuple[Surface, ...] = Field(min_length=1)
+    coating: Coating | None = None
     checks: tuple[Check, ...] = ()
 
     _file: Path | None = PrivateAttr(None)
@@ -515,7 +533,9 @@ def validated(data: object, file: Path) -> Prescription:
     except ValidationError as error:
         first = error.errors()[0]
         place = _numbered(first["loc"])
-        model = {"surfaces": Surface, "checks": Check}.get(place.split(".")[0], Prescription)
+        model = {"surfaces": Surface, "checks": Check, "coating": Coating}.get(
+            place.split(".")[0], Prescription
+        )
         if first["type"] == "extra_forbidden":
             problem = "this field is not known"
             allowed = ", ".join(model.model_fields)

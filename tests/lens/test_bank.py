@@ -12,7 +12,8 @@ from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens import bank as bank_module
 from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
-from gpusim.lens.system import build, first_order
+from gpusim.lens.prescription import Coating
+from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
 from gpusim.sensor.sensor import load_sensor
 
@@ -64,6 +65,26 @@ def test_transmission_is_fresnels_for_uncoated_surfaces(bank, demo_lens):
         expected *= 4 * n1 * n2 / (n1 + n2) ** 2
     assert bank.transmission[1] == pytest.approx(expected, rel=1e-13)
     assert 0.55 < expected < 0.62  # eight glass-air surfaces of 5 to 7 % each
+
+
+def test_a_coating_is_on_every_surface_between_glass_and_air_and_only_there(demo_lens):
+    # The double Gauss: 8 surfaces between glass and air, a diaphragm in air, 2 cemented surfaces.
+    coating = Coating(wavelength_nm=[400.0, 500.0, 700.0], reflectance=[0.02, 0.004, 0.01])
+    coated = demo_lens.model_copy(update={"coating": coating})
+    index = indices(demo_lens, [550.0])[:, 0]
+    cemented = 1.0
+    for surface in (4, 8):
+        n1, n2 = index[surface - 1], index[surface]
+        assert min(n1, n2) > 1.5
+        cemented *= 4 * n1 * n2 / (n1 + n2) ** 2
+    # Straight between 500 and 700 nm.
+    expected = cemented * (1 - 0.0055) ** 8
+    assert transmission(coated, [550.0])[0] == pytest.approx(expected, rel=1e-13)
+    bank = compute_bank(coated, [550.0], [0.0, 5.0], size=32)
+    assert bank.transmission[0] == pytest.approx(expected, rel=1e-13)
+    assert "coating" in bank.provenance["transmission"]
+    with pytest.raises(UserError, match="no reflectance at 710 nm"):
+        transmission(coated, [710.0])
 
 
 def test_chief_ray_map_meets_real_chief_rays_between_the_nodes(demo_lens):

@@ -246,9 +246,3 @@ def test_a_move_that_makes_no_lens_is_refused(arguments, words):
         doublets().with_element_moved(*arguments)
     for word in words:
         assert word in caught.value.screen()
-
-
-def test_a_tilt_of_90_deg_in_a_file_is_refused():
-    with pytest.raises(UserError, match="wrong") as caught:
-        lens([{"radius": 50.0, "tilt_deg": [0.0, 90.0]}])
-    assert "surfaces.1.tilt_deg.2" in caught.value.screen()

@@ -165,6 +165,23 @@ def changed(path, value):
         (["surfaces", 0, "nd"], 1.5, ["nd and vd come together"]),
         (["surfaces", 0, "glass"], "constant", ["a constant glass needs nd and no vd"]),
         (["surfaces", 0, "asphere"], {"a32": 1e-9}, ["a32", "not known"]),
+        (["surfaces", 0, "tilt_deg"], [0, 90], ["surfaces.1.tilt_deg.2", "90", "less than 90"]),
+        (["coating"], {"wavelength_nm": [500.0]}, ["coating.reflectance", "missing"]),
+        (
+            ["coating"],
+            {"wavelength_nm": [500.0, 400.0], "reflectance": [0.1, 0.1]},
+            ["coating", "rising"],
+        ),
+        (
+            ["coating"],
+            {"wavelength_nm": [400.0, 500.0], "reflectance": [0.1]},
+            ["coating", "as many reflectances as wavelengths"],
+        ),
+        (
+            ["coating"],
+            {"wavelength_nm": [400.0], "reflectance": [1.0]},
+            ["coating.reflectance.1", "less than 1"],
+        ),
         (["focus"], "as-given", ["needs the thickness behind the last surface"]),
         (["focus"], "sharp", ["focus", "sharp", "'best', 'paraxial' or 'as-given'"]),
     ],
