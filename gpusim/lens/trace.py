@@ -61,7 +61,8 @@ class Launch:
     """The plane from which the rays of one field start: a wavefront, where their path is 0.
 
     A ray starts at E + px e1 + py e2 along d = (0, sin theta, cos theta), with
-    e1 = (1, 0, 0) and e2 = (0, cos theta, -sin theta).
+    e1 = (1, 0, 0) and e2 = (0, cos theta, -sin theta); an azimuth turns all three about the axis,
+    from y towards x.
 
     Attributes
     ----------
@@ -70,25 +71,32 @@ class Launch:
     base : ndarray, shape (3, L)
         E of each wavelength, mm. ``launch_field`` puts it where the chief ray meets the first
         surface, so that (px, py) = 0 is the chief ray.
+    azimuth : float
+        Of the field, rad: 0 in the y-z plane, which is all that a centred lens needs.
     """
 
     theta: float
     base: np.ndarray
+    azimuth: float = 0.0
 
     @property
     def direction(self) -> np.ndarray:
         """Direction cosines d of the field, shape (3,)."""
-        return np.array([0.0, np.sin(self.theta), np.cos(self.theta)])
+        return self._turned(0.0, np.sin(self.theta), np.cos(self.theta))
 
     @property
     def e1(self) -> np.ndarray:
         """Unit vector of px, shape (3,)."""
-        return np.array([1.0, 0.0, 0.0])
+        return self._turned(1.0, 0.0, 0.0)
 
     @property
     def e2(self) -> np.ndarray:
         """Unit vector of py, shape (3,)."""
-        return np.array([0.0, np.cos(self.theta), -np.sin(self.theta)])
+        return self._turned(0.0, np.cos(self.theta), -np.sin(self.theta))
+
+    def _turned(self, x: float, y: float, z: float) -> np.ndarray:
+        c, s = np.cos(self.azimuth), np.sin(self.azimuth)
+        return np.array([c * x + s * y, c * y - s * x, z])
 
     def points(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
         """Return where rays start, shape (3, L, R), for px and py of shape (L, R)."""
@@ -283,7 +291,11 @@ AIM_ITERATIONS = 15  # Newton: 3 to 5 on real lenses
 
 
 def launch_field(
-    geometry: Geometry, index: np.ndarray, theta: float, tolerance_mm: float
+    geometry: Geometry,
+    index: np.ndarray,
+    theta: float,
+    tolerance_mm: float,
+    azimuth: float = 0.0,
 ) -> tuple[Launch, np.ndarray]:
     """Find the real chief rays of a field and the launch plane on them.
 
@@ -299,6 +311,8 @@ def launch_field(
         Field angle, rad.
     tolerance_mm : float
         Accepted miss at the centre of the stop.
+    azimuth : float
+        Of the field, rad.
 
     Returns
     -------
@@ -311,16 +325,16 @@ def launch_field(
 
     def chief(guess: Launch) -> tuple[Launch, np.ndarray]:
         px, py, found = _newton(geometry, index, guess, zero, zero, 0.0, 0.0, tolerance_mm)
-        return Launch(guess.theta, guess.points(px, py)[:, :, 0]), found[:, 0]
+        return replace(guess, base=guess.points(px, py)[:, :, 0]), found[:, 0]
 
     pivot = np.zeros((3, index.shape[1]))
     pivot[2] = entrance_pupil(geometry, index)[0]
-    launch, found = chief(Launch(0.0, pivot))
+    launch, found = chief(Launch(0.0, pivot, azimuth))
     step = WALK_STEP
     while found.all() and launch.theta != theta:
         left = theta - launch.theta
         angle = theta if abs(left) <= step else launch.theta + np.copysign(step, left)
-        trial, reached = chief(Launch(angle, pivot))
+        trial, reached = chief(Launch(angle, pivot, azimuth))
         if reached.all():
             # Where the new chief ray crosses the old one, seen along the old field.
             apart = launch.e2 @ (trial.base - launch.base) / (launch.e2 @ trial.direction)
@@ -329,9 +343,10 @@ def launch_field(
         elif step > WALK_STEP / 2**WALK_HALVINGS:
             step /= 2
         else:
-            launch, found = Launch(theta, trial.base), reached
+            found = reached
+    launch = replace(launch, theta=theta)
     rays = trace(geometry, index, launch, zero, zero, through=1)
-    return Launch(launch.theta, rays.point[:, :, 0]), found & rays.ok[:, 0]
+    return replace(launch, base=rays.point[:, :, 0]), found & rays.ok[:, 0]
 
 
 def aim(

@@ -45,7 +45,7 @@ AIM_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Samples:
-    """Real rays of one field: half of the pupil (alpha >= 0), or all where the lens is not centred.
+    """Real rays of one field: half of the pupil (alpha >= 0) where it is symmetric.
 
     Attributes
     ----------
@@ -58,6 +58,8 @@ class Samples:
     margin : ndarray, shape (S + 1, L, R)
         (height / clear semi-diameter)^2 - 1 at each surface, and at the diaphragm: negative inside.
     ok : ndarray of bool, shape (L, R)
+    half : bool
+        Whether the rays stand for their mirror images too: of a centred lens, azimuth 0.
     """
 
     chief_x_mm: np.ndarray
@@ -69,6 +71,7 @@ class Samples:
     landing_y_mm: np.ndarray
     margin: np.ndarray
     ok: np.ndarray
+    half: bool = True
 
     @property
     def inside(self) -> np.ndarray:
@@ -78,12 +81,12 @@ class Samples:
 
 @dataclass(frozen=True)
 class Pupil:
-    """The half pupil (alpha > 0) of one field and wavelength on a uniform grid.
+    """The pupil of one field and wavelength on a uniform grid.
 
     Attributes
     ----------
     alpha : ndarray, shape (A,)
-        (i + 1/2) d_alpha.
+        (i + 1/2) d_alpha of the half pupil alpha > 0, or all of it.
     beta : ndarray, shape (B,)
     coverage : ndarray, shape (A, B)
         Share of each cell that lies inside every aperture: the amplitude A.
@@ -91,6 +94,8 @@ class Pupil:
         W; without meaning where the coverage is 0.
     fit_residual_mm : float
         RMS difference between W and the traced rays inside the pupil.
+    half : bool
+        Whether the other half, alpha < 0, is the mirror image of this one.
     """
 
     alpha: np.ndarray
@@ -98,6 +103,7 @@ class Pupil:
     coverage: np.ndarray
     opd_mm: np.ndarray
     fit_residual_mm: float
+    half: bool = True
 
     @property
     def cell(self) -> float:
@@ -107,11 +113,16 @@ class Pupil:
     @property
     def projected_solid_angle_sr(self) -> float:
         """Integral of d alpha d beta over the whole pupil (both halves)."""
-        return 2.0 * float(self.coverage.sum()) * self.cell
+        return (2.0 if self.half else 1.0) * float(self.coverage.sum()) * self.cell
 
 
 def sample_rays(
-    system: System, index: np.ndarray, theta: float, stop_x: np.ndarray, stop_y: np.ndarray
+    system: System,
+    index: np.ndarray,
+    theta: float,
+    stop_x: np.ndarray,
+    stop_y: np.ndarray,
+    azimuth: float = 0.0,
 ) -> Samples:
     """Aim real rays at points of the stop and trace them to the image plane.
 
@@ -123,21 +134,23 @@ def sample_rays(
         Field angle, rad.
     stop_x, stop_y : ndarray, shape (R,)
         Points of the stop surface, mm.
+    azimuth : float
+        Of the field, from y towards x, rad.
 
     Raises
     ------
     UserError
         Where the chief ray does not reach the image.
     """
-    return _sample(system, index, field_launch(system, index, theta), stop_x, stop_y)
+    return _sample(system, index, field_launch(system, index, theta, azimuth), stop_x, stop_y)
 
 
-def field_launch(system: System, index: np.ndarray, theta: float) -> Launch:
+def field_launch(system: System, index: np.ndarray, theta: float, azimuth: float = 0.0) -> Launch:
     """Return the launch plane of a field, on its chief rays.
 
     Parameters
     ----------
-    system, index, theta
+    system, index, theta, azimuth
         As for ``sample_rays``.
 
     Raises
@@ -146,7 +159,7 @@ def field_launch(system: System, index: np.ndarray, theta: float) -> Launch:
         Where the chief ray does not reach the stop.
     """
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
-    launch, found = launch_field(system.geometry, index, theta, tolerance)
+    launch, found = launch_field(system.geometry, index, theta, tolerance, azimuth)
     if not found.all():
         raise no_chief_ray(system, theta)
     return launch
@@ -182,14 +195,17 @@ def _sample(
     land_y = rays.point[1] + to_image * beta
     chief_x, chief_y = land_x[:, :1].copy(), land_y[:, :1].copy()
     land_x, land_y = land_x - chief_x, land_y - chief_y
-    if not geometry.moved.any():
+    half = _is_symmetric(system, launch)
+    if half:
         # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
         side = np.where(alpha < 0, -1.0, 1.0)
         alpha, land_x = side * alpha, side * land_x
     path = rays.path + to_image - alpha * land_x - beta * land_y
     height2 = rays.own_x**2 + rays.own_y**2
     margin = height2 / system.semi_diameter_mm[:, None, None] ** 2 - 1
-    diaphragm = height2[geometry.stop] / system.stop_radius_mm**2 - 1
+    # As aimed: a ray that failed before the stop has a place there too.
+    aimed2 = np.append(0.0, stop_x**2 + stop_y**2) / system.stop_radius_mm**2
+    diaphragm = np.broadcast_to(aimed2 - 1, rays.ok.shape)
     return Samples(
         chief_x_mm=chief_x[:, 0],
         chief_y_mm=chief_y[:, 0],
@@ -200,21 +216,31 @@ def _sample(
         landing_y_mm=land_y[:, 1:],
         margin=np.concatenate([margin, diaphragm[None]])[:, :, 1:],
         ok=ok[:, 1:],
+        half=half,
     )
 
 
-def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
+def _is_symmetric(system: System, launch: Launch) -> bool:
+    """Whether everything is symmetric about the y-z plane, by the axis of the lens."""
+    return launch.azimuth == 0 and not system.geometry.moved.any()
+
+
+def sample_field(system: System, index: np.ndarray, theta: float, azimuth: float = 0.0) -> Samples:
     """Trace rays spread evenly over the part of the stop that the field uses.
+
+    Parameters
+    ----------
+    system, index, theta, azimuth
+        As for ``sample_rays``.
 
     Raises
     ------
     UserError
-        Where no ray passes the lens at this field.
+        Where no ray of some wavelength passes the lens at this field.
     """
     radius = system.stop_radius_mm
-    launch = field_launch(system, index, theta)
-
-    half = not system.geometry.moved.any()
+    launch = field_launch(system, index, theta, azimuth)
+    half = _is_symmetric(system, launch)
 
     def grid(x_low, x_high, y_low, y_high, across):
         x, y = np.meshgrid(
@@ -227,8 +253,8 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
     rim = RAY_OVERSIZE * radius
     coarse = 21
     x, y = grid(0.0 if half else -rim, rim, -rim, rim, coarse)
-    inside = _sample(system, index, launch, x, y).inside.any(axis=0)
-    if not inside.any():
+    lit = _sample(system, index, launch, x, y).inside
+    if not lit.any(axis=1).all():
         raise UserError(
             f"no light passes the lens at {np.degrees(theta):.4g} deg",
             file=system.prescription.file,
@@ -236,6 +262,7 @@ def sample_field(system: System, index: np.ndarray, theta: float) -> Samples:
             value=f"{np.degrees(theta):.4g}",
             allowed="a smaller field",
         )
+    inside = lit.any(axis=0)
     # The rim lies within one coarse spacing of the last ray inside; one more reaches beyond it.
     spare = 2 * (2 * rim / (coarse - 1))
     x_low, x_high = max(-rim, x[inside].min() - spare), min(rim, x[inside].max() + spare)
@@ -269,7 +296,8 @@ def pupils(
     """Put the wavefront and the pupil's edge of one field on uniform grids, one per wavelength.
 
     W and each aperture's margin are fitted by least squares with Chebyshev products of total
-    degree, even in alpha; a cell on a rim counts with the share of it that lies inside.
+    degree, even in alpha for a half pupil; a cell on a rim counts with the share of it that lies
+    inside.
 
     Parameters
     ----------
@@ -297,33 +325,28 @@ def _pupil(
     keep = samples.ok[line] & (margin <= RAY_OVERSIZE**2 - 1 + 1e-12).all(axis=0)
     alpha, beta = samples.alpha[line][keep], samples.beta[line][keep]
     opd, margin, inside = samples.opd_mm[line][keep], margin[:, keep], inside[keep]
-    spread = OVERSIZE / RAY_OVERSIZE
-    centre, half_height = (beta.min() + beta.max()) / 2, spread * np.ptp(beta) / 2
-    half_width, low, high = spread * alpha.max(), centre - half_height, centre + half_height
     # d_alpha <= lambda / (2 window): the next copy of the PSF is two windows away.
     finest = wavelength_nm * 1e-3 / (2 * window_um)
-    count_a = max(nodes, 2 * int(np.ceil(half_width / finest)))
-    count_b = max(nodes, 2 * int(np.ceil((high - low) / 2 / finest)))
-    d_alpha, d_beta = 2 * half_width / count_a, (high - low) / count_b
-    grid_a = (np.arange(count_a // 2) + 0.5) * d_alpha
-    grid_b = low + (np.arange(count_b) + 0.5) * d_beta
+    centre_a, half_a, grid_a = _axis(alpha, samples.half, nodes, finest)
+    centre_b, half_b, grid_b = _axis(beta, False, nodes, finest)
 
     active = [m for m in range(len(margin)) if margin[m].max() > 0]
     targets = np.column_stack([opd, *margin[active]])
     for degree in DEGREES:
         fitted, smooth = _fit(
-            alpha / half_width,
-            (beta - centre) / half_height,
+            (alpha - centre_a) / half_a,
+            (beta - centre_b) / half_b,
             targets,
-            grid_a / half_width,
-            (grid_b - centre) / half_height,
+            (grid_a - centre_a) / half_a,
+            (grid_b - centre_b) / half_b,
             degree,
+            2 if samples.half else 1,
         )
         residual = float(np.std((fitted[:, 0] - opd)[inside]))
         if residual < GOOD_FIT_WAVES * wavelength_nm * 1e-6:
             break
 
-    coverage = within_hull(alpha, beta, grid_a, grid_b).astype(float)
+    coverage = within_hull(alpha, beta, grid_a, grid_b, samples.half).astype(float)
     for g in smooth[1:]:
         slope_a, slope_b = np.gradient(g, edge_order=2)
         # Rims that coincide must not count twice, so the least share, not the product.
@@ -334,7 +357,24 @@ def _pupil(
         coverage=coverage,
         opd_mm=smooth[0],
         fit_residual_mm=residual,
+        half=samples.half,
     )
+
+
+def _axis(
+    cosines: np.ndarray, half: bool, nodes: int, finest: float
+) -> tuple[float, float, np.ndarray]:
+    """Return centre and half-width of the grid along one direction cosine, and its nodes.
+
+    It is wider than the rays by OVERSIZE / RAY_OVERSIZE. Of a half pupil it is centred on 0, and
+    only the nodes above are returned.
+    """
+    high = float(cosines.max())
+    low = -high if half else float(cosines.min())
+    centre, half_width = (low + high) / 2, OVERSIZE / RAY_OVERSIZE * (high - low) / 2
+    count = max(nodes, 2 * int(np.ceil(half_width / finest)))
+    grid = centre + half_width * (2 * np.arange(count) + 1 - count) / count
+    return centre, half_width, grid[count // 2 :] if half else grid
 
 
 def _fit(
@@ -344,19 +384,22 @@ def _fit(
     grid_a: np.ndarray,
     grid_b: np.ndarray,
     degree: int,
+    stride: int,
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Fit Chebyshev products of one total degree, even in a, to the columns of ``targets``.
+    """Fit Chebyshev products of one total degree to the columns of ``targets``.
+
+    A ``stride`` of 2 takes the even ones in a only, of a half pupil; 1 takes all.
 
     Returns the fit at the samples, shape like ``targets``, and each column on the grid.
     """
-    i, j = np.meshgrid(np.arange(0, degree + 1, 2), np.arange(degree + 1), indexing="ij")
+    i, j = np.meshgrid(np.arange(0, degree + 1, stride), np.arange(degree + 1), indexing="ij")
     used = i + j <= degree
     in_a, in_b = chebyshev.chebvander(a, degree), chebyshev.chebvander(b, degree)
     design = in_a[:, i[used]] * in_b[:, j[used]]
     # Normal equations: the design's condition number is 2e5 with degree 14 and 8e6 with 18, so the
     # fit keeps 1e-9 of W at the rays; a singular value decomposition takes ten times as long.
     solution = np.linalg.solve(design.T @ design, design.T @ targets)
-    on_a = chebyshev.chebvander(grid_a, degree)[:, ::2]
+    on_a = chebyshev.chebvander(grid_a, degree)[:, ::stride]
     on_b = chebyshev.chebvander(grid_b, degree)
     on_grid = []
     for column in solution.T:
@@ -367,18 +410,22 @@ def _fit(
 
 
 def within_hull(
-    alpha: np.ndarray, beta: np.ndarray, grid_a: np.ndarray, grid_b: np.ndarray
+    alpha: np.ndarray,
+    beta: np.ndarray,
+    grid_a: np.ndarray,
+    grid_b: np.ndarray,
+    half: bool = True,
 ) -> np.ndarray:
-    """Return the nodes within the convex hull of the rays and their mirror images.
+    """Return the nodes within the convex hull of the rays, of a half with their mirror images.
 
     Beyond it a fit means nothing, and a margin could seem negative again.
 
     The rays reach RAY_OVERSIZE beyond every rim, so the hull never cuts the pupil.
     """
-    points = np.column_stack([np.append(alpha, -alpha), np.append(beta, beta)])
-    normals = ConvexHull(points).equations
+    if half:
+        alpha, beta = np.append(alpha, -alpha), np.append(beta, beta)
     within = np.ones((len(grid_a), len(grid_b)), dtype=bool)
-    for a, b, offset in normals[normals[:, 0] >= 0]:
+    for a, b, offset in ConvexHull(np.column_stack([alpha, beta])).equations:
         within &= (a * grid_a)[:, None] + (b * grid_b)[None, :] + offset <= 1e-12
     return within
 
