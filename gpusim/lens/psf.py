@@ -14,7 +14,7 @@ def intensity(
 
     U = E_eta P E_xi with P = A exp(i k W) and the two Fourier kernels as matrices (Soummer et al.,
     Opt. Express 15, 15935, 2007), so that the image grid does not depend on the
-    wavelength. Pupil and PSF are symmetric in the tangential direction: the kernel is
+    wavelength. Where pupil and PSF are symmetric in the tangential direction, the kernel is
     2 cos(k alpha eta) and only rows eta <= 0 are computed.
 
     Parameters
@@ -30,7 +30,8 @@ def intensity(
     -------
     psf : ndarray, shape (size, size)
         Share of the light per sample; rows tangential (eta), columns radial (xi, pointing away
-        from the axis); sample j at (j - size / 2) pitch from the chief ray's point.
+        from the axis); sample j at (j - size / 2) pitch from the chief ray's point. Of a whole
+        pupil: rows x, columns y.
     outside : float
         Share of the light that falls outside the window: 1 - psf.sum(). The total is known from
         the pupil (Parseval): lambda^2 times its projected solid angle.
@@ -41,12 +42,15 @@ def intensity(
     lit = pupil.coverage.any(axis=0)
     phase = np.exp(1j * k * 1e3 * pupil.opd_mm[:, lit])
     field = np.ascontiguousarray(pupil.coverage[:, lit] * phase)
-    across = 2 * np.cos(k * np.outer(at[: size // 2 + 1], pupil.alpha))
     along = np.exp(1j * k * np.outer(pupil.beta[lit], at))
-    # Real times complex as one real product, then complex times complex.
-    partial = (across @ field.view(float)).view(complex)
-    upper = np.square(np.abs(partial @ along))
-    whole = np.concatenate([upper, upper[size // 2 - 1 : 0 : -1]])
+    if pupil.half:
+        across = 2 * np.cos(k * np.outer(at[: size // 2 + 1], pupil.alpha))
+        # Real times complex as one real product, then complex times complex.
+        partial = (across @ field.view(float)).view(complex)
+        upper = np.square(np.abs(partial @ along))
+        whole = np.concatenate([upper, upper[size // 2 - 1 : 0 : -1]])
+    else:
+        whole = np.square(np.abs(np.exp(1j * k * np.outer(at, pupil.alpha)) @ field @ along))
     total = wavelength_um**2 * pupil.projected_solid_angle_sr / pupil.cell**2
     psf = whole * pitch_um**2 / total
     return psf, 1.0 - float(psf.sum())

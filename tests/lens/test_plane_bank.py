@@ -1,0 +1,163 @@
+"""A bank over the field plane: what a centred lens must show, and what a moved element does."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import xarray
+from lens.made import lens, model
+
+from gpusim.errors import UserError
+from gpusim.lens import plane_bank
+from gpusim.lens.plane_bank import PlaneBank, compute_plane_bank, default_sides_deg
+from gpusim.lens.psf import intensity
+from gpusim.lens.system import build, first_order
+from gpusim.lens.wavefront import pupils, sample_field
+
+GREEN = np.array([550.0])
+SMALL = {"wavelengths_nm": [500.0, 550.0], "size": 64, "pitch_um": 0.7}
+SIDES = {"field_x_deg": [-3.0, 0.0, 3.0], "field_y_deg": [-3.0, 0.0, 3.0]}
+
+
+def coma_lens(**fields):
+    """Return a singlet behind its stop, f = 19 mm: astigmatism and coma off the axis."""
+    rows = [
+        {"radius": np.inf, "thickness": 1.0},
+        {"radius": 20.0, "thickness": 2.0, **model(1.5)},
+        {"radius": -20.0},
+    ]
+    return lens(rows, **{"f_number": 8.0, "max_field_deg": 6.0, "focus": "best"} | fields)
+
+
+def moved():
+    return coma_lens().with_element_moved(2, 3, decentre_mm=(0.2, 0.1), tilt_deg=(2.0, -3.0))
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return compute_plane_bank(moved(), **SMALL, **SIDES)
+
+
+def test_a_whole_pupil_gives_the_same_psf_as_its_half():
+    system = build(coma_lens())
+    index = system.index(GREEN)
+    theta = np.radians(5.0)
+    half = sample_field(system, index, theta)
+    turned = sample_field(system, index, theta, np.pi / 2)  # the field along x
+    assert half.half
+    assert not turned.half
+    (one,) = pupils(half, GREEN, 64.0, 512)
+    (other,) = pupils(turned, GREEN, 64.0, 512)
+    # The same rays, turned by 90 deg, on another grid: rims are cut to 3e-6 (test_wavefront).
+    assert other.projected_solid_angle_sr == pytest.approx(one.projected_solid_angle_sr, rel=1e-5)
+    radial, outside = intensity(one, 550.0, 128, 0.5)
+    along_x, outside_x = intensity(other, 550.0, 128, 0.5)
+    # Rows x, columns y; radial is x now, and -eta is y: the PSF is symmetric in eta.
+    assert np.abs(along_x[1:, 1:] - radial.T[1:, 1:]).max() < 1e-4 * radial.max()
+    assert np.abs(radial[1:, 1:] - radial[1:, :0:-1]).max() > 0.03 * radial.max()
+    assert outside_x == pytest.approx(outside, abs=1e-5)
+    assert turned.chief_x_mm[0] == pytest.approx(half.chief_y_mm[0], abs=1e-9)
+    assert turned.chief_y_mm[0] == pytest.approx(0, abs=1e-9)
+
+
+def test_a_centred_lens_has_the_same_bank_in_every_direction():
+    bank = compute_plane_bank(coma_lens(), **SMALL, **SIDES)
+    np.testing.assert_allclose(bank.chief_x_um, np.swapaxes(bank.chief_y_um, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(bank.chief_x_um, -bank.chief_x_um[:, ::-1], atol=1e-5)
+    assert bank.chief_x_um[1, 2, 0] > 800  # f tan(3 deg) = 1 mm, to x > 0
+    psf = bank.psf
+    peak = psf.max()
+    # Along x, along y and along the diagonals: mirror images (rows y, columns x).
+    for one, two in (
+        (psf[1, 2], np.swapaxes(psf[2, 1], 1, 2)),
+        (psf[1, 0][..., 1:], psf[1, 2][..., :0:-1]),
+        (psf[0, 2][:, 1:], psf[2, 2][:, :0:-1]),
+        (psf[2, 2], np.swapaxes(psf[2, 2], 1, 2)),
+    ):
+        assert np.abs(one - two).max() < 4e-3 * peak  # 256 nodes are good to 1.9e-3 for each
+    assert bank.fit_residual_waves.max() < 1e-3
+    np.testing.assert_allclose(bank.relative_illumination[1, 1], 1, rtol=1e-12)
+
+
+def test_a_moved_element_changes_the_bank_as_its_mirror_image_says(bank):
+    mirrored = coma_lens().with_element_moved(2, 3, decentre_mm=(-0.2, 0.1), tilt_deg=(2.0, 3.0))
+    other = compute_plane_bank(mirrored, **SMALL, **SIDES)
+    np.testing.assert_allclose(bank.chief_x_um, -other.chief_x_um[:, ::-1], atol=1e-5)
+    np.testing.assert_allclose(bank.chief_y_um, other.chief_y_um[:, ::-1], atol=1e-5)
+    peak = bank.psf.max()
+    difference = bank.psf[..., 1:] - other.psf[:, ::-1, :, :, :0:-1]
+    # Where the grid ends hangs on the outermost ray; 256 nodes are good to 1.9e-3 for each.
+    assert np.abs(difference).max() < 4e-3 * peak
+    assert np.abs(bank.psf - other.psf).max() > 0.03 * peak
+    # Parallel light follows the rear nodal point, efl before the focus: it is moved by the
+    # decentre, and by the tilt about the vertex of surface 2. Aberrations move the chief ray a bit.
+    order = first_order(coma_lens())
+    arm_um = 1e3 * (order.length_mm - 1.0 + order.bfl_mm - order.efl_mm)
+    x_um, y_um = 200 - arm_um * np.sin(np.radians(3)), 100 - arm_um * np.sin(np.radians(2))
+    assert bank.chief_x_um[1, 1, 0] == pytest.approx(x_um, abs=3)
+    assert bank.chief_y_um[1, 1, 0] == pytest.approx(y_um, abs=3)
+
+
+def test_the_psf_lies_where_the_spot_diagram_says(bank):
+    system = build(moved())
+    for j, i in ((1, 1), (0, 1), (1, 0)):
+        x, y = SIDES["field_x_deg"][i], SIDES["field_y_deg"][j]
+        samples = sample_field(
+            system, system.index(GREEN), np.radians(np.hypot(x, y)), np.arctan2(x, y)
+        )
+        (pupil,) = pupils(samples, GREEN, 128.0, 256)
+        psf = bank.psf[j, i, 1].astype(float)
+        at = (np.arange(64) - 32) * bank.pitch_um
+        slope = -np.array(np.gradient(1e3 * pupil.opd_mm, pupil.alpha, pupil.beta))
+        mean = np.average(slope.reshape(2, -1), axis=1, weights=pupil.coverage.ravel())
+        # The tails that the window cuts at 22 um: three quarters of them may be on one side.
+        tolerance = 11 * bank.outside_energy[j, i, 1]
+        assert tolerance < 0.7
+        assert (psf.sum(axis=0) @ at) == pytest.approx(mean[0], abs=tolerance)
+        assert (psf.sum(axis=1) @ at) == pytest.approx(mean[1], abs=tolerance)
+        land = 1e3 * np.array([samples.landing_x_mm[0], samples.landing_y_mm[0]])
+        far = land[:, samples.inside[0]][:, np.hypot(*land[:, samples.inside[0]]).argmax()]
+        assert far @ mean > 0
+        assert np.hypot(*mean) > 3 * tolerance
+
+
+def test_default_sides_hold_the_axis_and_reach_the_largest_field():
+    sides = default_sides_deg(coma_lens())
+    assert len(sides) == 7
+    assert sides[3] == 0
+    assert np.hypot(sides[-1], sides[-1]) == pytest.approx(6.0, rel=1e-14)
+    np.testing.assert_allclose(np.diff(sides, 2), 0, atol=1e-14)
+
+
+def test_a_plane_bank_survives_its_file(bank, tmp_path):
+    path = tmp_path / "plane.nc"
+    bank.save(path)
+    again = PlaneBank.load(path)
+    stored = {*plane_bank._VARIABLES, *plane_bank._SCALARS, "provenance"}
+    assert {field.name for field in dataclasses.fields(PlaneBank)} == stored
+    for name in stored - {"provenance"}:
+        np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
+    assert again.provenance == bank.provenance
+    assert list(tmp_path.iterdir()) == [path]
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        for name in data.variables:
+            assert data[name].attrs["units"], name
+            assert "tilted by 2, -3 deg" in data[name].attrs["provenance"], name
+        assert data["psf"].dims == ("field_y", "field_x", "wavelength", "y", "x")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"field_x_deg": [1.0, 3.0]}, ["field_x_deg", "hold 0"]),
+        ({"field_y_deg": [3.0, 0.0]}, ["field_y_deg", "rise"]),
+        ({"field_y_deg": [0.0, 5.5], "field_x_deg": [-3.0, 0.0]}, ["beyond the lens", "0 to 6"]),
+        ({"size": 33}, ["even", "33"]),
+        ({"pitch_um": 3.0}, ["too coarse"]),
+    ],
+)
+def test_settings_that_make_no_plane_bank_are_refused(settings, words):
+    with pytest.raises(UserError) as caught:
+        compute_plane_bank(moved(), **SMALL | SIDES | settings)
+    for word in words:
+        assert word in caught.value.screen()
