@@ -107,7 +107,7 @@ def lens(
         str | None,
         typer.Argument(
             metavar="[LENS]",
-            help="A preset name, or a .yaml, .zmx, .seq or .dat file; without it, list the presets.",
+            help="A preset name, or a .yaml, .zmx, .seq or .dat file; without it, the presets.",
         ),
     ] = None,
     focal_length: Annotated[

@@ -5,17 +5,20 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import PPoly, make_interp_spline
 
 # Lenses that see farther off the axis are taken to follow the angle, others its tangent: there the
 # two differ by a third of the height, and a wide lens bends its image towards the angle.
 WIDE_DEG = 50.0
+# Degree of the spline. Largest miss between the 15 default fields of the library's lenses, um:
+# phone 1.2 with 3, 0.6 with 5, 0.25 with 7; wide 0.11, 0.008, 0.0006; all others below 1e-3 with 7.
+DEGREE = 7
 
 
 class FieldMap:
     """Height h(theta) of a chief ray in the image, odd in theta.
 
-    A cubic spline through the traced rays, of the difference from f u over u: u is tan(theta), or
+    A spline through the traced rays, of the difference from f u over u: u is tan(theta), or
     theta itself where the lens sees farther than ``WIDE_DEG``.
 
     Parameters
@@ -35,9 +38,14 @@ class FieldMap:
         self.wide = self.edge > np.radians(WIDE_DEG)
         u = theta if self.wide else np.tan(theta)
         shift = height_um - efl_um * u
-        self._spline = CubicSpline(
-            np.concatenate([-u[:0:-1], u]), np.concatenate([-shift[:0:-1], shift])
+        spline = make_interp_spline(
+            np.concatenate([-u[:0:-1], u]),
+            np.concatenate([-shift[:0:-1], shift]),
+            k=min(DEGREE, 2 * len(u) - 3),  # 2 F - 1 points carry an odd function
         )
+        self._spline = PPoly.from_spline(spline)
+        self._derivative = self._spline.derivative()
+        self._count = 32 * len(u)
 
     def height_um(self, theta: np.ndarray) -> np.ndarray:
         """Return the height at angles from 0 to the edge."""
@@ -47,9 +55,9 @@ class FieldMap:
     def slope_um(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivative of the height, um per rad, at angles from 0 to the edge."""
         if self.wide:
-            return self.efl_um + self._spline(theta, 1)
+            return self.efl_um + self._derivative(theta)
         u = np.tan(theta)
-        return (self.efl_um + self._spline(u, 1)) * (1 + u * u)
+        return (self.efl_um + self._derivative(u)) * (1 + u * u)
 
     def angle(self, height_um: np.ndarray) -> np.ndarray:
         """Return the angle, rad, at heights from 0 to the edge's, good to 1e-9 um."""
@@ -64,6 +72,6 @@ class FieldMap:
     @functools.cached_property
     def folds_at(self) -> float | None:
         """Smallest angle, rad, from which the height does not rise any more; None if it does."""
-        theta = np.linspace(0, self.edge, 16 * len(self._spline.x))
+        theta = np.linspace(0, self.edge, self._count)
         falling = np.flatnonzero(np.diff(self.height_um(theta)) <= 0)
         return float(theta[falling[0]]) if falling.size else None

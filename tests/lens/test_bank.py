@@ -98,9 +98,8 @@ def test_chief_ray_map_meets_real_chief_rays_between_the_nodes(demo_lens):
         ideal = 1e3 * bank.efl_mm * np.tan(theta)
         real, inside = bank.real_from_ideal(ideal)
         assert inside
-        # Error of a cubic spline: 5/384 h^4 of the fourth derivative; the distortion is 10 um over
-        # 2 mm, a fifth-order term of it 1 um, h = 150 um: 1e-5 um; measured 1e-4 at the edge.
-        assert real == pytest.approx(1e3 * ray.chief_y_mm[0], abs=1e-3)
+        # The distortion is 10 um over 2 mm, smooth; measured below 1e-6 um.
+        assert real == pytest.approx(1e3 * ray.chief_y_mm[0], abs=1e-4)
 
 
 def test_ideal_and_real_heights_are_inverse_and_flag_the_image_circle(bank):
@@ -147,9 +146,9 @@ def test_a_fisheye_has_a_chief_ray_map_to_its_edge_and_back(fisheye_bank, wavele
     for degrees in (40.0, 77.0, 97.0):
         rays = sample_rays(system, index, np.radians(degrees), np.zeros(1), np.zeros(1))
         chief_um = 1e3 * np.interp(wavelength, [500, 550], rays.chief_y_mm)
-        # 5/384 h^4 of the fourth derivative, h = 0.23 rad, f sin-like: 0.06 um; as measured.
+        # Nine fields, 13 deg apart; measured 0.035 um at 97 deg.
         assert fisheye_bank.height_from_angle(degrees, wavelength)[0] == pytest.approx(
-            chief_um, abs=0.1
+            chief_um, abs=0.05
         )
     assert abs(np.ptp(rays.chief_y_mm)) > 1e-4  # lateral colour: the wavelengths differ
 
@@ -168,7 +167,7 @@ def test_a_fisheye_has_an_ideal_plane_below_85_deg_only(fisheye_bank):
         real[:4], fisheye_bank.height_from_angle([0.0, 30.0, 60.0, 84.9])[0], rtol=1e-12
     )
     back, inside_too = fisheye_bank.ideal_from_real(real)
-    np.testing.assert_allclose(back, ideal, rtol=1e-9)
+    np.testing.assert_allclose(back, ideal, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(inside, inside_too)
 
 
