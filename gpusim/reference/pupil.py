@@ -17,27 +17,25 @@ def _lagrange() -> list[Polynomial]:
     ]
 
 
-def _at(weights: list[Polynomial], t: float) -> np.ndarray:
-    """Return the value of each weight."""
-    return np.array([one(t) for one in weights])
-
-
-def edge_share(h: float, a: float, b: float) -> float:
+def edge_share(h: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the share of the unit square about the origin where a u + b v < h.
 
     The mean, over the side along the smaller slope, of the length that lies inside on the other
     side: a straight line in u, cut to 0..1.
     """
-    small, large = sorted((abs(a), abs(b)))
-    if large == 0:
-        return float(h > 0)
-    middle, half = h / large + 0.5, small / large / 2
+    h, a, b = (np.asarray(one, np.float64) for one in (h, a, b))
+    small, large = np.minimum(abs(a), abs(b)), np.maximum(abs(a), abs(b))
+    # Any edge that passes the square has its middle within -0.5..1.5.
+    with np.errstate(all="ignore"):
+        middle = np.where(large > 0, np.clip(h / large + 0.5, -1, 2), h > 0)
+        half = np.where(large > 0, small / large / 2, 0)
+    flat = half < 1e-9
+    half = np.where(flat, 0.5, half)
     low, high = middle - half, middle + half
-    if half < 1e-9:
-        return float(np.clip(middle, 0, 1))
-    cut_low, cut_high = np.clip([low, high], 0, 1)
-    whole = max(high, 1.0) - max(low, 1.0)  # where all of the length lies inside
-    return float(((cut_high - cut_low) * (cut_high + cut_low) / 2 + whole) / (high - low))
+    cut_low, cut_high = np.clip(low, 0, 1), np.clip(high, 0, 1)
+    whole = np.maximum(high, 1) - np.maximum(low, 1)  # where all of the length lies inside
+    mean = ((cut_high - cut_low) * (cut_high + cut_low) / 2 + whole) / (high - low)
+    return np.where(flat, np.clip(middle, 0, 1), mean)
 
 
 def pupil(
@@ -80,43 +78,45 @@ def pupil(
         Sums over each row: of A; of A where rays fold.
     """
     nodes = np.asarray(nodes, np.float64)
+    whole = np.concatenate([nodes[::-1], nodes])
     half, across = nodes.shape[:2]
+    alpha = ((np.arange(rows) + 0.5) * cell)[:, None]
+    beta = (centre + (np.arange(length) - length / 2 + 0.5) * cell)[None]
+    x, y = (alpha - first[0]) / step[0], (beta - first[1]) / step[1]
+    low_a, low_b = np.floor(x).astype(int), np.floor(y).astype(int)
+    here = (low_a + 2 < half) & (low_b >= 1) & (low_b + 2 < across)
+    x, y, low_a, low_b = (np.broadcast_to(one, here.shape)[here] for one in (x, y, low_a, low_b))
+    alpha, beta = np.broadcast_to(alpha, here.shape)[here], np.broadcast_to(beta, here.shape)[here]
+
     cubic = _lagrange()
     slope = [one.deriv() for one in cubic]
-    field = np.zeros((rows, length), np.complex128)
-    sums = np.zeros((rows, 2))
-    chief_slope = chief_beta / np.sqrt(1 - chief_beta**2)
-    for i in range(rows):
-        alpha = (i + 0.5) * cell
-        x = (alpha - first[0]) / step[0]
-        low_a = int(np.floor(x))
-        at_a = x - low_a
-        if low_a + 2 >= half:
-            continue
-        lines = [low_a + node if low_a + node >= 0 else -1 - (low_a + node) for node in _NODES]
-        for j in range(length):
-            beta = centre + (j - length / 2 + 0.5) * cell
-            y = (beta - first[1]) / step[1]
-            low_b = int(np.floor(y))
-            if low_b < 1 or low_b + 2 >= across:
-                continue
-            stencil = nodes[lines, low_b - 1 : low_b + 3]
-            if (stencil[..., 1] == 0).any():
-                continue
+    value, d_alpha, d_beta = np.zeros((3, len(x), 2))
+    known = np.ones(len(x), dtype=bool)
+    for m, node_a in enumerate(_NODES):
+        for n, node_b in enumerate(_NODES):
+            node = whole[half + low_a + node_a, low_b + node_b]
+            known &= node[:, 1] != 0
+            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
+            value += (in_a * in_b)[:, None] * node
+            d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
+            d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
+    share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)
 
-            at_b = y - low_b
-            w, reach = np.einsum("a,b,abv->v", _at(cubic, at_a), _at(cubic, at_b), stencil)
-            w_a, reach_a = np.einsum("a,b,abv->v", _at(slope, at_a), _at(cubic, at_b), stencil)
-            w_b, reach_b = np.einsum("a,b,abv->v", _at(cubic, at_a), _at(slope, at_b), stencil)
-            share = edge_share(1 - reach, reach_a * cell / step[0], reach_b * cell / step[1])
-            # The plane moves by focus_mm and the chief ray's point in it by focus_mm times its
-            # slope; the path to the foot of the perpendicular grows by what that is along the ray.
-            moved = np.array([chief_slope, 1.0]) * focus_mm
-            gamma = np.sqrt(max(1 - alpha**2 - beta**2, 1e-6))
-            longer = moved @ [beta, gamma] - moved @ [chief_beta, np.sqrt(1 - chief_beta**2)]
-            land_x = focus_mm * alpha / gamma - w_a / step[0] / waves_per_mm
-            land_y = focus_mm * (beta / gamma - chief_slope) - w_b / step[1] / waves_per_mm
-            field[i, j] = share * np.exp(2j * np.pi * (w + longer * waves_per_mm))
-            folds = 1e3 * max(abs(land_x), abs(land_y)) > fold_um
-            sums[i] += share, share * folds
-    return field, sums
+    # The plane moves by focus_mm and the chief ray's point in it by focus_mm times its slope; the
+    # path to the foot of the perpendicular grows by what that is along the ray.
+    chief_gamma = np.sqrt(1 - chief_beta**2)
+    chief_slope = chief_beta / chief_gamma
+    gamma = np.sqrt(np.maximum(1 - alpha**2 - beta**2, 1e-6))
+    along_ray = beta * chief_slope + gamma
+    along_chief = chief_beta * chief_slope + chief_gamma
+    w = value[:, 0] + focus_mm * (along_ray - along_chief) * waves_per_mm
+    # dW is minus the landing; a shift moves a ray's landing, and the chief ray's, by their slopes.
+    land_x = focus_mm * alpha / gamma - d_alpha[:, 0] / waves_per_mm
+    land_y = focus_mm * (beta / gamma - chief_slope) - d_beta[:, 0] / waves_per_mm
+    folds = 1e3 * np.maximum(abs(land_x), abs(land_y)) > fold_um
+
+    field = np.zeros(here.shape, np.complex128)
+    field[here] = share * np.exp(2j * np.pi * w)
+    covered, folded = np.zeros((2, *here.shape))
+    covered[here], folded[here] = share, share * folds
+    return field, np.stack([covered.sum(axis=1), folded.sum(axis=1)], axis=-1)
