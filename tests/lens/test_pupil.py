@@ -299,9 +299,8 @@ def test_the_share_of_a_cell():
         (0.25, 1, 0), (0, 1, 1), (0, 1, 0), (1, 1, 1), (-1, 1, 1), (0.5, 1, 1), (0.25, 1, 0.5),
         (0.4999999, 1, 1e-30),
     ]  # fmt: skip
-    h, a, b = (
-        np.append(x, y).astype(np.float32) for x, y in zip((h, a, b), zip(*special), strict=True)
-    )
+    h, a, b = np.concatenate([np.stack([h, a, b]), np.transpose(special)], axis=1)
+    h, a, b = (one.astype(np.float32) for one in (h, a, b))
     inputs = {"h": ("f32", h), "a": ("f32", a), "b": ("f32", b)}
     found = wgsl_eval(
         [], "half_plane_share(h, a, b)", inputs, declarations=source("half_plane_share")

@@ -1,8 +1,8 @@
 """cos and sin of whole turns, over every argument that stages give, against float64.
 
-Tolerance, in units of 2^-24: the angle, at most pi/4, carries the rounding of 2 pi and its own, 1.2;
-the sum of the series one half where it ends and as much within; the first terms left out 0.4. In
-all 2.6, which is the head's 1.5e-7. Arguments are f32 and lose nothing: x - n/4 is exact.
+Tolerance, in units of 2^-24: the angle, at most pi/4, carries the rounding of 2 pi and its own,
+1.2; the sum of the series one half where it ends and as much within; the first terms left out 0.4.
+In all 2.6, which is the head's 1.5e-7. Arguments are f32 and lose nothing: x - n/4 is exact.
 """
 
 import numpy as np
