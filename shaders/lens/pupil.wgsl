@@ -1,7 +1,7 @@
 // The field in the pupil on the grid of the transform: A exp(2 pi i W), and what it holds.
 //
 // W and reach come from the nodes by cubic interpolation (Lagrange, four nodes each way). A is the share of the cell
-// inside every aperture, reach < 1, taken as straight within the cell: two boxes as wide as the slopes, convolved.
+// inside every aperture, reach < 1, whose edge is taken as straight within the cell.
 // A shift of the image plane moves the chief ray's point along the chief ray, (0, beta_c / gamma_c, 1) per mm:
 //   W += focus (gamma + beta beta_c / gamma_c - 1 / gamma_c) / lambda
 // nodes (P, NA, NB): see wavefront -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell,
@@ -46,19 +46,20 @@ fn slopes(t: f32) -> vec4f {
     ) / 6.0;
 }
 
-// Share of the unit square about the origin where a u + b v < h.
+// Share of the unit square about the origin where a u + b v < h: a straight edge leaves beyond it either a corner,
+// a triangle, or a strip whose mean width counts.
 fn half_plane_share(h: f32, a: f32, b: f32) -> f32 {
-    let reach = 0.5 * (abs(a) + abs(b));
-    if (abs(h) >= reach) {
+    let wide = max(abs(a), abs(b));
+    let narrow = min(abs(a), abs(b));
+    let corner = 0.5 * (wide + narrow) - abs(h);
+    if (corner <= 0.0) {
         return select(0.0, 1.0, h > 0.0);
     }
-    // Over the reach, so that the squares keep their digits; a width of 1e-3 stands for 0.
-    let t = h / reach;
-    let p = max(abs(a) / reach, 1e-3);
-    let q = max(abs(b) / reach, 1e-3);
-    let minus = 0.5 * (p - q);
-    let r = max(vec4f(t + 1.0, t + minus, t - minus, t - 1.0), vec4f(0.0));
-    return clamp((r.x * r.x - r.y * r.y - r.z * r.z + r.w * r.w) / (2.0 * p * q), 0.0, 1.0);
+    var beyond = 0.5 - abs(h) / wide;
+    if (corner < narrow) {
+        beyond = 0.5 * (corner / wide) * (corner / narrow);
+    }
+    return select(beyond, 1.0 - beyond, h > 0.0);
 }
 
 struct Cell {

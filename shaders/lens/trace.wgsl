@@ -75,20 +75,21 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         if (ray.ok && !next.ok) {
             failed = f32(s + 1u);
         }
-        ray = next;
-        let z = exact_sag(s, ray.at);
+        let z = exact_sag(s, next.at);
         var leg: vec2f;
         if (s == 0u) {
-            let y = df_add(vec2f(ray.at.y, 0.0), -pair.start_y);
+            let y = df_add(vec2f(next.at.y, 0.0), -pair.start_y);
             leg = df_add(df_multiply(y, pair.sine), df_multiply(df_add(z, -pair.start_z), pair.cosine));
         } else {
-            let dx = two_sum(ray.at.x, -before.x);
-            let dy = two_sum(ray.at.y, -before.y);
+            let dx = two_sum(next.at.x, -before.x);
+            let dy = two_sum(next.at.y, -before.y);
             let dz = df_add(surfaces[s].gap, df_add(z, -sag_before));
             leg = df_sqrt(df_add(df_add(df_square(dx), df_square(dy)), df_square(dz)));
-            leg = select(leg, -leg, dz.x < 0.0);
+            // Beyond where surfaces cross, it goes back; rays of fisheyes may go to z < 0 all the same.
+            leg = select(leg, -leg, dot(vec3f(dx.x, dy.x, dz.x), ray.along) < 0.0);
         }
         path = df_add(path, df_multiply(n, leg));
+        ray = next;
         before = ray.at.xy;
         sag_before = z;
         reach = max(reach, dot(before, before) * surfaces[s].inverse_semi2);
@@ -107,9 +108,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     path = df_add(path, df_multiply(indices[pair.first_index + params.surfaces], last));
     let w = df_add(path, -pair.chief_path);
     let far = to_z.x / gamma.x;
-    if (failed > 0.0 || ray.along.z <= 0.0) {
+    if (failed == 0.0 && ray.along.z <= 0.0) {
+        failed = f32(params.surfaces);  // it does not go to the image
+    }
+    if (failed > 0.0) {
         opd[start.to] = vec4f(0.0);
-        directions[start.to] = vec4f(0.0, 0.0, max(failed, 1.0), 0.0);
+        directions[start.to] = vec4f(0.0, 0.0, failed, 0.0);
         return;
     }
     opd[start.to] = vec4f((w.x + w.y) * pair.waves_per_mm, reach, far * alpha - to_x.x, far * beta - to_y.x);

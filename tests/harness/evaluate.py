@@ -35,6 +35,7 @@ def wgsl_eval(
     returns: str = "f32",
     declarations: str = "",
     statements: str = "",
+    params: Mapping[str, int] | None = None,
 ) -> np.ndarray:
     """Evaluate a WGSL expression on the device, once for each row of the inputs.
 
@@ -51,6 +52,8 @@ def wgsl_eval(
         WGSL type of the expression.
     declarations, statements : str
         Further module-scope text; further statements in front of the expression.
+    params : dict of str to int, optional
+        Members of ``params``, u32, that the include reads.
 
     Returns
     -------
@@ -76,7 +79,9 @@ def wgsl_eval(
         raise ValueError(f"the inputs have different lengths: {counts}")
     count = counts.pop()
     text = [f'#include "{name}"' for name in names]
-    text += [f"struct Params {{ {_COUNT}: u32 }}", declarations]
+    values = {_COUNT: count, **(params or {})}
+    members = ", ".join(f"{name}: u32" for name in values)
+    text += [f"struct Params {{ {members} }}", declarations]
     text.append("@group(0) @binding(0) var<uniform> params: Params;")
     for index, (name, (one, _)) in enumerate(kinds.items(), start=1):
         text.append(f"@group(0) @binding({index}) var<storage, read> in_{name}: array<{one}>;")
@@ -113,7 +118,7 @@ def wgsl_eval(
     result = run_stage(
         kernel,
         (min(groups, 65535), -(-groups // 65535), 1),
-        {_COUNT: count},
+        values,
         arrays,
         {"eval_out": (shape, SCALARS[scalar])},
     )

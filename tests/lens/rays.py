@@ -1,0 +1,102 @@
+"""Rays for the stages that trace them: what the device gets, and what float64 makes of the same."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from harness.stage import MARGIN
+from lens.made import fisheye, lens, model
+
+from gpusim.gpu import Device
+from gpusim.lens.prescription import load_prescription
+from gpusim.lens.system import System, build
+from gpusim.lens.trace import trace
+from gpusim.lens.tracer import Beams
+from gpusim.lens.wavefront import field_launch
+
+LINES = np.array([450.0, 650.0])
+
+
+def double_gauss() -> System:
+    return build(load_prescription("double-gauss").scaled(8.3).stopped(2.8).limited(14.3))
+
+
+def phone_lens() -> System:
+    """Return a small lens of strong aspheres, up to a30, and conics of every kind."""
+    rows = [
+        {"radius": np.inf, "thickness": 0.1},
+        {
+            "radius": 1.6,
+            "conic": -0.6,
+            "asphere": {"a4": 0.02, "a6": -0.01, "a8": 0.008, "a30": 3e-4},
+            "thickness": 0.7,
+            **model(1.54),
+        },
+        {"radius": 9.0, "conic": 4.0, "asphere": {"a2": 0.01, "a4": -0.03}, "thickness": 0.5},
+        {"radius": -12.0, "conic": -2.0, "thickness": 0.4, **model(1.64)},
+        {"radius": np.inf, "asphere": {"a4": 0.05, "a10": -0.004}, "thickness": 0.5},
+        {"radius": 3.0, "conic": -1.0, "thickness": 0.6, **model(1.54)},
+        {"curvature": 0.2, "asphere": {"a4": -0.02, "a6": 0.004}},
+    ]
+    return build(lens(rows, f_number=2.4, max_field_deg=20.0, focus="best"))
+
+
+LENSES = {
+    "double gauss": (double_gauss, (0.0, 14.0)),
+    "phone": (phone_lens, (0.0, 20.0)),
+    "fisheye": (lambda: build(fisheye()), (30.0, 90.0, 105.0)),
+}
+
+
+@dataclass(frozen=True)
+class Exact:
+    """What `gpusim.lens.tracer.Traced` holds, in float64; zeros where a ray failed."""
+
+    opd_waves: np.ndarray
+    reach: np.ndarray
+    landing_mm: np.ndarray
+    cosines: np.ndarray
+    failed_at: np.ndarray
+
+
+def exact(system: System, lines: np.ndarray, theta: float, p_mm: np.ndarray) -> Exact:
+    """Trace the same rays in every wavelength of one field, each array (L, R, ...)."""
+    index = system.index(lines)
+    launch = field_launch(system, index, theta)
+    px, py = (np.tile(np.append(0.0, one), (len(lines), 1)) for one in p_mm.astype(float).T)
+    rays = trace(system.geometry, index, launch, px, py)
+    count = len(system.geometry.curvature)
+    failed_at = np.zeros(px.shape, int)
+    for through in range(count, 0, -1):
+        part = trace(system.geometry, index, launch, px, py, through=through)
+        failed_at[~part.ok] = through
+    alpha, beta, gamma = rays.direction
+    failed_at[(failed_at == 0) & (gamma <= 0)] = count
+    ok = failed_at == 0
+    to_image = (system.image_z_mm - rays.point[2]) / np.where(ok, gamma, 1)
+    x, y = rays.point[0] + to_image * alpha, rays.point[1] + to_image * beta
+    y = y - y[:, :1]
+    path = rays.path + to_image - alpha * x - beta * y
+    height2 = rays.x**2 + rays.y**2
+    reach = (height2 / system.semi_diameter_mm[:, None, None] ** 2).max(axis=0)
+    reach = np.maximum(reach, height2[system.geometry.stop] / system.stop_radius_mm**2)
+
+    def only(values: np.ndarray) -> np.ndarray:
+        return np.where(ok, values, 0)[..., 1:]
+
+    return Exact(
+        opd_waves=only((path - path[:, :1]) / (1e-6 * lines[:, None])),
+        reach=only(reach),
+        landing_mm=np.stack([only(x), only(y)], axis=-1),
+        cosines=np.stack([only(alpha), only(beta)], axis=-1),
+        failed_at=failed_at[:, 1:],
+    )
+
+
+def bound(device: Device, beams: Beams) -> dict[str, np.ndarray]:
+    """Return what the lens is on the device: the buffers that aim and trace share.
+
+    Pairs are filled up with zeros so that the margin of `run_stage` ends with a whole one.
+    """
+    buffers = {name: device.read(one) for name, one in beams._lens().items()}
+    pairs = buffers["pairs"].ravel()
+    return buffers | {"pairs": np.pad(pairs, (0, -(pairs.size + MARGIN) % 20))}
