@@ -36,6 +36,7 @@ NODE_GAIN = 2.45
 # Share of the tolerance that is left to the nodes; a photograph's contrast is larger than a
 # chart's.
 NODE_SHARE = 0.8
+TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
 # side.
 CONTRAST = 20.0
@@ -186,14 +187,19 @@ def cut_error(
 
 
 def node_error(
-    kernels: FieldKernels, pitch_um: float, half_um: tuple[float, float], spacing_um: float
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    spacing_um: float,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
-    half field and in the corner of the sensor; the root of the mean square over these.
+    half field and in the corner of the sensor, as far as `reach_um`; the root of the mean square
+    over these, relative to what the kernel holds.
     """
-    half_size = int(np.ceil(20.0 / pitch_um))  # 20 um hold 98 % of the energy at f/2.8
+    half_size = int(np.ceil(reach_um / pitch_um))
     squares = []
     for fraction in (0.0, 0.5, 1.0):
         x, y = (max(fraction * half - spacing_um / 2, 0.0) for half in half_um)
@@ -208,6 +214,23 @@ def node_error(
             response = np.cumsum((sum(corners) / 4 - kernel).sum(axis=axis)) / kernel.sum()
             squares.append(np.abs(response).max() ** 2)
     return float(np.sqrt(np.mean(squares))) / NODE_GAIN
+
+
+def cells_within(
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    allowed: float,
+) -> tuple[tuple[int, int], float]:
+    """Return the fewest cells between PSF nodes that keep an error, and the error they leave."""
+    # Linear interpolation's error goes with the spacing squared.
+    trial_um = half_um[1] / 4
+    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
+    spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
+    cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
+    widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))
+    return cells, trial * (widest / trial_um) ** 2
 
 
 def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
@@ -271,17 +294,15 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
         else core_window(distances_um(len(everything), bank.pitch_um), cut)
     )
     kernels = field_kernels(images, radius_um, bank.pitch_um, pitch_um, core)
-    trial_um = half_um[1] / 4
-    # Green, or the only channel: the middle of the list. Linear interpolation's error goes with the
-    # spacing squared.
+    # Green, or the only channel: the middle of the list.
     middle = len(sensor.channels) // 2
-    first = FieldKernels(kernels.splines[:, :1, middle : middle + 1], radius_um, bank.pitch_um)
-    trial = node_error(first, pitch_um, half_um, trial_um)
-    spacing_um = trial_um * np.sqrt(NODE_SHARE * accuracy.tolerance / max(trial, 1e-12))
-    cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
-    nodes = (
-        trial
-        * max(2 * half / count / trial_um for half, count in zip(half_um, cells, strict=True)) ** 2
+
+    def first(of: FieldKernels) -> FieldKernels:
+        return FieldKernels(of.splines[:, :1, middle : middle + 1], radius_um, bank.pitch_um)
+
+    # 20 um hold 98 % of the energy at f/2.8.
+    cells, nodes = cells_within(
+        first(kernels), pitch_um, 20.0, half_um, NODE_SHARE * accuracy.tolerance
     )
 
     grid = _cheapest(
@@ -295,7 +316,17 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     scales = [Scale("core" if cut else "whole", grid, pitch_um, sigma, kernels)]
     if cut is not None:
         tail = field_kernels(images, radius_um, bank.pitch_um, coarse_pitch_um, everything - core)
-        few = tuple(-(-count // 3) for count in cells)  # the tail holds some per cent of the energy
+        # The tail holds some per cent of the energy, and its error counts as much less.
+        whole = images[:, 0, middle].sum(axis=(1, 2))
+        share = float(((images[:, 0, middle] * (everything - core)).sum(axis=(1, 2)) / whole).max())
+        few, lag = cells_within(
+            first(tail),
+            coarse_pitch_um,
+            reach_um,
+            half_um,
+            TAIL_SHARE * accuracy.tolerance / share,
+        )
+        nodes = float(np.hypot(nodes, lag * share))
         coarse = _cheapest(
             sensor,
             coarse_stride,

@@ -10,13 +10,14 @@ from gpusim import gpu
 from gpusim import plan as plan_module
 from gpusim.errors import UserError
 from gpusim.gpu import Device
-from gpusim.optics.kernels import field_images, field_kernels
+from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.plan import (
     CUTS_UM,
     KERNEL_BYTES,
     Accuracy,
     Plan,
     alias_error,
+    cells_within,
     cut_error,
     edge_integral,
     node_error,
@@ -240,11 +241,48 @@ def test_nodes_err_by_the_square_of_their_spacing():
     half_um = (99.2, 74.4)
     # The kernels of a field that never changes are alike at all nodes, but for splines in f32.
     still = bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0))
-    assert node_error(first_kernels(still), 0.775, half_um, 20.0) < 1e-4
+    assert node_error(first_kernels(still), 0.775, 20.0, half_um, 20.0) < 1e-4
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
-    wide, close = (node_error(kernels, 0.775, half_um, spacing) for spacing in (24.0, 12.0))
+    wide, close = (node_error(kernels, 0.775, 20.0, half_um, spacing) for spacing in (24.0, 12.0))
     assert wide > 10 * 1e-4
     assert wide / close == pytest.approx(4, rel=0.3)  # kinks at the fields, 7 um apart, disturb it
+
+
+def test_cells_keep_the_error_that_they_are_allowed():
+    half_um = (99.2, 74.4)
+    kernels = first_kernels(bank(coma_um=3.0, fields=24))
+    found = {}
+    for allowed in (4e-3, 1e-3, 2.5e-4):
+        cells, error = cells_within(kernels, 0.775, 20.0, half_um, allowed)
+        assert error <= allowed
+        # One cell fewer each way would not do: the error goes with the square.
+        assert error * (max(cells) / (max(cells) - 1)) ** 2 > allowed * 0.9
+        found[allowed] = cells
+    assert found[4e-3] < found[1e-3] < found[2.5e-4]
+    still = first_kernels(bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0)))
+    assert cells_within(still, 0.775, 20.0, half_um, 1e-3)[0] < found[4e-3]
+
+
+def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
+    images, radius_um = field_images(bank(fields=24), np.ones((1, 1, 3)), 1e9)
+    n = images.shape[-1]
+    tail = 1 - core_window(distances_um(n, 0.5), 8.0)
+    # A ring 15 um off, as bright everywhere or growing with the field.
+    halo = np.abs(distances_um(n, 0.5) - 15.0) < 1.0
+    halo = halo / halo.sum()
+    grows = (radius_um / radius_um[-1])[:, None, None, None, None] ** 2
+    energy = images.sum(axis=(3, 4), keepdims=True)
+    found = [
+        cells_within(
+            field_kernels(images + part * energy * halo, radius_um, 0.5, 3.1, tail),
+            3.1,
+            40.0,
+            (99.2, 74.4),
+            5e-2,
+        )[0]
+        for part in (0.2, 0.2 * grows)
+    ]
+    assert max(found[0]) < min(found[1])
 
 
 # What is refused
