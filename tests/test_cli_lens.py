@@ -12,7 +12,9 @@ from command_line import assert_refused, gpusim
 from PIL import Image
 
 from gpusim.cli import lens as cli_lens
+from gpusim.lens import plane_bank
 from gpusim.lens.bank import Bank, compute_bank
+from gpusim.lens.plane_bank import compute_plane_bank
 from gpusim.lens.prescription import load_prescription, presets
 
 DEMO = ("lens", "double-gauss", "--focal-length", "8.3", "--f-number", "2.8")
@@ -141,6 +143,36 @@ def test_a_lens_file_has_its_account_and_a_preset_has_none(failing: Path, small_
     account = re.compile(r"^ *\d+ +read +radius, thickness", re.MULTILINE)
     assert len(account.findall(gpusim("lens", failing).out)) == 5
     assert not account.search(gpusim("lens", "cooke-triplet").out)
+
+
+@pytest.fixture
+def tilted(tmp_path: Path) -> Path:
+    """Return a lens file with a tilted element."""
+    data = yaml.safe_load(presets()["cooke-triplet"].read_text())
+    data["surfaces"][2]["tilt_deg"] = [0.1, 0.0]
+    file = tmp_path / "tilted.yaml"
+    file.write_text(yaml.safe_dump(data, sort_keys=False))
+    return file
+
+
+def test_a_lens_without_axis_shows_its_first_order_and_writes_its_plane_bank(
+    tilted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def small(lens, *, progress):
+        return compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32, progress=progress)
+
+    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    ran = gpusim("lens", tilted, "--out", tmp_path / "bank.nc")
+    assert ran.code == 0, ran.err
+    assert "50.0000 mm" in ran.out
+    assert "distortion" not in ran.out
+    assert plane_bank.PlaneBank.load(tmp_path / "bank.nc").psf.shape == (2, 1, 1, 32, 32)
+
+
+def test_a_lens_without_axis_has_no_page(tilted: Path, tmp_path: Path):
+    ran = gpusim("lens", tilted, "--out", tmp_path / "lens.png")
+    assert_refused(ran, "symmetric about the axis", "surfaces.3", "tilt_deg")
+    assert not (tmp_path / "lens.png").exists()
 
 
 def test_a_command_that_fails_leaves_the_old_file(

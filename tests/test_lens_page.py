@@ -20,6 +20,7 @@ from gpusim.lens.bank import compute_bank, default_fields_deg
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, checked, first_order
 from gpusim.report import lens_figure
+from gpusim.report import lens_page as page_numbers
 from gpusim.report.lens_facts import distortions, lens_facts, t_stop, working_f_number
 from gpusim.report.lens_figure import colour_image, draw, png, svg
 from gpusim.report.lens_html import lens_html
@@ -118,6 +119,11 @@ def test_facts_have_the_first_order_data(page: LensPage, demo_lens):
     assert "NA 0.17" in facts["working f-number, NA"]
     for name in ("T-stop", "entrance pupil", "exit pupil", "image circle", "transmission"):
         assert facts[name]
+
+
+def test_round_numbers_are_near_or_above():
+    assert [page_numbers.round_near(v) for v in (0.95, 9.4, 47.0, 130.0)] == [1, 10, 50, 100]
+    assert [page_numbers.round_above(v) for v in (0.93, 1.0, 11.0, 410.0)] == [1, 1, 15, 500]
 
 
 # pictures

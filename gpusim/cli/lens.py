@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,10 +16,10 @@ from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.bank import cached_bank
-from gpusim.lens.prescription import load_prescription, presets
+from gpusim.lens.prescription import Prescription, load_prescription, presets
 from gpusim.lens.sampling import fitting
-from gpusim.lens.system import Checked, build, checked, first_order
-from gpusim.report.lens_facts import checks_table, identity, lens_facts
+from gpusim.lens.system import Checked, System, build, checked, first_order
+from gpusim.report.lens_facts import checks_table, first_order_facts, identity, lens_facts
 
 KINDS = (".nc", ".png", ".html")
 
@@ -50,32 +51,59 @@ def run(
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
         system = build(lens)
         with progress_bar() as progress:
-            bank = cached_bank(
-                lens,
-                progress=lambda done, all_: progress("PSF bank", done, all_),
-                **fitting(system),
-            )
-            kind = None if file is None else file.suffix.lower()
-            if kind == ".nc":
-                bank.save(file)
-            elif kind is not None:
-                from gpusim.report.lens_figure import png
-                from gpusim.report.lens_html import lens_html
-                from gpusim.report.lens_page import lens_page
-
-                page = lens_page(bank, system, lambda done, all_: progress("page", done, all_))
-                if kind == ".png":
-                    file.write_bytes(png(page))
-                else:
-                    file.write_text(lens_html(page, checks, lens.account), encoding="utf-8")
+            if system.geometry.moved.any() and (file is None or file.suffix.lower() == ".nc"):
+                # Without an axis there is no curve against field: first order, and the bank.
+                facts = first_order_facts(system)
+                if file is not None:
+                    write_plane_bank(lens, file, progress)
+            else:
+                facts = work(lens, system, checks, file, progress)
     console = Console()
-    console.print(texts([*identity(system.prescription), *lens_facts(bank, system)]))
+    console.print(texts([*identity(system.prescription), *facts]))
     show_account(console, account)
     show_checks(console, checks)
     if out is not None:
         print(out)
     if not all(one.met for one in checks):
         sys.exit(1)
+
+
+def work(
+    lens: Prescription,
+    system: System,
+    checks: list[Checked],
+    file: Path | None,
+    progress: Callable[[str, int, int], None],
+) -> list[tuple[str, str]]:
+    """Compute the bank of a lens, write what `file` asks for, and return the data to show."""
+    bank = cached_bank(
+        lens, progress=lambda done, all_: progress("PSF bank", done, all_), **fitting(system)
+    )
+    kind = None if file is None else file.suffix.lower()
+    if kind == ".nc":
+        bank.save(file)
+    elif kind is not None:
+        from gpusim.report.lens_figure import png
+        from gpusim.report.lens_html import lens_html
+        from gpusim.report.lens_page import lens_page
+
+        page = lens_page(bank, system, lambda done, all_: progress("page", done, all_))
+        if kind == ".png":
+            file.write_bytes(png(page))
+        else:
+            file.write_text(lens_html(page, checks, lens.account), encoding="utf-8")
+    return lens_facts(bank, system)
+
+
+def write_plane_bank(
+    lens: Prescription, file: Path, progress: Callable[[str, int, int], None]
+) -> None:
+    """Write the bank of a lens with moved elements, over both directions of the field."""
+    from gpusim.lens.plane_bank import compute_plane_bank
+
+    compute_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_)).save(
+        file
+    )
 
 
 def library() -> Table:

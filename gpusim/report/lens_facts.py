@@ -24,28 +24,13 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
     system : System
         The lens of the bank.
     """
-    order = first_order(system.prescription)
     edge = f"at {bank.field_deg[-1]:.4g}\N{DEGREE SIGN}"
     reference = bank.reference
     lateral_um = np.ptp(bank.real_height_um[-1])
     return [
-        ("focal length", f"{order.efl_mm:.4f} mm"),
-        ("back focal length", f"{order.bfl_mm:.4f} mm"),
-        ("image plane", f"{behind(system):.4f} mm behind the last vertex"),
-        ("f-number", f"f/{order.f_number:.4g}"),
+        *first_order_facts(system),
         ("working f-number, NA", _working(bank)),
         ("T-stop", f"T/{t_stop(bank):.4g}"),
-        ("entrance pupil", _pupil(order.entrance_pupil_diameter_mm, order.entrance_pupil_z_mm, 1)),
-        (
-            "exit pupil",
-            _pupil(
-                order.exit_pupil_diameter_mm,
-                order.exit_pupil_z_mm,
-                len(system.prescription.surfaces),
-            ),
-        ),
-        ("length, vertex to vertex", f"{order.length_mm:.4f} mm"),
-        ("largest field", f"{bank.field_deg[-1]:.4g}\N{DEGREE SIGN} from the axis"),
         ("image circle", f"{2e-3 * bank.image_circle_um:.3f} mm diameter"),
         *(
             (f"distortion, {name}", f"{percent[-1]:+.2f} % {edge}, against the scale on axis")
@@ -58,11 +43,26 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
             f"{lateral_um:.2f} \N{MICRO SIGN}m {edge}, {bank.wavelengths_nm[0]:g} to "
             f"{bank.wavelengths_nm[-1]:g} nm",
         ),
-        (
-            "relative illumination",
-            f"{bank.relative_illumination[-1, reference]:.3f} {edge}",
-        ),
+        ("relative illumination", f"{bank.relative_illumination[-1, reference]:.3f} {edge}"),
         ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
+    ]
+
+
+def first_order_facts(system: System) -> list[tuple[str, str]]:
+    """Return what needs no bank: paraxial data, image plane and field."""
+    lens = system.prescription
+    order = first_order(lens)
+    entrance = _pupil(order.entrance_pupil_diameter_mm, order.entrance_pupil_z_mm, 1)
+    exit_ = _pupil(order.exit_pupil_diameter_mm, order.exit_pupil_z_mm, len(lens.surfaces))
+    return [
+        ("focal length", f"{order.efl_mm:.4f} mm"),
+        ("back focal length", f"{order.bfl_mm:.4f} mm"),
+        ("image plane", f"{behind(system):.4f} mm behind the last vertex"),
+        ("length, vertex to vertex", f"{order.length_mm:.4f} mm"),
+        ("entrance pupil", entrance),
+        ("exit pupil", exit_),
+        ("largest field", f"{lens.max_field_deg:.4g}\N{DEGREE SIGN} from the axis"),
+        ("f-number", f"f/{order.f_number:.4g}"),
     ]
 
 

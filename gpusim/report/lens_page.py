@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,6 +16,8 @@ from gpusim.lens.layout import Element, beam, elements
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import sample_rays
 from gpusim.report.lens_facts import working_f_number
+
+Result = TypeVar("Result")
 
 # Parts of the largest field, by the bank's fields.
 CURVE_FIELDS = (0.0, 0.5, 1.0)
@@ -95,21 +98,22 @@ def lens_page(
     wavelengths = bank.wavelengths_nm[lines]
     light = (bank.transmission * quadrature(bank))[lines]
     reference = bank.reference // 2
-    done = 0
+    steps = iter(range(1, 2 * len(fields) + 2))
 
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, 2 * len(fields) + 1)
+    def each(work: Iterable[Result]) -> list[Result]:
+        """Return the results of the work, counting each."""
+        results = []
+        for result in work:
+            results.append(result)
+            if progress is not None:
+                progress(next(steps), 2 * len(fields) + 1)
+        return results
 
     def traced(theta: float) -> transfer.FieldPupils:
-        found = transfer.field_pupils(system, theta, wavelengths, light, reference=reference)
-        step()
-        return found
+        return transfer.field_pupils(system, theta, wavelengths, light, reference=reference)
 
     with threadpool_limits(1), ThreadPoolExecutor() as pool:
-        pupils = list(pool.map(traced, fields))
+        pupils = each(pool.map(traced, fields))
         top, focus_frequency = _frequencies(bank, pupils[0])
         frequency = np.linspace(0, top, 101)
         depth_mm = _depth_mm(bank, pupils, focus_frequency)
@@ -117,7 +121,7 @@ def lens_page(
 
         def curves(one: tuple[float, transfer.FieldPupils]) -> Curves:
             theta, field = one
-            found = Curves(
+            return Curves(
                 field_deg=float(np.degrees(theta)),
                 against_frequency=_both(field.otf, frequency),
                 through_focus=_both(
@@ -125,14 +129,12 @@ def lens_page(
                     focus_frequency,
                 ),
             )
-            step()
-            return found
 
-        drawn = list(pool.map(curves, zip(fields, pupils, strict=True)))
+        drawn = each(pool.map(curves, zip(fields, pupils, strict=True)))
         chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
         chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
-        chief_um = np.stack(list(pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))))
-        step()
+        chief = pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))
+        (chief_um,) = each([np.stack(list(chief))])
     f_number = working_f_number(bank)
     limits = np.stack([transfer.diffraction_mtf(frequency, w, f_number) for w in wavelengths])
     light = pupils[0].weight
