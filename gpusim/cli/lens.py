@@ -17,7 +17,7 @@ from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.bank import cached_bank
 from gpusim.lens.prescription import Prescription, load_prescription, presets
-from gpusim.lens.sampling import fitting
+from gpusim.lens.sampling import window
 from gpusim.lens.system import Checked, System, build, checked, first_order
 from gpusim.report.lens_facts import checks_table, first_order_facts, identity, lens_facts
 
@@ -77,7 +77,7 @@ def work(
 ) -> list[tuple[str, str]]:
     """Compute the bank of a lens, write what `file` asks for, and return the data to show."""
     bank = cached_bank(
-        lens, progress=lambda done, all_: progress("PSF bank", done, all_), **fitting(system)
+        lens, progress=lambda done, all_: progress("PSF bank", done, all_), **window(system)
     )
     kind = None if file is None else file.suffix.lower()
     if kind == ".nc":
