@@ -117,6 +117,9 @@ def test_facts_have_the_first_order_data(page: LensPage, demo_lens):
     assert facts["back focal length"] == f"{order.bfl_mm:.4f} mm"
     assert facts["f-number"] == "f/2.8"
     assert "NA 0.17" in facts["working f-number, NA"]
+    beyond = re.fullmatch(r"up to (.*) %; folded back 0 %", facts["light beyond the PSFs' window"])
+    assert float(beyond[1]) == pytest.approx(100 * page.bank.outside_energy.max(), rel=0.05)
+    assert facts["rays that failed"] == "0"
     for name in ("T-stop", "entrance pupil", "exit pupil", "image circle", "transmission"):
         assert facts[name]
 

@@ -45,6 +45,12 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
         ),
         ("relative illumination", f"{bank.relative_illumination[-1, reference]:.3f} {edge}"),
         ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
+        (
+            "light beyond the PSFs' window",
+            f"up to {100 * bank.outside_energy.max():.2g} %; "
+            f"folded back {100 * bank.folded_energy.max():.2g} %",
+        ),
+        ("rays that failed", f"{bank.failed_rays.sum():.0f}"),
     ]
 
 
