@@ -317,12 +317,15 @@ def test_a_beam_vignetted_to_a_seventh_of_the_stop_is_traced_all_the_same(device
 
 
 def test_a_fisheye_is_that_of_the_float64_path_at_90_deg_and_beyond(device):
-    wide = build(fisheye(focus="best"))
+    wide = build(fisheye(focus="best", f_number=16.0))
     line, fields = np.array([550.0]), np.array([90.0, 100.0])
     made = Generator(device, wide, line, fields, pitch_um=1.0, size=SIZE)
     for field, theta in enumerate(np.radians(fields)):
         found = pupils(sample_field(wide, wide.index(line), theta), line, 2.0 * SIZE, 512)
         psf, _ = intensity(found[0], 550.0, SIZE, 1.0)
-        assert np.abs(made.spread(field).psf[0] - psf).max() < 4e-4 * psf.max()
-    assert (made.residual_waves < 1e-3).all()
+        # A rim of 58 cells' radius, light spread over 100 um: what the jagged rim scatters far out
+        # folds back, less with the square of the cell. Measured: 5.5e-3 of the (blurred) peak.
+        assert np.abs(made.spread(field).psf[0] - psf).max() < 1e-2 * psf.max()
+        assert np.abs(made.spread(field).psf[0, :, ::-1] - psf).max() > 1e-1 * psf.max()
+    assert (made.residual_waves < 1e-4).all()
     made.release()

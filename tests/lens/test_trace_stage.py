@@ -119,7 +119,13 @@ class Held(System):
 def held(curvature, vertex_z, stop, image_z, media) -> Held:
     count = len(curvature)
     shape = Geometry(
-        np.array(curvature), np.zeros(count), np.zeros((count, 15)), np.array(vertex_z), stop
+        curvature=np.array(curvature),
+        conic=np.zeros(count),
+        asphere=np.zeros((count, 15)),
+        vertex_z=np.array(vertex_z),
+        stop=stop,
+        decentre=np.zeros((count, 2)),
+        rotation=np.broadcast_to(np.eye(3), (count, 3, 3)),
     )
     return Held(None, shape, 0.5, np.full(count, np.inf), image_z, media)
 
