@@ -25,7 +25,7 @@ HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")
 STAGES = shader_names()
 # Stages whose float64 twin is no file of its own: the tracer of gpusim/lens/trace.py also prepares
 # the lens (chief rays, stop, clear apertures, focus), so the product needs it beside the stages.
-TWINS = {"lens/aim": "gpusim.lens.trace", "lens/trace": "gpusim.lens.trace"}
+TWINS = {"aim": "gpusim.lens.trace", "trace": "gpusim.lens.trace"}
 
 
 def modules() -> dict[str, Path]:
@@ -117,7 +117,7 @@ def test_the_reference_shares_nothing_with_what_it_judges():
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_has_its_name_everywhere(stage: str):
     name = stage.rpartition("/")[2]
-    assert TWINS.get(stage, f"gpusim.reference.{name}") in MODULES
+    assert TWINS.get(name, f"gpusim.reference.{name}") in MODULES
     assert list((PROJECT / "tests").rglob(f"test_{name}.py"))
 
 

@@ -32,6 +32,9 @@ AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1
 # to lead rays to within 1e-3 of a node's direction: see shaders/lens/wavefront.
 DEGREE = 9
 NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
+# The stencil of a cell on a rim across the grid reaches two nodes beyond it in both directions, and
+# the nearest node that has a ray may be one more away.
+CONTINUED = 5
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
 
 _GRID = np.dtype(
@@ -122,6 +125,16 @@ class Generator:
         self.failed_rays = np.zeros(shape, np.int32)
         self.residual_waves = np.zeros(shape)
         self._nodes: list[Resident] = []
+        try:
+            self._trace_fields(progress)
+        except BaseException:
+            self.release()
+            raise
+        half_widths = self._na * self._grids["step"][..., 0] / self._grids["cell"]
+        self._rows = int(np.ceil(half_widths.max()))
+
+    def _trace_fields(self, progress: Callable[[int, int], None] | None) -> None:
+        """Trace field by field, and keep the nodes."""
         for field, aimed in enumerate(self._aimed()):
             # OpenBLAS's own threads wait by spinning, which costs more than they save here.
             with threadpool_limits(1):
@@ -131,9 +144,7 @@ class Generator:
             self._nodes.append(self._wavefront(field, rays_to_nodes))
             self._check(field, aimed)
             if progress is not None:
-                progress(field + 1, len(field_deg))
-        half_widths = self._na * self._grids["step"][..., 0] / self._grids["cell"]
-        self._rows = int(np.ceil(half_widths.max()))
+                progress(field + 1, len(self.field_deg))
 
     def _aimed(self):
         """Yield the rays aimed at the stop, field by field: a list over wavelengths."""
@@ -148,10 +159,9 @@ class Generator:
         opd, reach = rays.opd_waves.reshape(miss.shape), rays.reach.reshape(miss.shape)
         ok = (miss >= 0) & (rays.failed_at == 0).reshape(miss.shape)
         self.failed_rays[:] = (~ok & (x**2 + y**2 < 1)).sum(axis=1).reshape(self.failed_rays.shape)
-        # Far outside a rim, rays turn back on others and only spoil the fit.
-        ok &= reach < RAY_OVERSIZE**2 + 1e-6
         cosines = rays.cosines.reshape(beams, count, 2).astype(float)
         lines = len(self.wavelengths_nm)
+        spacing = line[1] - line[0]
         for field, theta in enumerate(self.field_deg):
             of_field = range(field * lines, (field + 1) * lines)
             if not all((reach[beam][ok[beam]] < 1).any() for beam in of_field):
@@ -162,15 +172,18 @@ class Generator:
                     value=f"{theta:.4g}",
                     allowed="a smaller field",
                 )
-            yield [
-                (
-                    cosines[beam][ok[beam]],
-                    p[beam][ok[beam]],
-                    reach[beam][ok[beam]],
-                    opd[beam][ok[beam]],
+            rays_of_field = []
+            for beam in of_field:
+                inside = ok[beam] & (reach[beam] < 1)
+                extent = max(x[inside].max(), np.ptp(y[inside]) / 2, spacing)
+                # Far outside a rim, rays turn back on others and only spoil the fit; but of a beam
+                # that is vignetted to little there must be rays beyond it.
+                keep = ok[beam] & (reach[beam] < max(RAY_OVERSIZE, 1 + spacing / extent) ** 2)
+                apart = spacing / x[keep].max(), 2 * spacing / np.ptp(y[keep])
+                rays_of_field.append(
+                    (cosines[beam][keep], p[beam][keep], reach[beam][keep], opd[beam][keep], apart)
                 )
-                for beam in of_field
-            ]
+            yield rays_of_field
 
     def _lead(
         self,
@@ -180,8 +193,12 @@ class Generator:
         p_mm: np.ndarray,
         reach: np.ndarray,
         _: np.ndarray,
+        apart: tuple[float, float],
     ) -> np.ndarray:
-        """Lay out the grids of one beam; return the rays that lead to its nodes."""
+        """Lay out the grids of one beam; return the rays that lead to its nodes.
+
+        ``apart``: from one aimed ray to the next, of half their extent each way.
+        """
         # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
         side = np.where(cosines[:, 0] < 0, -1.0, 1.0)
         alpha, beta = side * cosines[:, 0], cosines[:, 1]
@@ -189,10 +206,9 @@ class Generator:
         centre, half_height = (low + high) / 2, (high - low) / 2
         # The rim lies within one spacing of the aimed rays beyond the last one inside.
         inside = reach < 1
-        spacing = 2 / (AIMED_ACROSS - 1)
-        wide = min(half, alpha[inside].max() + spacing * half)
-        bottom = max(low, beta[inside].min() - 2 * spacing * half_height)
-        top = min(high, beta[inside].max() + 2 * spacing * half_height)
+        wide = min(half, alpha[inside].max() + apart[0] * half)
+        bottom = max(low, beta[inside].min() - 2 * apart[1] * half_height)
+        top = min(high, beta[inside].max() + 2 * apart[1] * half_height)
         wavelength_um = 1e-3 * self.wavelengths_nm[line]
         self._check_pitch(line, max(2 * alpha[inside].max(), np.ptp(beta[inside])))
         grid = self._grids[field, line]
@@ -205,16 +221,18 @@ class Generator:
         grid["chief_beta"] = self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
 
-        i, j = np.meshgrid(np.arange(DEGREE + 1), np.arange(DEGREE + 1), indexing="ij")
-        in_a = chebyshev.chebvander(alpha / half, DEGREE)
-        in_b = chebyshev.chebvander((beta - centre) / half_height, DEGREE)
+        # Of a beam that is vignetted to little, few rays were aimed: at least two a coefficient.
+        degree = min(DEGREE, int(np.sqrt(len(alpha))) - 1)
+        i, j = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1), indexing="ij")
+        in_a = chebyshev.chebvander(alpha / half, degree)
+        in_b = chebyshev.chebvander((beta - centre) / half_height, degree)
         node_a = grid["first"][0] + np.arange(self._na) * step_a
         node_b = grid["first"][1] + np.arange(self._nb) * step_b
-        on_a = chebyshev.chebvander(node_a / half, DEGREE)
-        on_b = chebyshev.chebvander((node_b - centre) / half_height, DEGREE)
+        on_a = chebyshev.chebvander(node_a / half, degree)
+        on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
         entering = []
         for odd, target in ((1, side * p_mm[:, 0]), (0, p_mm[:, 1])):
-            used = (i % 2 == odd) & (i + j <= DEGREE)
+            used = (i % 2 == odd) & (i + j <= degree)
             design = in_a[:, i[used]] * in_b[:, j[used]]
             coefficients = np.zeros(i.shape)
             coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
@@ -275,7 +293,7 @@ class Generator:
         if (beside(nodes[..., 1]) & (nodes[..., 1] == 0)).any():
             nodes = continued(nodes)
             self.device.write(self._nodes[field], nodes)
-        for line, (cosines, _, reach, opd) in enumerate(aimed):
+        for line, (cosines, _, reach, opd, _) in enumerate(aimed):
             grid = self._grids[field, line]
             at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
             inside = reach < 1
@@ -387,7 +405,7 @@ def beside(reach: np.ndarray) -> np.ndarray:
 
 
 def continued(nodes: np.ndarray) -> np.ndarray:
-    """Continue W and reach to three nodes beyond where rays arrive.
+    """Continue W and reach beyond where rays arrive, by CONTINUED nodes.
 
     Rays may fail right beyond a rim, where interpolation needs them. Cubic extrapolation from four
     nodes in a row, along alpha and beta, the mean of those that there are.
@@ -399,7 +417,7 @@ def continued(nodes: np.ndarray) -> np.ndarray:
     """
     # The pupil's other half, as far as extrapolation reaches.
     whole = np.concatenate([nodes[:, 3::-1], nodes], axis=1).astype(float)
-    for _ in range(3):
+    for _ in range(CONTINUED):
         known = whole[..., 1] > 0
         total, count = np.zeros_like(whole), np.zeros(known.shape)
         for axis in (1, 2):

@@ -110,9 +110,6 @@ class Beams:
         surfaces["gap"] = split(np.diff(geometry.vertex_z, prepend=0.0))
         surfaces["semi"] = system.semi_diameter_mm**-2.0
         surfaces["terms"] = np.where(geometry.asphere.any(axis=1), self.terms, 0)
-        self._surfaces = device.resident("surfaces", surfaces.view(np.float32))
-        self._aspheres = device.resident("aspheres", split(geometry.asphere[:, : self.terms]))
-        self._indices = device.resident("indices", split(index.T))
         pairs = np.zeros((len(angles), len(wavelengths_nm)), _PAIR)
         self.chief_y_mm, self.chief_beta = np.empty((2, *pairs.shape))
         for field, theta in enumerate(angles):
@@ -120,6 +117,10 @@ class Beams:
             self.chief_y_mm[field], self.chief_beta[field] = chief
         pairs["first_index"] = np.arange(len(wavelengths_nm)) * (count + 1)
         pairs["waves_per_mm"] = 1e6 / wavelengths_nm
+        # Nothing is on the device before all that can fail has passed.
+        self._surfaces = device.resident("surfaces", surfaces.view(np.float32))
+        self._aspheres = device.resident("aspheres", split(geometry.asphere[:, : self.terms]))
+        self._indices = device.resident("indices", split(index.T))
         self._pairs = device.resident("pairs", pairs.view(np.float32))
         self.count = pairs.size
 

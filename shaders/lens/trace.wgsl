@@ -65,8 +65,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
     let pair = pairs[start.pair];
     var ray = launched(pair, start.p);
     var path = vec2f(0.0);
-    var sag_before = vec2f(0.0);
-    var before = vec2f(0.0);
+    var sag_before: vec2f;
+    var before: vec2f;
     var reach = 1e-30;            // 0 is kept for failures
     var failed = 0.0;
     for (var s = 0u; s < params.surfaces; s++) {

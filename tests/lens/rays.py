@@ -1,6 +1,7 @@
 """Rays for the stages that trace them: what the device gets, and what float64 makes of the same."""
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 from harness.stage import MARGIN
@@ -40,7 +41,33 @@ def phone_lens() -> System:
     return build(lens(rows, f_number=2.4, max_field_deg=20.0, focus="best"))
 
 
+def oval(**last: object) -> System:
+    """Return a lens without spherical aberration at f/1.25: plane, then Descartes's hyperboloid.
+
+    Its glass does not disperse: on the axis W is nothing but what is lost to rounding.
+    """
+    rows = [
+        {"radius": np.inf, "thickness": 20.0, "glass": "constant", "nd": 1.5},
+        {"radius": -25.0, "conic": -2.25} | last,
+    ]
+    return build(lens(rows, f_number=1.25, max_field_deg=1.0))
+
+
+def polynomial_oval() -> System:
+    """Return the same lens up to f/2.5, its hyperboloid as a polynomial of fifteen terms.
+
+    c r^2 / (1 + sqrt(1 - q r^2)), q = (1 + conic) c^2, is c sum of C_m (q / 4)^m r^(2 m + 2) / 2,
+    with Catalan's numbers C_m.
+    """
+    c, q = -1 / 25, (1 - 2.25) / 25**2
+    terms = {f"a{2 * m + 2}": c / 2 * comb(2 * m, m) / (m + 1) * (q / 4) ** m for m in range(15)}
+    whole = oval(radius=np.inf, conic=0.0, asphere=terms)
+    return build(whole.prescription.model_copy(update={"f_number": 2.5}))
+
+
 LENSES = {
+    "oval": (oval, (0.0, 1.0)),
+    "polynomial oval": (polynomial_oval, (0.0, 1.0)),
     "double gauss": (double_gauss, (0.0, 14.0)),
     "phone": (phone_lens, (0.0, 20.0)),
     "fisheye": (lambda: build(fisheye()), (30.0, 90.0, 105.0)),

@@ -58,7 +58,7 @@ def disc(radius: float, count: int = 130, seed: int = 2) -> np.ndarray:
     return points.astype(np.float32).astype(float)
 
 
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("name", ["double gauss", "phone", "fisheye"])
 def test_rays_meet_the_stop_where_they_were_sent(device: Device, name: str):
     beams = made(device, name)
     wanted = disc(1.05 * beams.system.stop_radius_mm)

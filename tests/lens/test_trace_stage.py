@@ -1,12 +1,13 @@
 """The tracer on the device against the float64 tracer `gpusim.lens.trace`, ray by ray.
 
-Tolerances. A ray passes S surfaces with some 30 roundings each, of coordinates up to the lens's
-size, and angles go with them: GAIN says by how much a lens magnifies that, from the ratio of its
-largest length to its focal length; ANGLE and PLACE are such sums for the lenses here. By Fermat the
-path is right to second order: (5e-6 mm)^2 over gaps of 0.5 mm are 5e-11 mm, 1e-7 waves; 100
-roundings of 2^-44 of paths of 50 mm are 3e-10 mm, 6e-7 waves at most. W belongs to the direction
-that the device found, so the reference is moved there along its slope, minus the landing. Three
-roundings of the result: of W in mm, of 1 / lambda, of their product.
+Tolerances. A ray meets up to eleven surfaces with some 30 roundings each, of coordinates of up to
+20 mm and of angles; most of them are small: ANGLE and PLACE_MM are 30 and 20 roundings in all. By
+Fermat the path is right to second order: (5e-6 mm)^2 over gaps of 0.5 mm are 5e-11 mm, 1e-7 waves;
+100 roundings of 2^-44 of paths of 50 mm are 3e-10 mm, 6e-7 waves at most. Of the oval's two
+surfaces and 100 mm there are a dozen roundings of 2^-47, 2e-8 waves, and on its axis no W to cover
+them up. W belongs to the direction that the device found, so the reference is moved there along its
+slope, minus the landing. Three roundings of the result: of W in mm, of 1 / lambda, of their
+product.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,9 @@ from gpusim.lens.trace import Geometry, trace
 from gpusim.lens.tracer import ACROSS, GROUP, Beams, Traced, split, starts
 from gpusim.lens.wavefront import field_launch
 
-ANGLE, PLACE_MM, WAVES = 2e-6, 1e-5, 7e-7
+ANGLE, PLACE_MM, WAVES = 2e-6, 2e-5, 7e-7
+# The polynomial's a28 and a30 are below 1e-38, which f32 flushes: 3e-10 mm at the rim.
+EXACT = {"oval": 2e-8, "polynomial oval": 3e-7}
 MADE = {}
 
 
@@ -46,7 +49,7 @@ def across_stop(beams: Beams, size: float, seed: int = 1, count: int = 150) -> n
     return np.einsum("pka,rk->pra", aim.reshape(-1, 2, 2), wanted).astype(np.float32)
 
 
-def check(beams: Beams, theta: float, number: int, p: np.ndarray, found: Traced) -> None:
+def check(beams: Beams, theta: float, p: np.ndarray, found: Traced, waves: float = WAVES) -> None:
     """Compare the rays of one field's beams, (L R), beam after beam."""
     lines = beams.wavelengths_nm
     count = len(p) // len(lines)
@@ -61,8 +64,7 @@ def check(beams: Beams, theta: float, number: int, p: np.ndarray, found: Traced)
         assert_close(found.reach[part], truth.reach[0], rtol=2 * PLACE_MM / smallest, atol=2e-6)
         off = found.cosines[part] - truth.cosines[0]
         moved = truth.opd_waves[0] - (truth.landing_mm[0] * off).sum(-1) / (1e-6 * lines[line])
-        assert_close(found.opd_waves[part], moved, atol=WAVES + 3 * ULP * np.abs(moved))
-    assert number >= 0
+        assert_close(found.opd_waves[part], moved, atol=waves + 3 * ULP * np.abs(moved))
 
 
 @pytest.mark.parametrize("name", LENSES)
@@ -74,8 +76,7 @@ def test_rays_are_those_of_the_reference(device: Device, name: str):
         rays = p[list(of_field)].reshape(-1, 2)
         found = beams.trace(rays, np.repeat(of_field, p.shape[1]))
         assert (found.failed_at == 0).mean() > 0.8
-        assert np.abs(found.opd_waves).max() > 0.5
-        check(beams, float(theta), number, rays, found)
+        check(beams, float(theta), rays, found, EXACT.get(name, WAVES))
 
 
 def test_the_comparison_finds_planted_errors(device: Device):
@@ -83,16 +84,16 @@ def test_the_comparison_finds_planted_errors(device: Device):
     p = across_stop(beams, 1.1)[:2].reshape(-1, 2)
     found = beams.trace(p, np.repeat([0, 1], len(p) // 2))
     good = vars(found)
-    check(beams, 0.0, 0, p, Traced(**good))
+    check(beams, 0.0, p, Traced(**good))
     for name, error in {
         "opd_waves": 1e-5,
         "reach": 1e-4,
-        "landing_mm": 2e-5,
+        "landing_mm": 3e-5,
         "cosines": 4e-6,
         "failed_at": 1,
     }.items():
         with pytest.raises(AssertionError, match="elements are bad"):
-            check(beams, 0.0, 0, p, Traced(**good | {name: good[name] + error}))
+            check(beams, 0.0, p, Traced(**good | {name: good[name] + error}))
 
 
 def test_the_chief_rays_have_no_opd_and_land_at_the_origin(device: Device):
@@ -119,7 +120,13 @@ class Held(System):
 def held(curvature, vertex_z, stop, image_z, media) -> Held:
     count = len(curvature)
     shape = Geometry(
-        np.array(curvature), np.zeros(count), np.zeros((count, 15)), np.array(vertex_z), stop
+        curvature=np.array(curvature),
+        conic=np.zeros(count),
+        asphere=np.zeros((count, 15)),
+        vertex_z=np.array(vertex_z),
+        stop=stop,
+        decentre=np.zeros((count, 2)),
+        rotation=np.broadcast_to(np.eye(3), (count, 3, 3)),
     )
     return Held(None, shape, 0.5, np.full(count, np.inf), image_z, media)
 
@@ -192,7 +199,7 @@ def test_where_surfaces_cross_the_path_is_negative(device: Device):
     p = across_stop(beams, 1.0)[:1].repeat(2, axis=0).reshape(-1, 2)
     found = beams.trace(p, np.repeat([0, 1], len(p) // 2))
     assert (np.hypot(*p.T) > 2.3).mean() > 0.2
-    check(beams, 0.0, 0, p, found)
+    check(beams, 0.0, p, found)
     beams.release()
 
 
