@@ -29,15 +29,13 @@ var<workgroup> sh_line: array<vec4f, T>;
 
 // conj(F_s + i F_s') of two sites at bin q: the inverse transform is the conjugate of the conjugate's forward one.
 fn bin(pair: u32, q: u32, m: u32) -> vec2f {
-    if (2u * pair >= S) {
-        return vec2f(0.0);
-    }
     let mirrored = q > M / 2u;
     let f = folded[(pair * (M / 2u + 1u) + select(q, M - q, mirrored)) * M + m];
     let g = select(f, pair_conj(f), mirrored);
     return vec2f(g.x - g.w, -g.y - g.z);
 }
 
+// Of a single site the second pair is read past the end, and not used.
 fn bins(pair: u32, q: u32, m: u32) -> vec4f {
     return vec4f(bin(pair, q, m), bin(pair + 1u, q, m));
 }
@@ -50,9 +48,11 @@ fn add(site: u32, n: u32, y: i32, pair: vec4f) {
     let plane = params.size.x * params.size.y;
     let i = (i32(site) * params.size.y + y) * params.size.x + x;
     rates[i] += pair.x;
-    if (site + 1u < S) { rates[i + plane] -= pair.y; }
-    if (site + 2u < S) { rates[i + 2 * plane] += pair.z; }
-    if (site + 3u < S) { rates[i + 3 * plane] -= pair.w; }
+    if (S > 1u) {
+        rates[i + plane] -= pair.y;
+        rates[i + 2 * plane] += pair.z;
+        rates[i + 3 * plane] -= pair.w;
+    }
 }
 
 @compute @workgroup_size(LANES, 1, 1)
