@@ -116,6 +116,6 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         directions[start.to] = vec4f(0.0, 0.0, failed, 0.0);
         return;
     }
-    opd[start.to] = vec4f((w.x + w.y) * pair.waves_per_mm, reach, far * alpha - to_x.x, far * beta - to_y.x);
+    opd[start.to] = vec4f(w.x * pair.waves_per_mm, reach, far * alpha - to_x.x, far * beta - to_y.x);
     directions[start.to] = vec4f(alpha, beta, 0.0, 0.0);
 }

@@ -47,6 +47,9 @@ SHAPES = {
     "hyperboloid": Shape(-1 / 6, -3.0, 1.0),
     "asphere": Shape(1 / 10, -0.7, 2.5, {4: 4e-4, 6: -8e-6, 30: 2e-21}),
     "nothing but a polynomial": Shape(0.0, 0.0, 2.0, {2: 0.04, 4: -3e-4}),
+    "flat but for its conic": Shape(1 / 3, -1.0, 2.0, {2: -1 / 6, 4: 1e-3}),
+    "steep": Shape(1 / 6.5, 0.0, 3.5, {4: 1e-4}),
+    "one term": Shape(0.0, 0.0, 2.0, {2: 0.05}),
     "hollow asphere": Shape(-1 / 9, 0.3, 1.0, {2: 0.01, 8: 3e-7}),
 }
 NAMES = list(SHAPES)
@@ -246,6 +249,23 @@ def test_newton_that_does_not_arrive_is_a_failure():
     steep = 1 + np.abs(shape.slope(np.hypot(*there[ok, :2].T)))
     assert_close(there[ok, 2], sag, atol=(2e-5 * 20 + POINT) * steep)
     assert np.isfinite(there).all()
+
+
+def test_how_far_a_point_lies_from_a_surface():
+    rng = np.random.default_rng(9)
+    q = rng.uniform(-4, 4, (200, 3)).astype(np.float32)
+    for name in ("asphere", "paraboloid", "steep"):
+        q[:, :2] *= 0.7
+        found = wgsl_eval(
+            "surface",
+            f"gap_at({NAMES.index(name)}u, q)",
+            {"q": ("vec3f", q)},
+            declarations=declarations(),
+            params={"terms": TERMS},
+        ).astype(float)
+        at = q.astype(float)
+        sag = SHAPES[name].sag((at[:, :2] ** 2).sum(axis=1))
+        assert_close(found, np.abs(at[:, 2] - sag), atol=POINT)
 
 
 def test_the_polynomial_and_its_slope():

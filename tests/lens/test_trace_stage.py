@@ -247,7 +247,9 @@ def params(beams: Beams, rays: int, across: int) -> dict[str, object]:
 @pytest.mark.parametrize(("count", "across"), [(64, 1), (65, 1), (300, 2), (700, 3), (1, 5)])
 def test_results_go_where_they_are_wanted_over_several_rows(device: Device, count, across):
     _, beams = made(device, "double gauss")
+    # The last one passes beside the lens.
     p = np.resize(across_stop(beams, 1.1)[0], (count, 2)) * np.linspace(0.5, 1, count)[:, None]
+    p[-1] = 50.0
     pair = np.arange(count) % beams.count
     to = np.random.default_rng(count).permutation(count + 7)[:count]
     groups = -(-count // GROUP)
@@ -265,7 +267,10 @@ def test_results_go_where_they_are_wanted_over_several_rows(device: Device, coun
     together = np.column_stack([straight.opd_waves, straight.reach, straight.landing_mm])
     assert_close(found["opd"][to], together, atol=0)
     assert_close(found["directions"][to, :2], straight.cosines.copy(), atol=0)
-    assert_close(found["directions"][to, 2:], np.zeros((count, 2)), atol=0)
+    assert_close(found["directions"][to, 2], straight.failed_at.astype(float), atol=0)
+    assert_close(found["directions"][to, 3], np.zeros(count), atol=0)
+    assert straight.failed_at[-1] > 0
+    assert (straight.failed_at[:-1] == 0).all()
 
 
 def test_the_host_dispatches_rows_that_adapters_allow():
