@@ -17,7 +17,7 @@ from gpusim.gpu import Kernel
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.reference.pupil import edge_share, pupil
 
-T, ROWS, NA, NB = 200, 37, 5, 28
+T, ROWS, NA, NB = 200, 70, 5, 28
 FAR = 1e9  # um: nothing folds
 WAVES = 1 / 512e-6
 
