@@ -2,7 +2,7 @@
 // two_sum (Knuth 1969), products of halves of 12 bits (Dekker 1971; here cut by a mask, so that no
 // multiplication is needed and nothing depends on fma being fused or not).
 //
-// Depends on the global: params.zero, u32, always 0. A compiler may take (a + b) - a for b, and lavapipe does;
+// Depends on the globals: params.zero, u32, always 0. A compiler may take (a + b) - a for b, and lavapipe does;
 // an exclusive or with a number that it cannot know hides the sum from it.
 
 fn pin(x: f32) -> f32 {

@@ -1,5 +1,7 @@
 // Rays of one field and wavelength start on the plane wavefront through a point E of the chief ray in
 // object space: at E + p_x (1, 0, 0) + p_y (0, cos theta, -sin theta), along (0, sin theta, cos theta).
+//
+// Depends on the globals of common/surface.
 #include "surface"
 
 struct Pair {
