@@ -66,7 +66,6 @@ fn bend(ray: Ray, s: u32, ratio: f32) -> Ray {
             let f = sag(s, dot(q.xy, q.xy));
             t -= (q.z - f.x) / (d.z - 2.0 * f.y * dot(q.xy, d.xy));
         }
-        q = p + t * d;
         let r2 = dot(q.xy, q.xy);
         let f = sag(s, r2);
         // 1e-5 of the way is a hundred roundings.

@@ -239,7 +239,7 @@ def test_of_two_intersections_the_one_nearest_the_vertex_counts(c: int):
 
 
 def test_newton_that_does_not_arrive_is_a_failure():
-    # A polynomial that turns over steeply: near r = 8 mm its slope is 2e-21 * 30 * 8^29 = 9.
+    # A polynomial that turns up steeply: at 5 mm its slope is 30 * 2e-21 * 5^29 = 11.
     at, along = parallel(np.linspace(0, 9.9, 200), 25.0)
     there, _, ok = bend("asphere", at, along, np.full(200, 0.6))
     shape = SHAPES["asphere"]
@@ -249,6 +249,32 @@ def test_newton_that_does_not_arrive_is_a_failure():
     steep = 1 + np.abs(shape.slope(np.hypot(*there[ok, :2].T)))
     assert_close(there[ok, 2], sag, atol=(2e-5 * 20 + POINT) * steep)
     assert np.isfinite(there).all()
+
+
+def test_a_ray_that_starts_on_an_asphere_meets_it_there():
+    # Without a way, what counts as met is a share of the sag: 1e-5, a hundred roundings of it.
+    shape = SHAPES["asphere"]
+    y = np.linspace(0.0, 4.5, 40)
+    at = np.stack([0 * y, y, shape.sag(y**2) + shape.gap], axis=1).astype(np.float32).astype(float)
+    there, _, ok = bend("asphere", at, unit(np.tile([0.0, 0.1, 1.0], (40, 1))), np.full(40, 0.6))
+    assert ok.all()
+    # A slope of up to 2 makes of a rounding across three along.
+    assert_close(there, at - [0, 0, shape.gap], atol=4 * POINT)
+
+
+def test_a_ray_that_passes_close_by_an_asphere_misses_it():
+    # z = y^2 / 20, and rays along its tangent at 4 mm, e outside it: what counts as met is 1e-5 of
+    # 12 mm, 1.2e-4 mm. Newton then jumps about the closest point, within a few e of the surface.
+    shape = SHAPES["one term"]
+    e = np.linspace(5e-4, 8e-3, 300)
+    along = unit(np.array([[0.0, 1.0, 0.4]]))
+    at = np.array([[0.0, 4.0, 0.8 + shape.gap]]) - 8 * along - e[:, None] * [0, 0, 1]
+    at = at.astype(np.float32).astype(float)
+    _, _, ok = bend("one term", at, np.repeat(along, 300, axis=0), np.full(300, 0.6))
+    assert not ok.any()
+    # On the other side they meet it.
+    at[:, 2] += 0.5
+    assert bend("one term", at, np.repeat(along, 300, axis=0), np.full(300, 1 / 1.6))[2].all()
 
 
 def test_how_far_a_point_lies_from_a_surface():
