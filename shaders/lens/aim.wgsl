@@ -6,6 +6,8 @@
 // Dispatch: (ceil(R/64), P, 1) workgroups, P pairs of field and wavelength.
 #include "launch"
 
+override TURNS: u32 = 12u;    // a start within the beam takes 3 to 5
+
 struct Params {
     terms: u32,
     stop: u32,                // surfaces up to the stop, itself counted
@@ -21,7 +23,6 @@ struct Params {
 @group(0) @binding(5) var<storage, read> wanted: array<vec2f>;
 @group(0) @binding(6) var<storage, read_write> aimed: array<vec4f>;
 
-const TURNS = 12u;            // a start within the beam takes 3 to 5
 const GOOD = 2e-5;            // of the stop's radius: 100 roundings of the ray's way
 
 // Where the ray meets the stop; z is 1 where it does, else 0.
@@ -43,14 +44,14 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let goal = wanted[id.x];
     let step = 1e-3 * params.radius;
     var p = goal.x * pair.aim.xy + goal.y * pair.aim.zw;
-    var best = vec3f(p, -1.0);
+    var best = vec3f(p, 1.0);
     for (var turn = 0u; turn < TURNS; turn++) {
         let here = at_stop(pair, p);
         let right = at_stop(pair, p + vec2f(step, 0.0));
         let up = at_stop(pair, p + vec2f(0.0, step));
         let miss = here.xy - goal;
         let far = length(miss) / params.radius;
-        if (here.z > 0.0 && (best.z < 0.0 || far < best.z)) {
+        if (here.z > 0.0 && far < best.z) {
             best = vec3f(p, far);
         }
         if (here.z > 0.0 && far < 0.1 * GOOD) {

@@ -76,6 +76,44 @@ def test_rays_meet_the_stop_where_they_were_sent(device: Device, name: str):
     assert np.abs(p[:, 0]).max() < ROUNDING * beams.system.stop_radius_mm
 
 
+def in_turns(device: Device, beams: Beams, wanted: np.ndarray, turns: int) -> np.ndarray:
+    """Return what the shader finds in so many turns, (P, R, 4)."""
+    params = {
+        "terms": beams.terms,
+        "stop": beams.system.geometry.stop + 1,
+        "rays": len(wanted),
+        "radius": beams.system.stop_radius_mm,
+    }
+    return run_stage(
+        "lens/aim",
+        (-(-len(wanted) // 64), beams.count, 1),
+        params,
+        bound(device, beams) | {"wanted": wanted.astype(np.float32)},
+        {"aimed": ((beams.count, len(wanted), 4), np.float32)},
+        TURNS=turns,
+    )["aimed"]
+
+
+def test_where_the_stop_is_a_plane_before_the_lens_the_start_is_the_end(device: Device):
+    # The stop is the first surface: stop points go linearly with the launch plane's.
+    beams = made(device, "phone")
+    wanted = disc(beams.system.stop_radius_mm)
+    found = in_turns(device, beams, wanted, 1)
+    assert (found[..., 2] >= 0).all()
+    assert misses(beams, wanted, found[..., :2]).max() < ROUNDING
+    assert np.ptp(found[2, :, 1]) < 0.98 * np.ptp(found[0, :, 1])  # seen from 20 deg
+
+
+@pytest.mark.parametrize("name", ["double gauss", "fisheye"])
+def test_newton_converges_as_newton_does(device: Device, name: str):
+    # From a start that is 1e-2 of the stop off, or 0.1 at 105 deg, its square and the square of
+    # that remain, and 1e-3 of it at each turn from the differences.
+    beams = made(device, name)
+    wanted = disc(beams.system.stop_radius_mm)
+    assert (in_turns(device, beams, wanted, 1)[..., 2] < 0).mean() > 0.5
+    assert (in_turns(device, beams, wanted, 4)[..., 2] >= 0).all()
+
+
 def strong() -> System:
     """Return a ball's front with a stop far behind its focus: only a third reaches it straight.
 
