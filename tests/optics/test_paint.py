@@ -45,10 +45,11 @@ def on_device(
     sigma: float = 0.8,
     distortion: np.ndarray = IDENTITY,
     radius: float = 1e4,
+    needed: int | None = None,
 ) -> np.ndarray:
     """Paint shapes in the order given; in the table they lie in another order, among others.
 
-    Every tile has all shapes.
+    Every tile has all shapes, and needs all planes or as many as said.
     """
     rng = np.random.default_rng(len(shapes))
     place = rng.permutation(len(shapes) + 3)[: len(shapes)]
@@ -68,7 +69,7 @@ def on_device(
     eight[:, : table.shape[1]] = table
     planes = table.shape[1]
     tiles = [
-        (x + 65536 * y, 5, len(shapes), background + 65536 * planes)
+        (x + 65536 * y, 5, len(shapes), background + 65536 * (needed or planes))
         for y in range(0, shape[0], 16)
         for x in range(0, shape[1], 16)
     ]
@@ -181,6 +182,15 @@ def test_shapes_within_shapes_in_painters_order():
 @pytest.mark.parametrize("planes", range(1, 9))
 def test_planes_from_one_to_eight(planes: int):
     check([Rect(1, 2, 6, 5, 0.3, 1)], materials(3, planes), (-9.5, -7.5), (17, 19), background=2)
+
+
+@pytest.mark.parametrize("needed", range(1, 8))
+def test_planes_that_a_tile_does_not_need_are_left_as_they_are(needed: int):
+    shapes, table = [Rect(1, 2, 6, 5, 0.3, 1)], materials(3, 8)
+    found = on_device(shapes, table, (-9.5, -7.5), (17, 19), 2, needed=needed)
+    whole = on_device(shapes, table, (-9.5, -7.5), (17, 19), 2)
+    assert_close(found[:needed], whole[:needed], atol=0)
+    assert unwritten(found[needed:]).all()
 
 
 def test_the_background_alone():
