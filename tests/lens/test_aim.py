@@ -104,6 +104,15 @@ def test_where_the_stop_is_a_plane_before_the_lens_the_start_is_the_end(device: 
     assert np.ptp(found[2, :, 1]) < 0.98 * np.ptp(found[0, :, 1])  # seen from 20 deg
 
 
+def test_what_counts_as_a_hit_is_a_share_of_the_stops_radius(device: Device):
+    # A stop of 20 mm: roundings of 20 mm are 1e-6 mm, 6e-8 of it.
+    beams = made(device, "oval")
+    wanted = disc(beams.system.stop_radius_mm)
+    p, miss = beams.aim(wanted)
+    assert (miss >= 0).all()
+    assert misses(beams, wanted, p).max() < 1e-6
+
+
 @pytest.mark.parametrize("name", ["double gauss", "fisheye"])
 def test_newton_converges_as_newton_does(device: Device, name: str):
     # From a start that is 1e-2 of the stop off, or 0.1 at 105 deg, its square and the square of
