@@ -110,6 +110,12 @@ class Beams:
         surfaces["gap"] = split(np.diff(geometry.vertex_z, prepend=0.0))
         surfaces["semi"] = system.semi_diameter_mm**-2.0
         surfaces["terms"] = np.where(geometry.asphere.any(axis=1), self.terms, 0)
+        # Powers of a power of two are exact; of about the lens's radius they keep a30 within f32.
+        sizes = np.append(system.semi_diameter_mm, system.stop_radius_mm)
+        unit_mm = 2.0 ** np.ceil(np.log2(sizes[np.isfinite(sizes)].max()))
+        self.per_unit2 = unit_mm**-2.0
+        powers = 2.0 * np.arange(1, self.terms + 1)
+        aspheres = geometry.asphere[:, : self.terms] * unit_mm**powers
         pairs = np.zeros((len(angles), len(wavelengths_nm)), _PAIR)
         self.chief_y_mm, self.chief_beta = np.empty((2, *pairs.shape))
         for field, theta in enumerate(angles):
@@ -119,7 +125,7 @@ class Beams:
         pairs["waves_per_mm"] = 1e6 / wavelengths_nm
         # Nothing is on the device before all that can fail has passed.
         self._surfaces = device.resident("surfaces", surfaces.view(np.float32))
-        self._aspheres = device.resident("aspheres", split(geometry.asphere[:, : self.terms]))
+        self._aspheres = device.resident("aspheres", split(aspheres))
         self._indices = device.resident("indices", split(index.T))
         self._pairs = device.resident("pairs", pairs.view(np.float32))
         self.count = pairs.size
@@ -172,6 +178,7 @@ class Beams:
         kernel = Kernel("lens/aim")
         params = {
             "terms": self.terms,
+            "per_unit2": self.per_unit2,
             "stop": self.system.geometry.stop + 1,
             "rays": rays,
             "radius": self.system.stop_radius_mm,
@@ -207,6 +214,7 @@ class Beams:
         params = {
             "zero": 0,
             "terms": self.terms,
+            "per_unit2": self.per_unit2,
             "surfaces": len(geometry.curvature),
             "stop": geometry.stop + 1,
             "rays": count,

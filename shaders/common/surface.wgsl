@@ -1,7 +1,8 @@
 // A ray in f32 through one surface of revolution: sphere, conic or even asphere, then Snell's law.
 //
 // Depends on the globals: params.terms, u32, coefficients per surface; surfaces: array<Surface>;
-// aspheres: array<vec2f>, params.terms per surface: a2, a4 ... each as high and low part, mm^(1-k).
+// aspheres: array<vec2f>, params.terms per surface: a2 U^2, a4 U^4 ... each as high and low part, mm;
+// params.per_unit2, f32: 1 / U^2. In a unit U of about the lens's radius a30 does not leave the range of f32.
 
 struct Surface {
     curvature: vec2f,         // 1/mm, high and low part
@@ -19,13 +20,14 @@ struct Ray {
 
 // Sag of the polynomial and its derivative with respect to r^2.
 fn polynomial(s: u32, r2: f32) -> vec2f {
+    let t = r2 * params.per_unit2;
     var sum = 0.0;
     var slope = 0.0;
     for (var k = surfaces[s].terms; k > 0u; k--) {
-        slope = slope * r2 + sum;
-        sum = sum * r2 + aspheres[s * params.terms + k - 1u].x;
+        slope = slope * t + sum;
+        sum = sum * t + aspheres[s * params.terms + k - 1u].x;
     }
-    return vec2f(sum * r2, slope * r2 + sum);
+    return vec2f(sum * t, (slope * t + sum) * params.per_unit2);
 }
 
 // Sag of conic and polynomial, and its derivative with respect to r^2.

@@ -10,6 +10,7 @@ override TURNS: u32 = 12u;    // a start within the beam takes 3 to 5
 
 struct Params {
     terms: u32,
+    per_unit2: f32,
     stop: u32,                // surfaces up to the stop, itself counted
     rays: u32,                // R
     radius: f32,              // of the stop, mm

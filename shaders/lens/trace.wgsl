@@ -16,6 +16,7 @@
 struct Params {
     zero: u32,
     terms: u32,
+    per_unit2: f32,
     surfaces: u32,            // S
     stop: u32,                // surfaces up to the stop, itself counted
     rays: u32,                // R
@@ -41,11 +42,12 @@ struct Start {
 // Sag at (x, y), with 48 bits; z within f32's rounding of it.
 fn exact_sag(s: u32, at: vec3f) -> vec2f {
     let r2 = df_add(two_product(at.x, at.x), two_product(at.y, at.y));
+    let t = r2 * params.per_unit2;  // exact: a power of two
     var sum = vec2f(0.0);
     for (var k = surfaces[s].terms; k > 0u; k--) {
-        sum = df_add(df_multiply(sum, r2), aspheres[s * params.terms + k - 1u]);
+        sum = df_add(df_multiply(sum, t), aspheres[s * params.terms + k - 1u]);
     }
-    sum = df_multiply(sum, r2);
+    sum = df_multiply(sum, t);
     // One step of Newton on c (r^2 + (1 + conic) z^2) - 2 z = 0, the conic alone.
     let c = surfaces[s].curvature;
     let z = at.z - sum.x;

@@ -35,7 +35,7 @@ def wgsl_eval(
     returns: str = "f32",
     declarations: str = "",
     statements: str = "",
-    params: Mapping[str, int] | None = None,
+    params: Mapping[str, int | float] | None = None,
 ) -> np.ndarray:
     """Evaluate a WGSL expression on the device, once for each row of the inputs.
 
@@ -52,8 +52,8 @@ def wgsl_eval(
         WGSL type of the expression.
     declarations, statements : str
         Further module-scope text; further statements in front of the expression.
-    params : dict of str to int, optional
-        Members of ``params``, u32, that the include reads.
+    params : dict of str to int or float, optional
+        Members of ``params`` that the include reads, u32 or f32.
 
     Returns
     -------
@@ -80,7 +80,9 @@ def wgsl_eval(
     count = counts.pop()
     text = [f'#include "{name}"' for name in names]
     values = {_COUNT: count, **(params or {})}
-    members = ", ".join(f"{name}: u32" for name in values)
+    members = ", ".join(
+        f"{name}: {'f32' if isinstance(value, float) else 'u32'}" for name, value in values.items()
+    )
     text += [f"struct Params {{ {members} }}", declarations]
     text.append("@group(0) @binding(0) var<uniform> params: Params;")
     for index, (name, (one, _)) in enumerate(kinds.items(), start=1):

@@ -80,6 +80,7 @@ def in_turns(device: Device, beams: Beams, wanted: np.ndarray, turns: int) -> np
     """Return what the shader finds in so many turns, (P, R, 4)."""
     params = {
         "terms": beams.terms,
+        "per_unit2": beams.per_unit2,
         "stop": beams.system.geometry.stop + 1,
         "rays": len(wanted),
         "radius": beams.system.stop_radius_mm,
@@ -174,6 +175,7 @@ def test_every_ray_of_every_beam_is_written(device: Device, count: int):
         (-(-count // 64), 3, 1),
         {
             "terms": beams.terms,
+            "per_unit2": beams.per_unit2,
             "stop": beams.system.geometry.stop + 1,
             "rays": count,
             "radius": beams.system.stop_radius_mm,

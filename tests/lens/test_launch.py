@@ -41,7 +41,7 @@ def launched(theta, base, p):
             returns="vec4f",
             declarations=SURFACES,
             statements=statements,
-            params={"terms": 1},
+            params={"terms": 1, "per_unit2": 1.0},
         ).astype(float)
         for expression in ("vec4f(ray.at, select(0.0, 1.0, ray.ok))", "vec4f(ray.along, 0.0)")
     ]

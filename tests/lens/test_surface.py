@@ -15,6 +15,7 @@ from optics.made import ULP
 
 POINT, SNELL = 20 * 12 * ULP, 2e-5
 TERMS = 15
+UNIT = 4.0  # mm, of the polynomials
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,10 @@ def declarations() -> str:
         parts = [shape.c, 1 + shape.conic, shape.gap]
         pairs = ", ".join(f"vec2f({number(x)}, 0.0)" for x in parts)
         rows.append(f"Surface({pairs}, 0.0, {count}u)")
-        terms += [f"vec2f({number(shape.a.get(2 * k + 2, 0.0))}, 0.0)" for k in range(TERMS)]
+        terms += [
+            f"vec2f({number(shape.a.get(2 * k + 2, 0.0) * UNIT ** (2 * k + 2))}, 0.0)"
+            for k in range(TERMS)
+        ]
     return (
         f"var<private> surfaces: array<Surface, {len(rows)}> = array({', '.join(rows)});\n"
         f"var<private> aspheres: array<vec2f, {len(terms)}> = array({', '.join(terms)});"
@@ -88,7 +92,7 @@ def bend(name: str, at: np.ndarray, along: np.ndarray, ratio: np.ndarray, ok: bo
             returns="vec4f",
             declarations=declarations(),
             statements=call,
-            params={"terms": TERMS},
+            params={"terms": TERMS, "per_unit2": UNIT**-2.0},
         ).astype(float)
         for expression in ("vec4f(ray.at, select(0.0, 1.0, ray.ok))", "vec4f(ray.along, 0.0)")
     )
@@ -327,7 +331,7 @@ def test_how_far_a_point_lies_from_a_surface():
             f"gap_at({NAMES.index(name)}u, q)",
             {"q": ("vec3f", q)},
             declarations=declarations(),
-            params={"terms": TERMS},
+            params={"terms": TERMS, "per_unit2": UNIT**-2.0},
         ).astype(float)
         at = q.astype(float)
         sag = SHAPES[name].sag((at[:, :2] ** 2).sum(axis=1))
@@ -344,7 +348,7 @@ def test_the_polynomial_and_its_slope():
         {"r2": ("f32", r2)},
         returns="vec2f",
         declarations=declarations(),
-        params={"terms": TERMS},
+        params={"terms": TERMS, "per_unit2": UNIT**-2.0},
     ).astype(float)
     coefficients = np.zeros(TERMS + 1)
     coefficients[[k // 2 for k in shape.a]] = [float(np.float32(a)) for a in shape.a.values()]

@@ -26,8 +26,9 @@ from gpusim.lens.tracer import ACROSS, GROUP, Beams, Traced, split, starts
 from gpusim.lens.wavefront import field_launch
 
 ANGLE, PLACE_MM, WAVES = 2e-6, 2e-5, 7e-7
-# The polynomial's a28 and a30 are below 1e-38, which f32 flushes: 3e-10 mm at the rim.
-EXACT = {"oval": 2e-8, "polynomial oval": 3e-7}
+# The polynomial's a28 and a30 are below 1e-38 mm^(1-k), which f32 would flush: 1e-7 waves at the
+# rim. In the unit of shaders/common/surface they are not.
+EXACT = {"oval": 2e-8, "polynomial oval": 2e-8}
 MADE = {}
 
 
@@ -236,6 +237,7 @@ def params(beams: Beams, rays: int, across: int) -> dict[str, object]:
     return {
         "zero": 0,
         "terms": beams.terms,
+        "per_unit2": beams.per_unit2,
         "surfaces": len(geometry.curvature),
         "stop": geometry.stop + 1,
         "rays": rays,
