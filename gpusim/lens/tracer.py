@@ -91,6 +91,8 @@ class Beams:
     ------
     UserError
         A chief ray does not pass the lens.
+    ValueError
+        An element is decentred or tilted: shaders/lens knows surfaces of revolution on one axis.
     """
 
     def __init__(
@@ -101,6 +103,8 @@ class Beams:
         self.wavelengths_nm = wavelengths_nm
         self.angles = angles
         geometry, index = system.geometry, system.index(wavelengths_nm)
+        if geometry.moved.any():
+            raise ValueError("the device traces lenses whose elements lie on one axis")
         count = len(geometry.curvature)
         used = np.flatnonzero(geometry.asphere.any(axis=0))
         self.terms = 1 + int(used[-1]) if used.size else 1

@@ -329,3 +329,9 @@ def test_a_fisheye_is_that_of_the_float64_path_at_90_deg_and_beyond(device):
         assert np.abs(made.spread(field).psf[0, :, ::-1] - psf).max() > 1e-1 * psf.max()
     assert (made.residual_waves < 1e-4).all()
     made.release()
+
+
+def test_a_lens_with_a_moved_element_is_not_traced_as_if_it_were_straight(device, demo_lens):
+    bent = build(demo_lens.with_element_moved(1, 2, decentre_mm=(0.0, 0.05)))
+    with pytest.raises(ValueError, match="on one axis"):
+        Generator(device, bent, LINES, np.zeros(1), pitch_um=PITCH, size=SIZE)
