@@ -48,8 +48,8 @@ class Lens(Protocol):
 class LensChoice(_Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
-    A prescription is brought to a focal length by scaling, to an f-number by stopping down, and to
-    a field; the others are what they are.
+    A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
+    field, and out of focus; the others are what they are.
     """
 
     prescription: str | None = None
@@ -58,6 +58,7 @@ class LensChoice(_Strict):
     focal_length_mm: float | None = Field(default=None, gt=0)
     f_number: float | None = Field(default=None, gt=0)
     max_field_deg: float | None = Field(default=None, gt=0)
+    focus_shift_um: float | None = Field(default=None, allow_inf_nan=False)
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -66,11 +67,11 @@ class LensChoice(_Strict):
             raise ValueError(
                 "give exactly one of prescription, bank (ready-made PSFs) and mtf (an MTF table)"
             )
-        for name in ("focal_length_mm", "f_number", "max_field_deg"):
+        for name in ("focal_length_mm", "f_number", "max_field_deg", "focus_shift_um"):
             if given != ["prescription"] and getattr(self, name) is not None:
                 raise ValueError(
                     f"{name} goes with a prescription: the PSFs of lens.{given[0]} hold for one "
-                    "focal length, stop and field, and cannot be traced again"
+                    "focal length, stop, field and focus, and cannot be traced again"
                 )
         return self
 
@@ -178,7 +179,8 @@ def load_camera(name_or_path: str | Path) -> Camera:
             file=path,
             field=".".join(str(part) for part in first["loc"]) or "(top level)",
             value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg} or "
+            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg, "
+            "focus_shift_um} or "
             "lens {bank} or lens {mtf}, sensor {preset, rows, cols}",
         ) from error
     lens = _lens(path, fields.lens)
@@ -213,6 +215,8 @@ def _lens(camera_file: Path, choice: LensChoice) -> Lens:
         lens = lens.stopped(choice.f_number)
     if choice.max_field_deg is not None:
         lens = lens.limited(choice.max_field_deg)
+    if choice.focus_shift_um is not None:
+        lens = lens.defocused(choice.focus_shift_um)
     return lens
 
 

@@ -42,6 +42,8 @@ def test_a_camera_takes_every_kind_of_lens(tmp_path):
         assert json.loads(json.dumps(facts))["title"] == title
     prescribed = load_camera(camera(tmp_path, "{prescription: double-gauss, f_number: 4}"))
     assert prescribed.lens.history == ("stop closed to f/4",)
+    shifted = load_camera(camera(tmp_path, "{prescription: double-gauss, focus_shift_um: -20}"))
+    assert shifted.lens.focus_shift_um == -20
 
 
 @pytest.mark.parametrize(
@@ -51,6 +53,7 @@ def test_a_camera_takes_every_kind_of_lens(tmp_path):
         ("{prescription: double-gauss, bank: a.nc}", ["exactly one"]),
         ("{bank: a.nc, mtf: diffraction-limited}", ["exactly one"]),
         ("{bank: a.nc, focal_length_mm: 8}", ["focal_length_mm", "lens.bank", "traced again"]),
+        ("{bank: a.nc, focus_shift_um: 8}", ["focus_shift_um", "lens.bank"]),
         ("{bank: a.nc, f_number: 8}", ["f_number", "lens.bank"]),
         ("{mtf: diffraction-limited, f_number: 8}", ["f_number", "lens.mtf"]),
         ("{mtf: diffraction-limited, max_field_deg: 8}", ["max_field_deg", "lens.mtf"]),

@@ -116,6 +116,10 @@ def lens(
     f_number: Annotated[
         float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
     ] = None,
+    focus_shift: Annotated[
+        float | None,
+        typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="PSF bank as .nc, or one page as .png or .html."),
@@ -127,7 +131,7 @@ def lens(
     """
     from gpusim.cli.lens import run
 
-    run(name, focal_length, f_number, out)
+    run(name, focal_length, f_number, focus_shift, out)
 
 
 @app.command()

@@ -25,7 +25,11 @@ KINDS = (".nc", ".png", ".html")
 
 
 def run(
-    name: str | None, focal_length_mm: float | None, f_number: float | None, out: Path | None
+    name: str | None,
+    focal_length_mm: float | None,
+    f_number: float | None,
+    focus_shift_um: float | None,
+    out: Path | None,
 ) -> None:
     """Show the data of a lens; write its bank or its page where `out` asks for them.
 
@@ -33,7 +37,7 @@ def run(
     states is not met, the exit code is 1, after everything was shown and written.
     """
     if name is None:
-        if (focal_length_mm, f_number, out) != (None, None, None):
+        if any(one is not None for one in (focal_length_mm, f_number, focus_shift_um, out)):
             raise UserError(
                 "the options need a lens", field="LENS", allowed=", ".join(presets()) + ", a file"
             )
@@ -47,6 +51,8 @@ def run(
         lens = lens.scaled(focal_length_mm)
     if f_number is not None:
         lens = lens.stopped(f_number)
+    if focus_shift_um is not None:
+        lens = lens.defocused(focus_shift_um)
     with ExitStack() as stack:
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
         system = build(lens)

@@ -553,6 +553,8 @@ def _provenance(system) -> dict[str, str]:
         "paraxial": f"paraxial at {prescription.reference_nm:g} nm",
         "as-given": "the last thickness of the prescription",
     }[prescription.focus]
+    if prescription.focus_shift_um:
+        focus += f", moved by {prescription.focus_shift_um:g} um"
     surfaces = (
         "uncoated Fresnel"
         if prescription.coating is None

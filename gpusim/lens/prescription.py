@@ -219,6 +219,7 @@ class Prescription(_Strict):
     stop_semi_diameter_mm: float | None = Field(None, gt=0)
     max_field_deg: float = Field(ge=0, lt=120)
     focus: Literal["best", "paraxial", "as-given"]
+    focus_shift_um: float = 0.0  # of the image plane from that focus, away from the lens
     stop: int
     surfaces: tuple[Surface, ...] = Field(min_length=1)
     coating: Coating | None = None
@@ -285,6 +286,7 @@ class Prescription(_Strict):
         return self.derived(
             f"every length multiplied by {factor:.9g}",
             surfaces=tuple(surface.scaled(factor) for surface in self.surfaces),
+            focus_shift_um=self.focus_shift_um * factor,
             checks=(),  # they hold at the published size
             **lengths,
         )
@@ -334,6 +336,27 @@ class Prescription(_Strict):
             f_number=float(f_number),
             entrance_pupil_diameter_mm=None,
             stop_semi_diameter_mm=None,
+        )
+
+    def defocused(self, shift_um: float) -> Prescription:
+        """Return the lens with its image plane moved by a distance, > 0 away from the lens.
+
+        Raises
+        ------
+        UserError
+            Where ``shift_um`` is not a finite number.
+        """
+        if not math.isfinite(shift_um):
+            raise UserError(
+                "the image plane cannot be moved there",
+                file=self.file,
+                field="focus_shift_um",
+                value=shift_um,
+                allowed="a finite number of um",
+            )
+        return self.derived(
+            f"image plane moved by {shift_um:g} um away from the lens",
+            focus_shift_um=self.focus_shift_um + shift_um,
         )
 
     def limited(self, max_field_deg: float) -> Prescription:

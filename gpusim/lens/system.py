@@ -289,10 +289,10 @@ def build(prescription: Prescription) -> System:
         semi_diameter_mm=np.array(clear),
         image_z_mm=float(geometry.vertex_z[-1] + distance),
     )
-    if prescription.focus != "best":
-        return system
-    aligned = replace(system, geometry=geometry.centred())
-    shift = best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
+    shift = 1e-3 * prescription.focus_shift_um
+    if prescription.focus == "best":
+        aligned = replace(system, geometry=geometry.centred())
+        shift += best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
     return replace(system, image_z_mm=system.image_z_mm + shift)
 
 

@@ -68,6 +68,20 @@ def test_scaling_keeps_the_shape_of_an_asphere():
     np.testing.assert_allclose(sag(after, 0.3 * r), 0.3 * sag(before, r), rtol=1e-13)
 
 
+def test_the_image_plane_moves_from_any_focus_and_with_the_size(double_gauss):
+    at = build(double_gauss).image_z_mm
+    moved = double_gauss.defocused(30.0)
+    assert build(moved).image_z_mm == pytest.approx(at + 0.03, abs=1e-12)
+    assert build(moved.defocused(-30.0)).image_z_mm == pytest.approx(at, abs=1e-12)
+    assert moved.history == ("image plane moved by 30 um away from the lens",)
+    paraxial = double_gauss.model_copy(update={"focus": "paraxial"})
+    away = build(paraxial.defocused(-50.0)).image_z_mm - build(paraxial).image_z_mm
+    assert away == pytest.approx(-0.05, abs=1e-12)
+    assert moved.resized(0.5).focus_shift_um == 15.0
+    with pytest.raises(UserError, match="cannot be moved"):
+        double_gauss.defocused(float("nan"))
+
+
 def test_stopping_down_keeps_the_glass_and_closes_the_stop(double_gauss):
     stopped = double_gauss.stopped(4.0)
     assert first_order(stopped).f_number == pytest.approx(4.0, rel=1e-15)
