@@ -12,7 +12,7 @@ import json
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
@@ -269,6 +269,73 @@ class Bank:
         at = np.minimum(wanted, edge)
         ideal = 1e3 * self.efl_mm * np.tan(self._map(None).angle(at))
         return ideal + (wanted - at) / slope, wanted <= edge
+
+    def resampled(
+        self, wavelengths_nm: np.ndarray | None = None, field_deg: np.ndarray | None = None
+    ) -> Bank:
+        """Return the bank at other wavelengths and fields, within its own.
+
+        PSFs are mixed linearly between the nearest wavelengths, and between the nearest fields in
+        image height, each about its own chief ray; chief rays come from the maps in field angle.
+        (A change of focus is no resampling: see ``bank_of``.)
+
+        Parameters
+        ----------
+        wavelengths_nm : array_like, shape (L',), optional
+            Rising, the reference wavelength among them (as they are).
+        field_deg : array_like, shape (F',), optional
+            Rising from 0 (as they are).
+
+        Raises
+        ------
+        UserError
+            Where they lie beyond the bank's, do not rise, or leave out the axis or the reference.
+        """
+        lines = self.wavelengths_nm if wavelengths_nm is None else np.array(wavelengths_nm, float)
+        angles = self.field_deg if field_deg is None else np.array(field_deg, float)
+        for name, values, own, needed in (
+            ("wavelengths_nm", lines, self.wavelengths_nm, self.reference_nm),
+            ("field_deg", angles, self.field_deg, 0.0),
+        ):
+            rises = values.ndim == 1 and values.size > 0 and (np.diff(values) > 0).all()
+            if not rises or values[0] < own[0] or values[-1] > own[-1] or needed not in values:
+                raise UserError(
+                    "a bank can be resampled only within what it holds",
+                    field=name,
+                    value=str(values),
+                    allowed=f"rising, {own[0]:g} to {own[-1]:g}, with {needed:g}",
+                )
+        heights = self.height_from_angle(angles)[0]
+        own_heights = self.real_height_um[:, self.reference]
+        over_lines = np.array(
+            [np.interp(lines, self.wavelengths_nm, row) for row in np.eye(len(self.wavelengths_nm))]
+        )
+        over_fields = np.array(
+            [np.interp(heights, own_heights, row) for row in np.eye(len(own_heights))]
+        )
+
+        def mixed(values: np.ndarray) -> np.ndarray:
+            return np.einsum("fl...,fg,lm->gm...", values, over_fields, over_lines, optimize=True)
+
+        both = {
+            name: mixed(getattr(self, name))
+            for name, (dims, *_) in _VARIABLES.items()
+            if dims[:2] == ("field", "wavelength") and name not in ("psf", "real_height_um")
+        }
+        both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
+        provenance = self.provenance | {"resampled": "linear in wavelength and in image height"}
+        return replace(
+            self,
+            wavelengths_nm=lines,
+            field_deg=angles,
+            ideal_height_um=_ideal_height_um(self.efl_mm, angles),
+            real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
+            psf=mixed(self.psf).astype(np.float32),
+            projected_solid_angle_sr=self.projected_solid_angle_sr @ over_lines,
+            transmission=self.transmission @ over_lines,
+            provenance=provenance,
+            **both,
+        )
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
