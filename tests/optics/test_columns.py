@@ -46,7 +46,9 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     """Run the shader on noise; return its result, the reference, the bound, the host's part."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
     # Channels in an order of their own; where sites lie between samples, each is a channel.
-    site_channels = [(3 * site + site // 4 + 1) % channels for site in range(period**2)]
+    # Every channel at sites of even and of odd number, where there are enough of them.
+    turn = 2 if channels == 2 else 4
+    site_channels = [(3 * site + site // turn + 1) % channels for site in range(period**2)]
     made = convolve_for(device, grid, site_channels, channels)
     kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height})
     outputs, step = kernel.overrides["C"], kernel.overrides["STEP"]
