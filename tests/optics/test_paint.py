@@ -181,12 +181,13 @@ def test_shapes_within_shapes_in_painters_order():
 
 @pytest.mark.parametrize("planes", range(1, 9))
 def test_planes_from_one_to_eight(planes: int):
-    check([Rect(1, 2, 6, 5, 0.3, 1)], materials(3, planes), (-9.5, -7.5), (17, 19), background=2)
+    shapes = [Rect(1, 2, 6, 5, 0.3, 1), Rect(-3, -2, 4, 3, 0.1, 0)]
+    check(shapes, materials(3, planes), (-9.5, -7.5), (17, 19), background=2)
 
 
 @pytest.mark.parametrize("needed", range(1, 8))
 def test_planes_that_a_tile_does_not_need_are_left_as_they_are(needed: int):
-    shapes, table = [Rect(1, 2, 6, 5, 0.3, 1)], materials(3, 8)
+    shapes, table = [Rect(1, 2, 6, 5, 0.3, 1), Rect(-3, -2, 4, 3, 0.1, 0)], materials(3, 8)
     found = on_device(shapes, table, (-9.5, -7.5), (17, 19), 2, needed=needed)
     whole = on_device(shapes, table, (-9.5, -7.5), (17, 19), 2)
     assert_close(found[:needed], whole[:needed], atol=0)

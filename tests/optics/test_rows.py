@@ -26,11 +26,14 @@ def planes(count: int, height: int, width: int) -> np.ndarray:
 
 def on_device(a: np.ndarray, length: int, first_s: float, step_s: float, needed=None, spare=0):
     count, height, width = a.shape
+    # Behind the planes lies a row of numbers: a NaN of the harness that is read and written again
+    # would look unwritten.
+    given = np.append(a.ravel(), np.ones(width, F32))
     result = run_stage(
         "optics/rows",
         (-(-height // 2), count if needed is None else needed, 1),
         {"first_s": first_s, "step_s": step_s},
-        {"twiddle": twiddles(length), "planes": a},
+        {"twiddle": twiddles(length), "planes": given},
         {"spectra": (count * height * length + spare, np.complex64)},
         T=length,
         LANES=length // 8,
