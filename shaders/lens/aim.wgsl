@@ -61,8 +61,8 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         let a = (right.xy - here.xy) / step;
         let b = (up.xy - here.xy) / step;
         let det = a.x * b.y - a.y * b.x;
-        let usable = here.z * right.z * up.z > 0.0 && abs(det) > 1e-6;
-        let shift = vec2f(b.y * miss.x - b.x * miss.y, a.x * miss.y - a.y * miss.x) / select(1.0, det, usable);
+        let usable = here.z * right.z * up.z > 0.0 && det > 1e-6;  // the stop is not mirrored
+        let shift = vec2f(b.y * miss.x - b.x * miss.y, a.x * miss.y - a.y * miss.x) / det;
         p = select(0.5 * p, p - shift, usable);
     }
     aimed[id.y * params.rays + id.x] = vec4f(best.xy, select(-1.0, best.z, best.z < GOOD), 0.0);
