@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from importlib import metadata
 from itertools import chain
@@ -370,13 +370,26 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        import xarray
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS))
 
-        with xarray.open_dataset(path, engine="h5netcdf") as data:
-            arrays = {name: data[name].to_numpy() for name in _VARIABLES}
-            scalars = {name: float(data[name]) for name in _SCALARS}
-            provenance = {str(key): str(value) for key, value in data.attrs.items()}
-        return cls(**arrays, **scalars, provenance=provenance)
+
+def load_dataset(
+    path: str | Path, variables: Iterable[str], scalars: Iterable[str]
+) -> dict[str, object]:
+    """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
+
+    Raises
+    ------
+    OSError, ValueError, KeyError
+        Where the file is not a whole bank.
+    """
+    import xarray
+
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        found: dict[str, object] = {name: data[name].to_numpy() for name in variables}
+        found |= {name: float(data[name]) for name in scalars}
+        found["provenance"] = {str(key): str(value) for key, value in data.attrs.items()}
+    return found
 
 
 def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import PITCH_UM, REFERENCE_NM, WAVELENGTHS_NM, save_dataset
+from gpusim.lens.bank import PITCH_UM, REFERENCE_NM, WAVELENGTHS_NM, load_dataset, save_dataset
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import System, build, first_order, transmission
@@ -152,13 +152,7 @@ class PlaneBank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        import xarray
-
-        with xarray.open_dataset(path, engine="h5netcdf") as data:
-            arrays = {name: data[name].to_numpy() for name in _VARIABLES}
-            scalars = {name: float(data[name]) for name in _SCALARS}
-            provenance = {str(key): str(value) for key, value in data.attrs.items()}
-        return cls(**arrays, **scalars, provenance=provenance)
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS))
 
 
 def default_sides_deg(prescription: Prescription, count: int = SIDE) -> np.ndarray:
