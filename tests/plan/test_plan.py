@@ -7,22 +7,13 @@ import pytest
 from optics.made import BLUE, FLAT, RED, bank, monochrome, scene, sensor, shapes
 
 from gpusim import gpu
-from gpusim import plan as plan_module
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
-from gpusim.plan import (
-    CUTS_UM,
-    KERNEL_BYTES,
-    Accuracy,
-    Plan,
-    alias_error,
-    cells_within,
-    cut_error,
-    edge_integral,
-    node_error,
-    plan_optics,
-)
+from gpusim.plan import Accuracy, Plan, layout, plan_optics
+from gpusim.plan.layout import KERNEL_BYTES
+from gpusim.plan.optics import CUTS_UM
+from gpusim.plan.predict import alias_error, cells_within, cut_error, edge_integral, node_error
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import ColourFilterArray
@@ -323,7 +314,7 @@ def test_a_lens_that_changes_too_fast_is_refused():
 
 
 def test_a_psf_wider_than_the_longest_transform_is_refused(monkeypatch):
-    monkeypatch.setattr(plan_module, "TRANSFORMS", (56,))
+    monkeypatch.setattr(layout, "TRANSFORMS", (56,))
     with pytest.raises(UserError, match="too wide") as caught:
         plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
     assert "sim samples wide" in caught.value.value and "24 samples" in caught.value.allowed

@@ -1,0 +1,117 @@
+"""Error models: what each knob of the optics costs in an edge response."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpusim.lens.bank import Bank
+from gpusim.optics.kernels import (
+    BAND_EDGE,
+    FieldKernels,
+    core_window,
+    distances_um,
+    low_pass,
+    sampled_kernels,
+)
+from gpusim.sensor.sensor import Sensor
+
+# What least-squares nodes gain over interpolation between samples: see
+# gpusim.optics.kernels.node_kernels.
+NODE_GAIN = 2.45
+
+
+def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:
+    """Bound an edge response by its transfer function: 2 int |H(f)| / (2 pi f) df."""
+    return float(2 * np.trapezoid(np.abs(spectrum) / (2 * np.pi * frequency), frequency))
+
+
+def alias_error(bank: Bank, oversampling: float, sensor: Sensor, sigma: float) -> float:
+    """Predict the error of an edge response that the sim grid causes.
+
+    Along one axis, at the axis and the reference wavelength: what the grid folds into the band, and
+    what lies above it. Frequencies in cycles per sim sample.
+    """
+    pitch_um = sensor.pixel_pitch_um / oversampling
+    psf = bank.psf[0, bank.reference].sum(axis=0, dtype=np.float64)
+    positions_um = (np.arange(len(psf)) - len(psf) // 2) * bank.pitch_um
+    f = np.linspace(0.5, 1.0, 100)
+
+    def transfer(frequency: np.ndarray) -> np.ndarray:
+        mtf = np.abs(np.exp(-2j * np.pi * np.outer(frequency / pitch_um, positions_um)) @ psf)
+        # Beyond the bank's own Nyquist frequency the sum only repeats; the bank's PSFs end below
+        # it.
+        mtf[frequency / pitch_um > 0.5 / bank.pitch_um] = 0.0
+        return mtf * np.sinc(frequency * oversampling * np.sqrt(sensor.fill_factor))
+
+    folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass(
+        (1 - f) / pitch_um, pitch_um
+    )
+    return edge_integral(f, transfer(f)) + edge_integral(f, folded * transfer(1 - f))
+
+
+def cut_error(
+    images: np.ndarray, bank_pitch_um: float, coarse_pitch_um: float, sensor: Sensor, cut_um: float
+) -> float:
+    """Predict the error of an edge response when the PSF's tail beyond a cut goes to a coarse grid.
+
+    What the coarse grid loses of the tail: its spectrum along both axes from the end of the coarse
+    band on, through the pixel aperture, for the first plane on the axis and at the last field.
+    """
+    n = images.shape[-1]
+    tail = 1 - core_window(distances_um(n, bank_pitch_um), cut_um)
+    frequency = np.fft.rfftfreq(n, bank_pitch_um)
+    lost = frequency > BAND_EDGE * 0.5 / coarse_pitch_um
+    aperture = np.sinc(frequency * sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor))
+    worst = 0.0
+    for image in images[[0, -1], 0].reshape(-1, n, n):
+        for axis in (0, 1):
+            spectrum = np.fft.rfft(np.fft.ifftshift((image * tail).sum(axis=axis))) * aperture
+            worst = max(worst, edge_integral(frequency[lost], spectrum[lost]) / abs(image.sum()))
+    return worst
+
+
+def node_error(
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    spacing_um: float,
+) -> float:
+    """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
+
+    Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
+    half field and in the corner of the sensor, as far as `reach_um`; the root of the mean square
+    over these, relative to what the kernel holds.
+    """
+    half_size = int(np.ceil(reach_um / pitch_um))
+    squares = []
+    for fraction in (0.0, 0.5, 1.0):
+        x, y = (max(fraction * half - spacing_um / 2, 0.0) for half in half_um)
+        shifts = (-spacing_um / 2, spacing_um / 2)
+        corners = [
+            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0]
+            for dx in shifts
+            for dy in shifts
+        ]
+        kernel = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0, 0]
+        for axis in (0, 1):
+            response = np.cumsum((sum(corners) / 4 - kernel).sum(axis=axis)) / kernel.sum()
+            squares.append(np.abs(response).max() ** 2)
+    return float(np.sqrt(np.mean(squares))) / NODE_GAIN
+
+
+def cells_within(
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    allowed: float,
+) -> tuple[tuple[int, int], float]:
+    """Return the fewest cells between PSF nodes that keep an error, and the error they leave."""
+    # Linear interpolation's error goes with the spacing squared.
+    trial_um = half_um[1] / 4
+    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
+    spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
+    cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
+    widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))
+    return cells, trial * (widest / trial_um) ** 2
