@@ -25,10 +25,12 @@ WORST = {"paint": 1e-4, "warp": 4e-5} | dict.fromkeys(STAGES[2:], 4e-6)
 
 @pytest.fixture(scope="module")
 def jobs() -> ModuleType:
+    sys.path.insert(0, str(TOOLS))  # bench_jobs imports its neighbours
     spec = importlib.util.spec_from_file_location("bench_jobs", TOOLS / "bench_jobs.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules["bench_jobs"] = module
     spec.loader.exec_module(module)
+    sys.path.remove(str(TOOLS))
     return module
 
 
@@ -52,7 +54,13 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    assert [name for name, _ in lines] == ["render-demo", "psf-bank", "psf-refocus", *STAGES]
+    assert [name for name, _ in lines] == [
+        "render-demo",
+        "psf-bank",
+        "psf-refocus",
+        "blur-1mp",
+        *STAGES,
+    ]
     assert all(what for _, what in lines)
 
 
@@ -102,3 +110,11 @@ def test_what_is_wrong_is_said_without_a_traceback(arguments: list[str], said: s
     assert said in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
+
+
+def test_the_blur_is_within_a_millionth_of_the_peak(jobs: ModuleType, own_device: Device):
+    job = jobs.JOBS["blur-1mp"][1](own_device, SMALL)
+    assert 0 < job.error["worst"] <= 1e-6
+    peer = job.peers["scipy"][0]()
+    # SciPy in float32, the same model: both within a millionth.
+    assert abs(job.run() - peer).max() <= 2e-6 * peer.max()

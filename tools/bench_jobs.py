@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import scipy.fft
+from bench_blur import blur_1mp
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import load_camera
@@ -459,6 +460,10 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "render-demo": ("a capture of the demonstration camera, source to raw", render_demo),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
     "psf-refocus": ("the same at another focus", psf_refocus),
+    "blur-1mp": (
+        "1024 x 1024 samples, 3 channels, 31 x 31 PSFs of 9 x 9 nodes",
+        lambda device, frame: blur_1mp(device, Job),
+    ),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
     "rows": ("row transforms, one plane", partial(convolution_job, "rows")),

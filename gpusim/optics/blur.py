@@ -1,0 +1,216 @@
+"""An image blurred with a PSF that changes over it, on the image's own grid.
+
+The operator of the chain without spectra and photosites: every sample is spread by the PSF that
+belongs to it, interpolated bilinearly between PSF nodes. Blocks are convolved with transforms of
+160 samples, overlap-add; one invocation of the shaders holds a whole line.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.fft
+
+from gpusim.errors import UserError
+from gpusim.gpu import Device, Kernel, Recording, default_device
+
+LENGTH = 160  # of the transforms of shaders/common/line_160
+HALF = LENGTH // 2 + 1
+SMALLEST = LENGTH // 2  # side of a block: its window overlaps the next one's, and no further
+WIDEST = LENGTH - SMALLEST + 1  # PSF that fits a window beside the smallest block
+# Where the frequency that shaders/common/line_160 leaves in a slot belongs: a + 10 m at 16 a + m.
+ORDER = np.array([a + 10 * m for a in range(10) for m in range(16)])
+
+
+class Blur:
+    """PSFs on the device, ready to blur images of one shape.
+
+    The shaders hold a line of 160 samples in each invocation. A new side of the blocks is compiled
+    anew, which takes seconds the first time on a machine.
+
+    Parameters
+    ----------
+    psfs : ndarray (GY, GX, C, K, K)
+        PSF of each node and channel, as it lands; K odd, its centre in the middle. Node (i, j) lies
+        at the edges of samples (i * spacing, j * spacing).
+    shape : (int, int)
+        Rows and columns of the images; at most (G - 1) * spacing.
+    spacing : int
+        Samples from node to node; a multiple of 4.
+    device : Device, optional
+
+    Raises
+    ------
+    UserError
+        For PSFs that are even, not finite, wider than 81 samples or fewer than 2 x 2 nodes, for a
+        spacing that is no multiple of 4, and for images that the nodes do not cover.
+    """
+
+    def __init__(
+        self,
+        psfs: np.ndarray,
+        shape: tuple[int, int],
+        spacing: int,
+        device: Device | None = None,
+    ) -> None:
+        psfs = np.asarray(psfs)
+        _check_psfs(psfs)
+        nodes, size = psfs.shape[:2], psfs.shape[-1]
+        _check(
+            "spacing",
+            spacing,
+            spacing > 0 and spacing % 4 == 0,
+            "a multiple of 4, which the blocks of the transforms are",
+        )
+        covered = tuple((count - 1) * spacing for count in nodes)
+        _check(
+            "shape",
+            shape,
+            all(1 <= side <= most for side, most in zip(shape, covered, strict=True)),
+            f"1 x 1 to {covered[0]} x {covered[1]}, which the nodes cover",
+        )
+        self.device = device or default_device()
+        self.shape, self.channels = tuple(shape), psfs.shape[2]
+        # The centre at a multiple of 4, so that windows begin where four samples do.
+        self.margin = -(-(size // 2) // 4) * 4
+        largest = LENGTH - self.margin - size // 2
+        sides = [side for side in range(SMALLEST, largest + 1, 4) if spacing % side == 0]
+        _check(
+            "spacing",
+            spacing,
+            bool(sides),
+            f"a multiple of a multiple of 4 from {SMALLEST} to {largest}, the side of a block",
+        )
+        self.side = sides[-1]
+        self.per_cell = spacing // self.side
+        down, across = (count * self.per_cell for count in (nodes[0] - 1, nodes[1] - 1))
+        self.blocks = (down, across)
+        self.spread, self.mix, self.gather = (
+            Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "mix", "gather")
+        )
+        self.kernels = [
+            self.device.resident(f"psfs {channel}", self._spectra(psfs[:, :, channel]))
+            for channel in range(self.channels)
+        ]
+
+    def _spectra(self, psfs: np.ndarray) -> np.ndarray:
+        """Return what `mix` multiplies with, (GY, 81, GX, 160) complex64, as pairs of float32."""
+        size = psfs.shape[-1]
+        placed = np.zeros((*psfs.shape[:2], LENGTH, LENGTH))
+        first = self.margin - size // 2
+        placed[..., first : first + size, first : first + size] = psfs
+        spectra = scipy.fft.rfft2(placed, workers=2).swapaxes(-1, -2)[..., ORDER] / LENGTH**2
+        by_line = np.ascontiguousarray(spectra.swapaxes(1, 2), np.complex64)
+        return by_line.reshape(-1).view(np.float32)
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for resident in self.kernels:
+            resident.destroy()
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Blur an image.
+
+        Parameters
+        ----------
+        image : ndarray (C, rows, cols)
+            Black beyond its borders.
+
+        Returns
+        -------
+        ndarray (C, rows, cols), float32
+            In the image's unit.
+
+        Raises
+        ------
+        UserError
+            For an image of another shape, or one with a NaN or an infinity.
+        """
+        image = np.asarray(image, np.float32)
+        expected = (self.channels, *self.shape)
+        _check("image", image.shape, image.shape == expected, f"{expected}")
+        _check("image", "NaN or infinity", bool(np.isfinite(image).all()), "finite numbers")
+        down, across = self.blocks
+        count = down * across
+        # Windows reach beyond the last block.
+        frame = (down * self.side + LENGTH, across * self.side + LENGTH)
+        covered = (down * self.side, across * self.side)
+        missing = [(0, side - given) for side, given in zip(covered, self.shape, strict=True)]
+        padded = np.pad(image, [(0, 0), *missing]) if covered != self.shape else image
+        blocks = {"across": across, "per_cell": self.per_cell}
+        rec = Recording(self.device)
+        source = rec.buffer("source", covered, np.float32)
+        spectra = rec.buffer("spectra", (count, self.side, HALF, 4), np.float32)
+        columns = rec.buffer("columns", (count, HALF, LENGTH, 2), np.float32)
+        labels = []
+        for channel, kernels in enumerate(self.kernels):
+            rec.upload(source, padded[channel])
+            lines = count * self.side
+            self.spread.record(
+                rec,
+                self.spread.cover(lines),
+                {"lines": lines, "stride": covered[1] // 4, **blocks},
+                image=source,
+                spectra=spectra,
+            )
+            lines = count * HALF
+            self.mix.record(
+                rec,
+                self.mix.cover(lines),
+                {"lines": lines, "cells": across // self.per_cell, "per_cell": self.per_cell},
+                spectra=spectra,
+                kernels=kernels,
+                columns=columns,
+            )
+            blurred = rec.buffer(f"blurred {channel}", frame, np.float32)
+            for parity in (0, 1):
+                lines = (down - parity + 1) // 2 * LENGTH // 2
+                self.gather.record(
+                    rec,
+                    self.gather.cover(lines),
+                    {
+                        "lines": lines,
+                        "across": across,
+                        "down": down,
+                        "stride": frame[1] // 4,
+                        "parity": parity,
+                    },
+                    columns=columns,
+                    image=blurred,
+                )
+            labels.append(rec.download(blurred))
+        result = rec.run()
+        place = tuple(slice(self.margin, self.margin + side) for side in self.shape)
+        return np.stack([result[label][place] for label in labels])
+
+
+def blur(
+    image: np.ndarray, psfs: np.ndarray, spacing: int, device: Device | None = None
+) -> np.ndarray:
+    """Blur one image: see `Blur`, which keeps the PSFs for the next."""
+    made = Blur(psfs, np.shape(image)[1:], spacing, device)
+    try:
+        return made(image)
+    finally:
+        made.release()
+
+
+def _check_psfs(psfs: np.ndarray) -> None:
+    _check(
+        "psfs",
+        psfs.shape,
+        psfs.ndim == 5 and min(psfs.shape[:2]) >= 2 and min(psfs.shape) > 0,
+        "(GY, GX, C, K, K), 2 x 2 nodes or more",
+    )
+    rows, cols = psfs.shape[-2:]
+    _check(
+        "psfs",
+        f"{rows} x {cols} samples",
+        rows == cols and rows % 2 == 1 and rows <= WIDEST,
+        f"odd and square, at most {WIDEST} x {WIDEST}",
+    )
+    _check("psfs", "NaN or infinity", bool(np.isfinite(psfs).all()), "finite numbers")
+
+
+def _check(field: str, value: object, valid: bool, allowed: str) -> None:
+    if not valid:
+        raise UserError(f"The {field} cannot be used.", field=field, value=value, allowed=allowed)

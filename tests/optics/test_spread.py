@@ -1,0 +1,48 @@
+"""Spread: row spectra of blocks against the definition.
+
+Tolerance, in 2^-24 of the sum S = sum |a| along the row: the transform has four levels (2, 5, 4 and
+4) of at most 8 roundings each, and between them turns, one of them by a power that is four products
+deep, 3 roundings each: 32 + 3 + 15. With the weight (4), the product and the mean of two: 60 S.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage, unwritten
+from optics.made import ULP
+
+from gpusim.reference.spread import spread
+
+LENGTH = 160
+
+
+def on_device(image: np.ndarray, side: int, per_cell: int, lines: int | None = None) -> np.ndarray:
+    down, across = (count // side for count in image.shape)
+    shape = (down * across, side, LENGTH // 2 + 1, 2)
+    lines = down * across * side if lines is None else lines
+    result = run_stage(
+        "optics/spread",
+        (-(-lines // 64), 1, 1),
+        {"lines": lines, "across": across, "per_cell": per_cell, "stride": image.shape[1] // 4},
+        {"image": image},
+        {"spectra": (int(np.prod(shape)), np.complex64)},
+        SIDE=side,
+    )
+    return result["spectra"].reshape(shape)
+
+
+@pytest.mark.parametrize(("side", "per_cell", "down", "across"), [(128, 1, 1, 2), (80, 2, 2, 3)])
+def test_spectra_are_those_of_the_reference(side: int, per_cell: int, down: int, across: int):
+    rng = np.random.default_rng(side)
+    image = rng.uniform(-1, 1, (down * side, across * side)).astype(np.float32)
+    found = on_device(image, side, per_cell)
+    expected = spread(image, side, per_cell, LENGTH)
+    rows = np.abs(image.reshape(down, side, across, side)).sum(axis=3, dtype=float)
+    bound = 60 * ULP * rows.swapaxes(1, 2).reshape(-1, side, 1, 1)
+    assert_close(found, expected, atol=np.broadcast_to(bound, expected.shape))
+
+
+def test_no_more_lines_than_asked_for_are_written():
+    image = np.ones((80, 80), np.float32)
+    found = on_device(image, 80, 1, lines=70)
+    assert unwritten(found[0, 70:].reshape(-1)).all()
+    assert not unwritten(found[0, :70].reshape(-1)).any()
