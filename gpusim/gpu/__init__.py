@@ -1,14 +1,17 @@
 """The GPU layer: the only place that knows wgpu."""
 
-from .device import Array, Device, Resident, default_device, devices
+from .device import Array, Device, DeviceLostError, Resident, default_device, devices
 from .kernel import Kernel
 from .layout import ShaderError
+from .pool import OutOfMemoryError
 from .recording import Recording, Result
 
 __all__ = [
     "Array",
     "Device",
+    "DeviceLostError",
     "Kernel",
+    "OutOfMemoryError",
     "Recording",
     "Resident",
     "Result",

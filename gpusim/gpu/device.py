@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import metadata
 
 import numpy as np
@@ -66,6 +69,10 @@ def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:
 def devices() -> list[dict[str, str]]:
     """Return the usable adapters: adapter, driver, backend and type of each."""
     return [_described(adapter) for adapter in _usable()]
+
+
+class DeviceLostError(UserError):
+    """The device is gone, and everything on it: driver reset, unplugged, put to sleep."""
 
 
 class Array:
@@ -148,6 +155,8 @@ class Device:
     pool : Pool
     timestamps : bool
         Passes are timed by the GPU; switched off when its ticks turn out to be nonsense.
+    lost : bool
+        Nothing works on it any more.
     """
 
     def __init__(self, adapter: wgpu.GPUAdapter, budget: int) -> None:
@@ -158,6 +167,7 @@ class Device:
         )
         self.pool = Pool(self.gpu, budget)
         self.timestamps = bool(features)
+        self.lost = False
         self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
         self._fence = self.gpu.create_buffer(
@@ -221,13 +231,39 @@ class Device:
 
     def resident(self, label: str, array: np.ndarray) -> Resident:
         """Upload an array that stays on the device until ``.destroy()``."""
-        result = Resident(self, label, array.shape, array.dtype)
-        self.write(result, array)
+        with self.telling_of_loss():
+            result = Resident(self, label, array.shape, array.dtype)
+            self.write(result, array)
         return result
 
     def empty(self, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> Resident:
         """Make a resident array whose content is undefined."""
-        return Resident(self, label, shape, dtype)
+        with self.telling_of_loss():
+            return Resident(self, label, shape, dtype)
+
+    @contextmanager
+    def telling_of_loss(self) -> Iterator[None]:
+        """Turn the errors of a lost device into one that says so.
+
+        Raises
+        ------
+        DeviceLostError
+            For whatever wgpu raises in the body when the device is lost.
+        """
+        try:
+            yield
+        except (wgpu.GPUError, RuntimeError, ShaderError) as error:
+            if not re.search("device (is )?lost", str(error), re.IGNORECASE):
+                raise
+            self.lost = True
+            raise DeviceLostError(
+                "The graphics device was lost in the middle of the work: its driver was reset (a "
+                "pass took too long, or the memory ran out), or the device went away",
+                field="adapter",
+                value=self._adapter.info["device"],
+                allowed="the same command again, with smaller tiles (--memory 256MiB), or on "
+                "another adapter (--adapter NAME; gpusim devices lists them)",
+            ) from error
 
     def write(self, resident: Resident, array: np.ndarray) -> None:
         """Replace the content of a resident array."""
@@ -238,7 +274,9 @@ class Device:
     def read(self, resident: Resident) -> np.ndarray:
         """Return a copy of a resident array."""
         result = np.empty(resident.shape, resident.dtype)
-        if result.nbytes:
+        if not result.nbytes:
+            return result
+        with self.telling_of_loss():
             staging = self.pool.acquire("read", result.nbytes, Use.READBACK)
             encoder = self.gpu.create_command_encoder(label="read")
             encoder.copy_buffer_to_buffer(resident.buffer, 0, staging, 0, result.nbytes)
@@ -277,7 +315,7 @@ _default: Device | None = None
 
 
 def default_device() -> Device:
-    """Return the one device of this process; the first call opens it.
+    """Return the one device of this process; the first call opens it, and the first after a loss.
 
     The environment variable GPUSIM_ADAPTER names the adapter; without it the best one is taken.
 
@@ -287,6 +325,6 @@ def default_device() -> Device:
         No such adapter.
     """
     global _default
-    if _default is None:
+    if _default is None or _default.lost:
         _default = Device.open(os.environ.get("GPUSIM_ADAPTER") or None)
     return _default

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import Enum
 
 import wgpu
@@ -13,6 +15,10 @@ from gpusim.errors import UserError
 MAX_BUFFER_BYTES = 256 << 20
 MAX_BINDING_BYTES = 128 << 20
 MIN_CLASS_BYTES = 256  # WebGPU's alignment of uniform offsets: the smallest useful buffer
+
+
+class OutOfMemoryError(UserError):
+    """The device's memory, or the budget of it, does not suffice: less work at a time may."""
 
 
 class Use(Enum):
@@ -58,7 +64,7 @@ class Pool:
     Attributes
     ----------
     in_use, idle, peak : int
-        Bytes handed out now; bytes kept for reuse; largest ``in_use`` so far.
+        Bytes handed out now; bytes kept for reuse; largest sum of both so far.
     hits, misses : int
         Requests served from the kept buffers; requests that made a new one.
     """
@@ -74,11 +80,12 @@ class Pool:
 
         Raises
         ------
-        UserError
-            The buffer is larger than a portable binding, or the budget does not allow it.
+        OutOfMemoryError
+            The buffer is larger than a portable binding, the budget does not allow it, or the
+            adapter has no more; then what is in use becomes the budget.
         """
         if nbytes > MAX_BINDING_BYTES:
-            raise UserError(
+            raise OutOfMemoryError(
                 f"The GPU buffer {label!r} would be larger than one binding may be",
                 field=label,
                 value=mebibytes(nbytes),
@@ -93,17 +100,23 @@ class Pool:
         else:
             self._make_room(label, size)
             self.misses += 1
-            try:
-                buffer = self._device.create_buffer(label=label, size=size, usage=use.value)
-            except wgpu.GPUOutOfMemoryError as error:
-                raise UserError(
-                    f"The adapter has no memory left for the buffer {label!r}",
-                    value=mebibytes(size),
-                    allowed="a smaller tile or a smaller frame",
-                ) from error
+            buffer = self._create(label, size, use)
         self.in_use += size
-        self.peak = max(self.peak, self.in_use)
+        self.peak = max(self.peak, self.in_use + self.idle)
         return buffer
+
+    @contextmanager
+    def within(self, budget: int) -> Iterator[None]:
+        """Hold to another budget for a while, and count the peak anew."""
+        before = self.budget
+        self.budget = budget
+        if self.in_use + self.idle > budget:
+            self.clear()
+        self.peak = self.in_use + self.idle
+        try:
+            yield
+        finally:
+            self.budget = before
 
     def release(self, buffer: wgpu.GPUBuffer) -> None:
         """Take back a buffer; the GPU must have finished with it."""
@@ -119,11 +132,26 @@ class Pool:
         self._free.clear()
         self.idle = 0
 
+    def _create(self, label: str, size: int, use: Use) -> wgpu.GPUBuffer:
+        try:
+            return self._device.create_buffer(label=label, size=size, usage=use.value)
+        except wgpu.GPUOutOfMemoryError:
+            self.clear()  # what is kept for reuse may be what is lacking
+        try:
+            return self._device.create_buffer(label=label, size=size, usage=use.value)
+        except wgpu.GPUOutOfMemoryError as error:
+            self.budget = self.in_use
+            raise OutOfMemoryError(
+                f"The adapter has no memory left for the buffer {label!r}",
+                value=f"{mebibytes(size)} beside {mebibytes(self.in_use)} in use",
+                allowed="a smaller tile or a smaller frame",
+            ) from error
+
     def _make_room(self, label: str, size: int) -> None:
         if self.in_use + self.idle + size > self.budget:
             self.clear()
         if self.in_use + size > self.budget:
-            raise UserError(
+            raise OutOfMemoryError(
                 f"The GPU memory budget does not hold the buffer {label!r}",
                 field="GPU memory budget",
                 value=f"{mebibytes(self.budget)}, {mebibytes(self.in_use)} of it in use",

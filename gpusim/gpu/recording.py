@@ -182,24 +182,27 @@ class Recording:
 
         Raises
         ------
-        UserError
+        OutOfMemoryError
             The buffers do not fit the GPU memory budget.
+        DeviceLostError
+            The device went away.
         ShaderError
             A shader does not compile.
         """
         segments = [segment for segment in self._segments if segment]
-        for command in chain.from_iterable(segments):
-            if isinstance(command, Dispatch):
-                command.kernel.compile(self.device)
         run = _Run(self.device)
-        try:
-            run.allocate(self._proxies, bytes(self._params))
-            for number, segment in enumerate(segments, start=1):
-                run.segment(segment)
-                if progress is not None:
-                    progress(number, len(segments))
-        finally:
-            run.release()
+        with self.device.telling_of_loss():
+            for command in chain.from_iterable(segments):
+                if isinstance(command, Dispatch):
+                    command.kernel.compile(self.device)
+            try:
+                run.allocate(self._proxies, bytes(self._params))
+                for number, segment in enumerate(segments, start=1):
+                    run.segment(segment)
+                    if progress is not None:
+                        progress(number, len(segments))
+            finally:
+                run.release()
         return Result(run.arrays, dict(run.times_s), run.clock)
 
 

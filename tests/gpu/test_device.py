@@ -1,10 +1,20 @@
 """Choice of the adapter, its limits, and arrays that stay on the device."""
 
+import os
+
 import numpy as np
 import pytest
 
 from gpusim.errors import UserError
-from gpusim.gpu import Device, ShaderError, default_device, devices
+from gpusim.gpu import (
+    Device,
+    DeviceLostError,
+    Kernel,
+    Recording,
+    ShaderError,
+    default_device,
+    devices,
+)
 from gpusim.gpu import device as device_module
 from gpusim.gpu.device import PORTABLE_LIMITS
 
@@ -102,3 +112,42 @@ def test_writing_another_shape_or_dtype_is_refused(device: Device):
         with pytest.raises(ShaderError, match="buffer 'one' is float32"):
             device.write(one, wrong)
     one.destroy()
+
+
+def test_a_lost_device_says_so_and_the_next_one_is_opened(monkeypatch: pytest.MonkeyPatch):
+    """Destroyed behind our back, as a reset of the driver does it."""
+    one = Device.open(os.environ.get("GPUSIM_ADAPTER"))
+    monkeypatch.setattr(device_module, "_default", one)
+    array = one.resident("a", np.zeros(8, np.float32))
+    rec = Recording(one)
+    rec.clear(rec.buffer("b", 8, np.float32))
+    rec.run()
+    assert default_device() is one and not one.lost
+    one.gpu.destroy()
+    fresh = Recording(one)
+    Kernel("sensor/adc").record(
+        fresh,
+        (1, 1, 1),
+        dict.fromkeys(("rows", "cols", "max_dn"), 1)
+        | dict.fromkeys(("system_gain_dn_per_e", "black_level_dn"), 1.0),
+        electrons=array,
+        dn=fresh.buffer("dn", 8, np.uint32),
+    )
+    for work in (
+        rec.run,
+        fresh.run,
+        lambda: one.read(array),
+        lambda: one.resident("c", np.zeros(8, np.float32)),
+        lambda: one.empty("d", 8, np.float32),
+    ):
+        with pytest.raises(DeviceLostError, match="was lost") as caught:
+            work()
+        assert "--memory" in caught.value.allowed and "--adapter" in caught.value.allowed
+    assert one.lost
+    assert default_device() is not one
+
+
+def test_other_errors_are_not_taken_for_a_loss(device: Device):
+    with pytest.raises(RuntimeError, match="something else"), device.telling_of_loss():
+        raise RuntimeError("something else")
+    assert not device.lost

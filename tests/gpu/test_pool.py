@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+import wgpu
 
-from gpusim.errors import UserError
-from gpusim.gpu import Device, Recording, ShaderError
+from gpusim.gpu import Device, OutOfMemoryError, Recording, ShaderError
 from gpusim.gpu.pool import MAX_BINDING_BYTES, Pool, Use, size_class
 
 MIB = 1 << 20
@@ -54,7 +54,7 @@ def test_buffers_of_another_use_are_not_exchanged(pool: Pool):
 
 def test_the_budget_holds_what_fits_and_refuses_the_next_byte(pool: Pool):
     held = [pool.acquire("a", 2 * MIB), pool.acquire("b", 2 * MIB)]
-    with pytest.raises(UserError, match="GPU memory budget") as caught:
+    with pytest.raises(OutOfMemoryError, match="GPU memory budget") as caught:
         pool.acquire("one more", 1)
     assert caught.value.value == "4.0 MiB, 4.0 MiB of it in use"
     assert "at least 4.0 MiB" in caught.value.allowed
@@ -72,7 +72,7 @@ def test_kept_buffers_give_way_to_a_new_size(pool: Pool):
 
 
 def test_a_buffer_larger_than_any_binding_is_refused(device: Device):
-    with pytest.raises(UserError, match="larger than one binding") as caught:
+    with pytest.raises(OutOfMemoryError, match="larger than one binding") as caught:
         device.pool.acquire("frame", MAX_BINDING_BYTES + 4)
     assert "128.0 MiB" in caught.value.allowed
 
@@ -96,9 +96,70 @@ def test_a_recording_over_the_budget_gives_everything_back(
         rec.clear(rec.buffer(f"b{n}", MIB, np.float32))
     before = device.pool.in_use
     monkeypatch.setattr(device.pool, "budget", before + 10 * MIB)
-    with pytest.raises(UserError, match="'b2'"):
+    with pytest.raises(OutOfMemoryError, match="'b2'"):
         rec.run()
     assert device.pool.in_use == before
     monkeypatch.setattr(device.pool, "budget", before + 13 * MIB)
     rec.run()  # the control: 12 MiB and the params fit
     assert device.pool.in_use == before
+
+
+def test_the_peak_counts_what_is_kept_for_reuse_too(pool: Pool):
+    pool.release(pool.acquire("a", MIB))
+    held = pool.acquire("b", 2 * MIB)
+    assert (pool.in_use, pool.idle, pool.peak) == (2 * MIB, MIB, 3 * MIB)
+    pool.release(held)
+
+
+def test_another_budget_holds_for_a_while(pool: Pool):
+    held = pool.acquire("a", MIB)
+    pool.release(pool.acquire("b", 2 * MIB))
+    with pool.within(2 * MIB):
+        assert (pool.budget, pool.idle, pool.peak) == (2 * MIB, 0, MIB)  # the rest was given back
+        with pytest.raises(OutOfMemoryError):
+            pool.acquire("c", 2 * MIB)
+        pool.release(pool.acquire("c", MIB))
+        assert pool.peak == 2 * MIB
+    assert pool.budget == 4 * MIB
+    pool.release(held)
+
+
+class Adapter:
+    """A device that has only so many bytes, and counts them as buffers come and go."""
+
+    def __init__(self, device: Device, nbytes: int) -> None:
+        self.device, self.left = device.gpu, nbytes
+
+    def create_buffer(self, *, label: str, size: int, usage: int) -> object:
+        """Return a buffer, or say that there is no memory."""
+        if size > self.left:
+            raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+        self.left -= size
+        buffer = self.device.create_buffer(label=label, size=size, usage=usage)
+        adapter = self
+
+        class Buffer:
+            def __init__(self) -> None:
+                self.size, self.usage = size, usage
+
+            def destroy(self) -> None:
+                adapter.left += size
+                buffer.destroy()
+
+        return Buffer()
+
+
+def test_an_adapter_without_memory_sets_the_budget(device: Device):
+    pool = Pool(Adapter(device, 3 * MIB), 100 * MIB)
+    held = [pool.acquire("a", MIB), pool.acquire("b", MIB)]
+    pool.release(held.pop())
+    # Two more do not fit beside the one kept for reuse, but in its place.
+    held.append(pool.acquire("c", 2 * MIB))
+    assert (pool.in_use, pool.idle, pool.budget) == (3 * MIB, 0, 100 * MIB)
+    with pytest.raises(OutOfMemoryError, match="no memory left for the buffer 'd'") as caught:
+        pool.acquire("d", MIB)
+    assert caught.value.value == "1.0 MiB beside 3.0 MiB in use"
+    assert pool.budget == 3 * MIB
+    for one in held:
+        pool.release(one)
+    pool.clear()
