@@ -117,6 +117,7 @@ def certify(
     exposure_s: float,
     accuracy: Accuracy,
     progress: Callable[[int, int], None] | None = None,
+    origin: tuple[int, int] = (0, 0),
 ) -> Certificate:
     """Compare a render with the truth model at probe pixels.
 
@@ -126,17 +127,19 @@ def certify(
     placed : Chart or PlacedRaster
         The scene's source on the sensor, um.
     rate : ndarray (rows, cols)
-        Electrons/s of the render.
+        Electrons/s of the render, or of a rectangle of it.
     glare : ndarray (S,)
         Veiling glare of each CFA site, electrons/s: an input of both.
     exposure_s : float
     accuracy : Accuracy
     progress : callable, optional
         Called with (done, total) probes.
+    origin : (int, int)
+        Row and column of the rectangle's first pixel.
     """
     started = time.perf_counter()
     period = sensor.period
-    pixels = choose_probes(rate, period[0], accuracy.probes)
+    pixels = choose_probes(rate, period[0], accuracy.probes) + origin
     truth = Truth(bank, sensor, scene.spectra, WAVELENGTHS_NM)
     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
 
@@ -145,7 +148,10 @@ def certify(
         value = (
             evaluate(placed, pixel[None])[0] + glare[row % period[0] * period[1] + col % period[1]]
         )
-        true_e, render_e = float(value * exposure_s), float(rate[row, col]) * exposure_s
+        true_e, render_e = (
+            float(value * exposure_s),
+            float(rate[row - origin[0], col - origin[1]]) * exposure_s,
+        )
         noise_e = np.sqrt(max(true_e, 0.0) + sensor.temporal_dark_noise_e**2)
         error = abs(render_e - true_e)
         return Probe(

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 
 from gpusim.camera import Camera
 from gpusim.certify import Certificate, certify
 from gpusim.errors import UserError
-from gpusim.gpu import Array, Device, Recording, default_device
+from gpusim.gpu import (
+    Device,
+    OutOfMemoryError,
+    Recording,
+    Resident,
+    Result,
+    default_device,
+)
+from gpusim.gpu.pool import mebibytes
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Convolve, Scratch
 from gpusim.optics.flare import veiling_glare
@@ -20,6 +30,17 @@ from gpusim.optics.fold import spectral_weights
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plan_optics
+from gpusim.plan.tiles import (
+    RESERVE_BYTES,
+    SMALLEST_PX,
+    Rect,
+    aligned,
+    halves,
+    strip_bytes,
+    strips,
+    tile_bytes,
+    tiles_of,
+)
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -30,7 +51,6 @@ from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 
 Progress = Callable[[str, int, int], None]
-TILE_PX = 4096  # default side of a tile: a frame of 12 MP in one, its planes of 50 MiB each
 
 
 @dataclass(frozen=True)
@@ -40,7 +60,7 @@ class Capture:
     Attributes
     ----------
     raw : ndarray (rows, cols), uint16
-        Digital numbers.
+        Digital numbers, of the frame or of the rectangle that was asked for.
     rate, electrons : ndarray (rows, cols), float32, or None
         Electrons/s before the exposure, and electrons before the ADC, where they were kept.
     white_e : dict of str to float
@@ -57,6 +77,15 @@ class Capture:
         certificate.
     prepare_s : dict of str to float
         Seconds spent before the first tile, which further frames of the same scene do not spend.
+        Kernels that the memory does not hold all at once are made within the render: see
+        ``times_s["kernels"]``.
+    memory : dict of str to int
+        Of the device, bytes: ``budget_bytes``, and ``peak_bytes`` that were held at most.
+    work : dict of str to int
+        How many ``tiles`` were rendered and ``blocks`` convolved, and of how many PSF nodes the
+        kernels were made (``nodes``).
+    rect : (int, int, int, int)
+        First row and column, rows and columns of what was rendered.
     device : dict
         Adapter, driver and limits.
     certificate : Certificate or None
@@ -74,6 +103,9 @@ class Capture:
     times_s: dict[str, float]
     wall_s: float
     prepare_s: dict[str, float]
+    memory: dict[str, int]
+    work: dict[str, int]
+    rect: Rect
     device: dict
     certificate: Certificate | None
     camera: Camera
@@ -85,7 +117,10 @@ class Capture:
 
 
 class Renderer:
-    """A camera in front of a scene, prepared on a device: plan, kernels and scene are resident.
+    """A camera in front of a scene, planned and prepared on a device.
+
+    Scene and kernels come onto the device with the first frame that needs them, and stay there for
+    the next as far as the memory goes.
 
     Parameters
     ----------
@@ -95,6 +130,9 @@ class Renderer:
     device : Device, optional
     progress : callable, optional
         Called with (what, done, total).
+    memory_bytes : int, optional
+        Budget of GPU memory, by default the device's. It changes how the work is cut, and not one
+        bit of the result.
 
     Raises
     ------
@@ -110,13 +148,27 @@ class Renderer:
         accuracy: Accuracy | None = None,
         device: Device | None = None,
         progress: Progress | None = None,
+        memory_bytes: int | None = None,
     ) -> None:
         self.camera, self.scene, self.accuracy = camera, scene, accuracy or Accuracy()
         self.device = device or default_device()
+        pool = self.device.pool
+        self.memory_bytes = pool.budget if memory_bytes is None else memory_bytes
         self.prepare_s: dict[str, float] = {}
-        report = progress or (lambda what, done, total: None)
-        sensor = camera.sensor
+        self.sources: list[Paint | Warp] = []
+        self.convolutions: list[Convolve] = []
+        self.resident_glare: Resident | None = None
+        with pool.within(self.memory_bytes):
+            try:
+                self._prepare(progress or (lambda what, done, total: None))
+            except BaseException:
+                self.release()
+                raise
+            self.peak_bytes = pool.peak
 
+    def _prepare(self, report: Progress) -> None:
+        """Plan, and place the scene on the sensor."""
+        camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
         self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
         started = self._spent("lens", started)
@@ -126,7 +178,6 @@ class Renderer:
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
         chief_ray = chief_ray_map(self.bank)
         coefficients = self.plan.basis.coefficients
-        self.sources = []
         for scale in self.plan.scales:
             if isinstance(scene.source, Chart):
                 stage, placed = Paint, scene.source.placed(half_um[1])
@@ -138,35 +189,24 @@ class Renderer:
         glare = veiling_glare(self.bank, sensor, self.placed, self.plan.basis.weights, coefficients)
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
-        started = self._spent("scene", started)
-
         channels = list(sensor.channels)
         sites = [channels.index(name) for name in sensor.site_channels()]
-        total = sum(np.prod(scale.grid.nodes) for scale in self.plan.scales)
-        done = iter(range(1, total + 1))
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
-        self.convolutions = [
-            Convolve(
-                self.device,
-                scale,
-                source.needed,
-                aperture_um,
-                sites,
-                lambda: report("kernels", next(done), int(total)),
-            )
-            for scale, source in zip(self.plan.scales, self.sources, strict=True)
-        ]
-        self._spent("kernels", started)
+        for scale, source in zip(self.plan.scales, self.sources, strict=True):
+            convolve = Convolve(self.device, scale, source.needed, aperture_um, sites)
+            self.convolutions.append(convolve)
+        self._spent("scene", started)
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
         for part in (*self.sources, *self.convolutions):
             part.release()
-        self.resident_glare.destroy()
+        if self.resident_glare is not None:
+            self.resident_glare.destroy()
 
     def _spent(self, what: str, started: float) -> float:
         now = time.perf_counter()
-        self.prepare_s[what] = now - started
+        self.prepare_s[what] = self.prepare_s.get(what, 0.0) + now - started
         return now
 
     def capture(
@@ -175,11 +215,13 @@ class Renderer:
         *,
         seed: int = 0,
         frame: int = 0,
+        tile: tuple[int, int, int, int] | None = None,
         tile_px: int | None = None,
         keep: tuple[str, ...] = (),
+        folder: Path | None = None,
         progress: Progress | None = None,
     ) -> Capture:
-        """Render one frame.
+        """Render one frame, or a rectangle of it.
 
         Parameters
         ----------
@@ -188,57 +230,45 @@ class Renderer:
             Of the temporal noise, 0 to 2^64 - 1.
         frame : int
             Frames of one seed have independent noise.
+        tile : (x, y, width, height), optional
+            The rectangle of pixels to render, and nothing that it does not need. It is the same,
+            bit for bit, as that of the whole frame.
         tile_px : int, optional
-            Largest side of a tile. It changes the memory that is needed, and not one bit of the
-            result.
+            Largest side of what is rendered at once, by default chosen from the memory. It changes
+            the memory that is needed, and not one bit of the result.
         keep : tuple of str
             Of "rate" and "electrons".
+        folder : path, optional
+            Where to keep raw and planes as files while they are made, so that they take no memory
+            of the host; they are there as long as the capture is used.
         progress : callable, optional
             Called with (what, done, total).
 
         Raises
         ------
         UserError
-            For an exposure, seed or tile out of range, or when the memory does not suffice.
+            For an exposure, seed, rectangle or tile out of range, or when the memory does not
+            suffice for the smallest tile.
         """
         sensor = self.camera.sensor
         _check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
         _check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
         _check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
-        side = TILE_PX if tile_px is None else tile_px
-        period = self.plan.scales[0].grid.period
-        _check("tile-size", side, side >= period, f"{period} or more")
-        side -= side % period
+        rect = _rectangle(tile, sensor.rows, sensor.cols)
+        if tile_px is not None:
+            _check("tile-size", tile_px, tile_px >= self.period, f"{self.period} or more")
+        names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
+        if self.accuracy.probes:
+            names["rate"] = np.float32
+        shot = _Shot(self, rect, names, folder, exposure_s, seed, frame)
         report = progress or (lambda what, done, total: None)
-
-        shape = (sensor.rows, sensor.cols)
-        raw = np.empty(shape, np.uint16)
-        kept = {"rate": np.empty(shape, np.float32)}
-        if "electrons" in keep:
-            kept["electrons"] = np.empty(shape, np.float32)
-        times_s: dict[str, float] = defaultdict(float)
-        tiles = [
-            (row, col, min(side, sensor.rows - row), min(side, sensor.cols - col))
-            for row in range(0, sensor.rows, side)
-            for col in range(0, sensor.cols, side)
-        ]
-        started = time.perf_counter()
-        for number, rect in enumerate(tiles):
-            rec = Recording(self.device)
-            labels = self._record(rec, rect, exposure_s, seed, frame, tuple(kept))
-
-            def advance(done: int, total: int, number: int = number) -> None:
-                report("render", number * total + done, len(tiles) * total)
-
-            result = rec.run(advance)
-            row, col, rows, cols = rect
-            place = np.s_[row : row + rows, col : col + cols]
-            raw[place] = result[labels["dn"]]
-            for name, whole in kept.items():
-                whole[place] = result[labels[name]]
-            for stage, seconds in result.times_s.items():
-                times_s[stage.rpartition("/")[2]] += seconds
-        wall_s = time.perf_counter() - started
+        made = sum(convolve.made for convolve in self.convolutions)
+        with self.device.pool.within(self.memory_bytes):
+            self._hold(rect, tile_px, report)
+            started = time.perf_counter()
+            shot.render(tile_px, lambda done, total: report("render", done, total))
+            wall_s = time.perf_counter() - started
+            self.peak_bytes = max(self.peak_bytes, self.device.pool.peak)
 
         certificate = None
         if self.accuracy.probes:
@@ -247,26 +277,31 @@ class Renderer:
                 sensor,
                 self.scene,
                 self.placed,
-                kept["rate"],
+                shot.planes["rate"],
                 self.glare,
                 exposure_s,
                 self.accuracy,
                 lambda done, total: report("certify", done, total),
+                origin=rect[:2],
             )
         return Capture(
-            raw=raw,
-            rate=kept["rate"] if "rate" in keep else None,
-            electrons=kept.get("electrons"),
+            raw=shot.planes["dn"],
+            rate=shot.planes["rate"] if "rate" in keep else None,
+            electrons=shot.planes.get("electrons"),
             white_e=self._white_e(exposure_s),
             transmission=np.interp(
                 WAVELENGTHS_NM, self.bank.wavelengths_nm, self.bank.transmission
             ),
             notes=self.scene.notes
-            + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()),
+            + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
+            + tuple(shot.notes),
             plan=self.plan,
-            times_s=dict(times_s),
+            times_s=dict(shot.times_s),
             wall_s=wall_s,
             prepare_s=dict(self.prepare_s),
+            memory={"budget_bytes": self.memory_bytes, "peak_bytes": self.peak_bytes},
+            work={**shot.work, "nodes": sum(c.made for c in self.convolutions) - made},
+            rect=rect,
             device=self.device.report(),
             certificate=certificate,
             camera=self.camera,
@@ -277,58 +312,86 @@ class Renderer:
             accuracy=self.accuracy,
         )
 
-    def _record(
-        self,
-        rec: Recording,
-        rect: tuple[int, int, int, int],
-        exposure_s: float,
-        seed: int,
-        frame: int,
-        keep: tuple[str, ...],
-    ) -> dict[str, str]:
-        """Record one rectangle of pixels; return the labels of what comes back."""
-        sensor = self.camera.sensor
-        row, col, rows, cols = rect
-        rates = self._record_optics(rec, rect)
-        rec.mark()
-        period = self.plan.scales[0].grid.period
-        origin = (row, col)
-        rate = record_mosaic(
-            rec,
-            rates,
-            self.resident_glare,
-            sensor,
-            (rows, cols),
-            origin=origin,
-            cell_origin=(row // period, col // period),
-        )
-        mean = record_exposure(rec, rate, sensor, exposure_s, origin=origin)
-        electrons = record_noise(rec, mean, sensor, seed=seed, frame=frame, origin=origin)
-        dn = record_adc(rec, electrons, sensor)
-        outputs = {"rate": rate, "electrons": electrons, "dn": dn}
-        return {name: rec.download(outputs[name]) for name in ("dn", *keep)}
+    def lines(self, rect: Rect) -> Iterator[tuple[int, list[tuple[int, int]]]]:
+        """Yield the blocks that a rectangle needs and where there is light, line by line.
 
-    def _record_optics(self, rec: Recording, rect: tuple[int, int, int, int]) -> Array:
-        """Record source and convolution of one rectangle, block after block, scale after scale."""
-        period = self.plan.scales[0].grid.period
+        In the order in which they are added up: with the number of their scale.
+        """
+        for number, (scale, source) in enumerate(zip(self.plan.scales, self.sources, strict=True)):
+            blocks = [block for block in scale.grid.blocks_for(*rect) if source.needed[block]]
+            for _, line in groupby(blocks, key=lambda block: block[1]):
+                yield number, list(line)
+
+    def working_bytes(self) -> int:
+        """Return the device memory that is taken for a while, beside tile, scene and kernels."""
         planes = self.plan.basis.coefficients.shape[1]
-        sites = (period**2, -(-rect[2] // period), -(-rect[3] // period))
-        rates = rec.buffer("rates", sites, np.float32)
-        rec.clear(rates)
-        for scale, source, convolution in zip(
-            self.plan.scales, self.sources, self.convolutions, strict=True
-        ):
-            scratch = Scratch(rec, scale.name, scale.grid, planes)
-            line = None
-            for block in scale.grid.blocks_for(*rect):
-                if line is not None and block[1] != line:
-                    rec.mark()
-                line = block[1]
-                needed = source.needed[block]
-                if needed:
-                    source.record(rec, block, scratch.planes)
-                    convolution.record(rec, block, needed, scratch, rates, rect)
-        return rates
+        scratch = max(Scratch.nbytes(scale.grid, planes) for scale in self.plan.scales)
+        strip = strip_bytes(self.camera.sensor.cols, self.memory_bytes)
+        return max(scratch, strip) + RESERVE_BYTES
+
+    def room(self) -> int:
+        """Return the device memory that scene and kernels may take, those of now dropped."""
+        pool = self.device.pool
+        held = sum(convolve.held_bytes for convolve in self.convolutions)
+        return pool.budget - pool.in_use + held - self.working_bytes()
+
+    def load(
+        self,
+        number: int,
+        blocks: list[tuple[int, int]],
+        progress: Callable[[], None] | None = None,
+    ) -> None:
+        """Make the kernels of blocks; drop others, first of other scales, as far as need be."""
+        convolve = self.convolutions[number]
+        held = sum(convolve.held_bytes for convolve in self.convolutions)
+        lacking = convolve.missing_bytes(blocks) - (self.room() - held)
+        for other in self.convolutions:
+            if other is not convolve:
+                lacking -= other.shed(lacking)
+        convolve.shed(lacking, blocks)
+        convolve.load(blocks, progress)
+
+    def least_bytes(self) -> int:
+        """Return the device memory that the smallest tile takes, beside what is in use now."""
+        planes = self.plan.basis.coefficients.shape[1]
+        kernels = max(convolve.block_bytes(planes) for convolve in self.convolutions)
+        source = max(
+            (self.sources[n].load_bytes(line[:1]) for n, line in self.lines(self.frame)), default=0
+        )
+        tile = tile_bytes((0, 0, SMALLEST_PX, SMALLEST_PX), self.period)
+        return kernels + source + tile + self.working_bytes()
+
+    @property
+    def period(self) -> int:
+        """Rows and columns of the filter pattern."""
+        return self.plan.scales[0].grid.period
+
+    @property
+    def frame(self) -> Rect:
+        """The whole frame."""
+        return (0, 0, self.camera.sensor.rows, self.camera.sensor.cols)
+
+    def _hold(self, rect: Rect, tile_px: int | None, report: Progress) -> None:
+        """Bring onto the device what further frames need as well, if there is room for all."""
+        started = time.perf_counter()
+        for source, scale in zip(self.sources, self.plan.scales, strict=True):
+            source.prepare([b for b in scale.grid.blocks_for(*rect) if source.needed[b]])
+        started = self._spent("scene", started)
+        wanted: list[list[tuple[int, int]]] = [[] for _ in self.convolutions]
+        largest = 0
+        for number, line in self.lines(rect):
+            wanted[number] += line
+            largest = max(largest, self.sources[number].load_bytes(line))
+        pairs = list(zip(self.convolutions, wanted, strict=True))
+        needed = sum(convolve.load_bytes(blocks) for convolve, blocks in pairs)
+        tiles = tiles_of(rect, self.period, self.memory_bytes, tile_px)
+        planes = max(tile_bytes(tile, self.period) for tile in tiles)
+        if needed + largest + planes <= self.room():
+            total = sum(len(c.nodes_of(blocks) - c.nodes.keys()) for c, blocks in pairs)
+            done = iter(range(1, total + 1))
+            for number, (_, blocks) in enumerate(pairs):
+                self.load(number, blocks, lambda: report("kernels", next(done), total))
+        self._spent("kernels", started)
 
     def _white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
@@ -338,6 +401,182 @@ class Renderer:
             name: float(value * exposure_s)
             for name, value in zip(sensor.channels, white, strict=True)
         }
+
+
+class _Shot:
+    """One frame, or a rectangle of it, on its way from the scene to the host."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        rect: Rect,
+        names: dict[str, type],
+        folder: Path | None,
+        exposure_s: float,
+        seed: int,
+        frame: int,
+    ) -> None:
+        self.renderer, self.rect = renderer, rect
+        self.exposure_s, self.seed, self.frame = exposure_s, seed, frame
+        self.planes = {
+            name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
+        }
+        self.times_s: dict[str, float] = defaultdict(float)
+        self.work = {"tiles": 0, "blocks": 0}
+        self.notes: list[str] = []
+
+    def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
+        """Render tile after tile; where the memory runs out, halve the tile and go on."""
+        renderer = self.renderer
+        period = renderer.period
+        self._check_memory()
+        tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px))
+        done, left = 0, sum(map(self._steps, tiles))
+
+        def advance() -> None:
+            nonlocal done, left
+            done, left = done + 1, left - 1
+            progress(done, done + left)
+
+        while tiles:
+            tile = tiles.popleft()
+            try:
+                self._tile(tile, advance)
+            except OutOfMemoryError as error:
+                parts = halves(tile, period)
+                if not parts:
+                    raise self._too_little() from error
+                for convolve in renderer.convolutions:
+                    convolve.shed(convolve.held_bytes)
+                tiles.extendleft(reversed(parts))
+                left = sum(map(self._steps, tiles))
+                # The last such note stands for those of the halves before it.
+                self.notes = [
+                    f"GPU memory ran out: tiles of at most {parts[0][3]} x {parts[0][2]} pixels"
+                ]
+
+    def _steps(self, tile: Rect) -> int:
+        return sum(1 for _ in self.renderer.lines(aligned(tile, self.renderer.period))) + 1
+
+    def _check_memory(self) -> None:
+        pool = self.renderer.device.pool
+        held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
+        if self.renderer.least_bytes() > pool.budget - pool.in_use + held:
+            raise self._too_little()
+
+    def _too_little(self) -> UserError:
+        pool = self.renderer.device.pool
+        held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
+        others = pool.in_use - held
+        return UserError(
+            "The GPU memory does not hold the smallest tile: the kernels around one block, the "
+            "block, and the scene that it sees.",
+            field="memory",
+            value=f"{mebibytes(pool.budget)}, {mebibytes(others)} of it in use",
+            allowed=f"at least {mebibytes(self.renderer.least_bytes() + others)}: a larger "
+            "--memory, another adapter, or a looser tolerance",
+        )
+
+    def _tile(self, tile: Rect, advance: Callable[[], None]) -> None:
+        """Render one tile: source and convolution of each block that it needs, then the sensor."""
+        renderer = self.renderer
+        device, period = renderer.device, renderer.period
+        whole = aligned(tile, period)
+        sites = (period**2, whole[2] // period, whole[3] // period)
+        rates = device.empty("rates", sites, np.float32)
+        try:
+            rec = Recording(device)
+            rec.clear(rates)
+            rec.run()
+            for number, line in renderer.lines(whole):
+                for blocks in self._parts(number, line):
+                    self._blocks(number, blocks, rates, whole)
+                advance()
+            for strip in strips(tile, renderer.memory_bytes):
+                self._strip(strip, rates, whole)
+            advance()
+        finally:
+            rates.destroy()
+        self.work["tiles"] += 1
+
+    def _parts(self, number: int, line: list[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
+        """Cut a line of blocks into parts whose kernels fit the memory together."""
+        convolve, source = self.renderer.convolutions[number], self.renderer.sources[number]
+        while line:
+            count = len(line)
+            while count > 1 and self.renderer.room() < (
+                source.load_bytes(line[:count]) + convolve.load_bytes(line[:count])
+            ):
+                count = -(-count // 2)
+            yield line[:count]
+            line = line[count:]
+
+    def _blocks(
+        self, number: int, blocks: list[tuple[int, int]], rates: Resident, rect: Rect
+    ) -> None:
+        """Add blocks to the planes (S, rows, cols) of the sites of a rectangle."""
+        renderer = self.renderer
+        scale, source = renderer.plan.scales[number], renderer.sources[number]
+        source.load(blocks)
+        if renderer.convolutions[number].missing_bytes(blocks):
+            started = time.perf_counter()
+            renderer.load(number, blocks)
+            self.times_s["kernels"] += time.perf_counter() - started
+        rec = Recording(renderer.device)
+        scratch = Scratch(rec, scale.name, scale.grid, renderer.plan.basis.coefficients.shape[1])
+        for block in blocks:
+            source.record(rec, block, scratch.planes)
+            renderer.convolutions[number].record(
+                rec, block, source.needed[block], scratch, rates, rect
+            )
+        self._run(rec)
+        self.work["blocks"] += len(blocks)
+
+    def _strip(self, strip: Rect, rates: Resident, tile: Rect) -> None:
+        """Take a strip of rows from the planes of the sites to digital numbers, and to the host."""
+        renderer, sensor = self.renderer, self.renderer.camera.sensor
+        rec = Recording(renderer.device)
+        origin = strip[:2]
+        rate = record_mosaic(
+            rec,
+            rates,
+            renderer.resident_glare,
+            sensor,
+            strip[2:],
+            origin=origin,
+            cell_origin=(tile[0] // renderer.period, tile[1] // renderer.period),
+        )
+        mean = record_exposure(rec, rate, sensor, self.exposure_s, origin=origin)
+        electrons = record_noise(rec, mean, sensor, seed=self.seed, frame=self.frame, origin=origin)
+        outputs = {"rate": rate, "electrons": electrons, "dn": record_adc(rec, electrons, sensor)}
+        labels = {name: rec.download(outputs[name]) for name in self.planes}
+        result = self._run(rec)
+        row, col = strip[0] - self.rect[0], strip[1] - self.rect[1]
+        for name, plane in self.planes.items():
+            plane[row : row + strip[2], col : col + strip[3]] = result[labels[name]]
+
+    def _run(self, rec: Recording) -> Result:
+        result = rec.run()
+        for stage, seconds in result.times_s.items():
+            self.times_s[stage.rpartition("/")[2]] += seconds
+        return result
+
+
+def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None) -> np.ndarray:
+    """Return an array in memory, or in a file of a folder."""
+    if folder is None:
+        return np.empty(shape, dtype)
+    return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
+
+
+def _rectangle(tile: tuple[int, int, int, int] | None, rows: int, cols: int) -> Rect:
+    """Return a tile (x, y, width, height) as rows and columns; without one the whole frame."""
+    if tile is None:
+        return (0, 0, rows, cols)
+    x, y, width, height = tile
+    inside = 0 <= x < x + width <= cols and 0 <= y < y + height <= rows
+    _check("tile", tile, inside, f"x, y, width, height of pixels within {cols} x {rows}")
+    return (y, x, height, width)
 
 
 def _check(field: str, value: object, valid: bool, allowed: str) -> None:
@@ -353,15 +592,25 @@ def capture(
     seed: int = 0,
     frame: int = 0,
     accuracy: Accuracy | None = None,
+    memory_bytes: int | None = None,
+    tile: tuple[int, int, int, int] | None = None,
     tile_px: int | None = None,
     keep: tuple[str, ...] = (),
+    folder: Path | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
-    renderer = Renderer(camera, scene, accuracy, progress=progress)
+    renderer = Renderer(camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes)
     try:
         return renderer.capture(
-            exposure_s, seed=seed, frame=frame, tile_px=tile_px, keep=keep, progress=progress
+            exposure_s,
+            seed=seed,
+            frame=frame,
+            tile=tile,
+            tile_px=tile_px,
+            keep=keep,
+            folder=folder,
+            progress=progress,
         )
     finally:
         renderer.release()

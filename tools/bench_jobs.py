@@ -143,10 +143,13 @@ def source_stage(
     """Time paint or warp over all blocks; `expected` is the reference at a place of one block."""
     grid = stage.grid
     planes = device.empty("planes", (1, grid.block[1], grid.block[0]), np.float32)
+    blocks = grid.blocks_for(0, 0, grid.rows, grid.cols)
+    stage.prepare(blocks)
+    stage.load(blocks)
     sample, rec = Recording(device), Recording(device)
     stage.record(sample, block, planes)
     sample.run()
-    for other in grid.blocks_for(0, 0, grid.rows, grid.cols):
+    for other in blocks:
         stage.record(rec, other, planes)
     samples = planes.nbytes // 4 * grid.blocks[0] * grid.blocks[1]
     found = error(device.read(planes)[0][place], expected)
@@ -226,8 +229,9 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     # The kernels of 64 nodes serve all: 50 MiB, so that they come from memory as in a render.
     few = SimGrid(64, 64, 4, 2, length, grid.half_size, (7, 7))
     one = dict.fromkeys(np.ndindex(few.blocks), 1)
-    nodes = Convolve(device, scale_of(few), one, PITCH_UM, SITES).nodes
-    part.nodes = {(x, y): nodes[x % 8, y % 8] for x, y in np.ndindex(grid.nodes)}
+    kernels = Convolve(device, scale_of(few), one, PITCH_UM, SITES)
+    kernels.load(one)
+    part.nodes = {(x, y): kernels.nodes[x % 8, y % 8] for x, y in np.ndindex(grid.nodes)}
     scratch = Scratch(SimpleNamespace(buffer=device.empty), "bench", grid, 1)
     sites = (4, frame[0] // 2, frame[1] // 2)
     rates = device.resident("rates", np.zeros(sites, np.float32))

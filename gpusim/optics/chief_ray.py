@@ -36,6 +36,35 @@ class ChiefRayMap:
             "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
         }
 
+    def outline(
+        self, corner: np.ndarray, size: tuple[float, float], sim_pitch_um: float
+    ) -> np.ndarray:
+        """Return where the outline of a rectangle of the sim grid lies on the ideal plane.
+
+        What lies in the rectangle lies within the outline: on the way from one of its points to
+        the next the map is monotone, nearly. Points beyond the image circle are drawn onto its
+        magnification.
+
+        Parameters
+        ----------
+        corner : ndarray (2,)
+            x, y from the axis, sim samples.
+        size : (float, float)
+            Width and height, sim samples.
+        sim_pitch_um : float
+
+        Returns
+        -------
+        ndarray (36, 2)
+            x, y, sim samples.
+        """
+        side = np.linspace(0, 1, 9)
+        ends = [np.full(9, end) for end in (0, 1)]
+        around = [np.stack(pair, axis=1) for end in ends for pair in ((side, end), (end, side))]
+        real = corner + np.concatenate(around) * size
+        rho2 = np.minimum(np.sum(real**2, axis=1) * (sim_pitch_um / self.radius_um) ** 2, 1.0)
+        return real * np.polynomial.Polynomial(self.coefficients)(rho2)[:, None]
+
 
 def chief_ray_map(bank: Bank) -> ChiefRayMap:
     """Fit the bank's chief-ray map at the reference wavelength.

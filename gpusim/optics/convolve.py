@@ -7,17 +7,21 @@ column spectra serve the four nodes.
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Array, Device, Kernel, Recording, Resident
+from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, kernel_spectra, node_kernels, sampled_kernels
 
+Node = tuple[int, int]  # x, y of a PSF node
 # Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
 FIRST_RADIX = {32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
 
@@ -48,19 +52,31 @@ class Scratch:
     """What one block needs on the device; the next block of the same scale uses it again."""
 
     def __init__(self, rec: Recording, name: str, grid: SimGrid, planes: int) -> None:
-        length = grid.length
-        self.planes = rec.buffer(
-            f"planes {name}", (planes, grid.block[1], grid.block[0]), np.float32
+        self.planes, self.spectra, self.folded = (
+            rec.buffer(f"{label} {name}", shape, np.float32)
+            for label, shape in self.shapes(grid, planes).items()
         )
-        self.spectra = rec.buffer(f"spectra {name}", (planes, grid.block[1], length, 2), np.float32)
+
+    @staticmethod
+    def shapes(grid: SimGrid, planes: int) -> dict[str, tuple[int, ...]]:
+        """Return the shape of each array, of floats."""
         pairs = -(-grid.sites // 2)
-        self.folded = rec.buffer(
-            f"folded {name}", (pairs, grid.window // 2 + 1, grid.window, 2, 2), np.float32
-        )
+        return {
+            "planes": (planes, grid.block[1], grid.block[0]),
+            "spectra": (planes, grid.block[1], grid.length, 2),
+            "folded": (pairs, grid.window // 2 + 1, grid.window, 2, 2),
+        }
+
+    @classmethod
+    def nbytes(cls, grid: SimGrid, planes: int) -> int:
+        """Return the device memory that the arrays take."""
+        return sum(size_class(4 * math.prod(s)) for s in cls.shapes(grid, planes).values())
 
 
 class Convolve:
-    """Channel kernels of one scale on the device, and the passes that use them.
+    """Channel kernels of one scale, and the passes that use them.
+
+    Kernels come onto the device with `load`, and stay there until `shed` or `release`.
 
     Parameters
     ----------
@@ -68,13 +84,18 @@ class Convolve:
     scale : Scale
     needed : dict
         Coefficient planes that each block needs; where none of the blocks around a node needs a
-        plane, its kernels are left out.
+        plane, its kernels have no such plane.
     aperture_um : float
         Side of the pixel aperture.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
-    progress : callable, optional
-        Called after each PSF node.
+
+    Attributes
+    ----------
+    nodes : dict of Resident
+        Kernels on the device by PSF node, the last used last.
+    made : int
+        Kernels of how many nodes were made so far.
     """
 
     def __init__(
@@ -84,10 +105,11 @@ class Convolve:
         needed: dict[tuple[int, int], int],
         aperture_um: float,
         site_channels: list[int],
-        progress: Callable[[], None] | None = None,
     ) -> None:
+        self.device, self.scale, self.needed = device, scale, needed
         self.grid = grid = scale.grid
-        outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
+        self.outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
+        self.aperture = aperture_um / scale.pitch_um  # sim samples
         line = {"T": grid.length, "LANES": grid.length // 8}
         radix = FIRST_RADIX[grid.length]
         lattice = {"D": grid.stride, "M": grid.window, "SITE_RADIX": FIRST_RADIX[grid.window]}
@@ -99,7 +121,7 @@ class Convolve:
             **line,
             FIRST_RADIX=radix,
             BY=grid.block[1],
-            C=len(outputs),
+            C=len(self.outputs),
             **lattice,
             PERIOD=grid.period,
             STEP=step,
@@ -108,53 +130,112 @@ class Convolve:
         self.lattice = Kernel("optics/lattice", **line, **lattice, S=grid.sites)
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
-        self.nodes = {}
-        for node, spectra in self._spectra(scale, needed, aperture_um / scale.pitch_um, outputs):
-            if spectra is not None:
-                label = f"node {node[0]},{node[1]}"
-                self.nodes[node] = device.resident(label, spectra.view(np.float32))
+        self.nodes: dict[Node, Resident] = {}
+        self.made = 0
+        self._points: dict[Node, np.ndarray] = {}  # kernels at nodes, to make others of them
+
+    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
+        """Return the PSF nodes around blocks."""
+        cells = {self.grid.cell_of(block) for block in blocks}
+        return {(x + dx, y + dy) for x, y in cells for dx in (0, 1) for dy in (0, 1)}
+
+    def node_bytes(self, node: Node) -> int:
+        """Return the device memory that the kernels of a node take."""
+        length, planes = self.grid.length, self.grid.planes_at(node, self.needed)
+        return size_class(planes * len(self.outputs) * (length // 2 + 1) * length * 8)
+
+    def load_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
+        """Return the device memory that the kernels of blocks take together."""
+        return sum(map(self.node_bytes, self.nodes_of(blocks)))
+
+    def missing_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
+        """Return the device memory that `load` takes in addition."""
+        return sum(map(self.node_bytes, self.nodes_of(blocks) - self.nodes.keys()))
+
+    def block_bytes(self, planes: int) -> int:
+        """Return the device memory that the kernels of one block of so many planes take."""
+        length = self.grid.length
+        return 4 * size_class(planes * len(self.outputs) * (length // 2 + 1) * length * 8)
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory that kernels take now."""
+        return sum(size_class(kernels.nbytes) for kernels in self.nodes.values())
+
+    def load(
+        self,
+        blocks: Iterable[tuple[int, int]],
+        progress: Callable[[], None] | None = None,
+    ) -> None:
+        """Make those kernels of blocks that are not on the device.
+
+        Parameters
+        ----------
+        blocks : iterable of (int, int)
+            Each of them needs a plane.
+        progress : callable, optional
+            Called after each PSF node.
+        """
+        wanted = sorted(self.nodes_of(blocks), key=lambda node: node[::-1])
+        for node, spectra in self._spectra([node for node in wanted if node not in self.nodes]):
+            label = f"node {node[0]},{node[1]}"
+            self.nodes[node] = self.device.resident(label, spectra.view(np.float32))
+            self.made += 1
             if progress is not None:
                 progress()
+        for node in wanted:
+            self.nodes[node] = self.nodes.pop(node)
 
-    def _spectra(
-        self,
-        scale: Scale,
-        needed: dict[tuple[int, int], int],
-        width: float,
-        outputs: list[tuple[int, float, float]],
-    ) -> Iterator[tuple[tuple[int, int], np.ndarray | None]]:
-        """Yield every node with its kernels' spectra, None where no block needs them."""
-        grid = self.grid
+    def shed(self, nbytes: int, blocks: Iterable[tuple[int, int]] = ()) -> int:
+        """Drop kernels that blocks do not use, until so many bytes are free; return how many are.
+
+        The last used first: frames are worked through in the same order again and again, and what
+        was used just now is what will be wanted last.
+        """
+        wanted, freed = self.nodes_of(blocks), 0
+        for node in [node for node in reversed(self.nodes) if node not in wanted]:
+            if freed >= nbytes:
+                break
+            freed += self.node_bytes(node)
+            self.nodes.pop(node).destroy()
+        return freed
+
+    def _spectra(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
+        """Yield nodes, given row by row, with their kernels' spectra."""
+        grid, scale = self.grid, self.scale
         cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-        points: dict[tuple[int, int], np.ndarray] = {}
+        points = self._points
 
         def sample(index: tuple[int, int], planes: int) -> np.ndarray:
             x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
             size = grid.half_size
             return sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
 
-        def transform(node: tuple[int, int], planes: int) -> np.ndarray | None:
-            if not planes:
-                return None
+        def transform(node: Node, planes: int) -> np.ndarray:
             x, y = node
             kernels = node_kernels(lambda dx, dy: points[x + dx, y + dy][:planes])
-            return kernel_spectra(kernels, grid.length, width, scale.sigma, outputs)
+            return kernel_spectra(kernels, grid.length, self.aperture, scale.sigma, self.outputs)
 
         # SciPy and NumPy let go of the interpreter in their loops.
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for y in range(grid.nodes[1]):
+            for y, of_row in groupby(nodes, key=lambda node: node[1]):
                 # A node needs its neighbours' kernels: those of three rows are at hand at a time.
-                points = {index: kernel for index, kernel in points.items() if index[1] >= y - 1}
-                row = {(x, y): grid.planes_at((x, y), needed) for x in range(grid.nodes[0])}
-                wanted: dict[tuple[int, int], int] = {}
+                for index in [index for index in points if abs(index[1] - y) > 1]:
+                    del points[index]
+                row = {node: grid.planes_at(node, self.needed) for node in of_row}
+                wanted: dict[Node, int] = {}
                 for (x, _), planes in row.items():
-                    for dx, dy in cross if planes else ():
+                    for dx, dy in cross:
                         index = (x + dx, y + dy)
                         wanted[index] = max(wanted.get(index, 0), planes)
                 lacking = {i: n for i, n in wanted.items() if len(points.get(i, ())) < n}
                 found = pool.map(sample, lacking.keys(), lacking.values())
                 points.update(zip(lacking, found, strict=True))
-                yield from zip(row, pool.map(transform, row.keys(), row.values()), strict=True)
+                # A few at a time: the spectra of a whole row may be gigabytes.
+                step = 2 * (os.cpu_count() or 1)
+                for first in range(0, len(row), step):
+                    part = dict(list(row.items())[first : first + step])
+                    yield from zip(part, pool.map(transform, part, part.values()), strict=True)
 
     def _outputs(
         self, site_channels: list[int], channels: int
@@ -188,6 +269,8 @@ class Convolve:
         """Give the device's memory back."""
         for resident in (self.twiddle, *self.nodes.values()):
             resident.destroy()
+        self.nodes.clear()
+        self._points.clear()
 
     def record(
         self,
@@ -198,7 +281,7 @@ class Convolve:
         rates: Array,
         rect: tuple[int, int, int, int],
     ) -> None:
-        """Add one block to the planes of the CFA sites.
+        """Add one block to the planes of the CFA sites; its kernels are loaded.
 
         Parameters
         ----------

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Array, Device, Kernel, Recording, Resident
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -55,21 +57,12 @@ def primitives_by_block(
     )
     material = np.array([shape.material for shape in chart.primitives], int)
     last_plane = np.array([np.flatnonzero(row)[-1] + 1 if row.any() else 0 for row in coefficients])
-    g = np.polynomial.Polynomial(chief_ray.coefficients)
-    side = np.linspace(0, 1, 9)
-    # Nine points a side of the block's outline: on the way from one to the next the map is
-    # monotone.
-    outline = np.concatenate(
-        [np.stack([side, np.full(9, end)], axis=1) for end in (0, 1)]
-        + [np.stack([np.full(9, end), side], axis=1) for end in (0, 1)]
-    )
     seen, needed = {}, {}
+    size = tuple(side + 2 * REACH for side in grid.block)
     for y in range(grid.blocks[1]):
         for x in range(grid.blocks[0]):
             corner = np.array(grid.block_origin((x, y))) - grid.centre - REACH
-            real = (corner + outline * (np.array(grid.block) + 2 * REACH)) * pitch_um
-            rho2 = np.minimum(np.sum(real**2, axis=1) / chief_ray.radius_um**2, 1.0)
-            ideal = real * g(rho2)[:, None]
+            ideal = chief_ray.outline(corner, size, pitch_um) * pitch_um
             low, high = ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um
             near = np.all(
                 (bounds_um[:, :2] + bounds_um[:, 2:] > low)
@@ -83,6 +76,7 @@ def primitives_by_block(
 
 def tiles_by_block(
     chart: Chart,
+    blocks: Sequence[tuple[int, int]],
     seen: dict[tuple[int, int], np.ndarray],
     needed: dict[tuple[int, int], int],
     scale: Scale,
@@ -96,6 +90,8 @@ def tiles_by_block(
     ----------
     chart : Chart
         Placed, in um on the ideal plane.
+    blocks : sequence of (int, int)
+        Of which lists are made.
     seen, needed : dict
         As `primitives_by_block` returns them.
     scale : Scale
@@ -123,7 +119,8 @@ def tiles_by_block(
     tiles: list[tuple[int, int, int, int]] = []
     chosen: list[int] = []
     ranges = {}
-    for block, numbers in seen.items():
+    for block in blocks:
+        numbers = seen[block]
         corner = np.array(grid.block_origin(block)) - grid.centre
         middle_um = (corner + corners + TILE / 2) * scale.pitch_um
         radius_um = np.hypot(*middle_um.T)
@@ -178,7 +175,7 @@ class Paint:
         chief_ray: ChiefRayMap,
     ) -> None:
         self.grid, self.pitch_um, self.sigma = scale.grid, scale.pitch_um, scale.sigma
-        self.chief_ray = chief_ray
+        self.device, self.chart, self.scale, self.chief_ray = device, chart, scale, chief_ray
         table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
         for row, shape in zip(table, chart.primitives, strict=False):
             disc = isinstance(shape, Disc)
@@ -191,25 +188,46 @@ class Paint:
             row["material"] = shape.material
         materials = np.zeros((len(coefficients), 8), np.float32)
         materials[:, : coefficients.shape[1]] = coefficients
-        seen, self.needed = primitives_by_block(
+        self.seen, self.needed = primitives_by_block(
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )
-        tiles, chosen, self.ranges = tiles_by_block(chart, seen, self.needed, scale, chief_ray)
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
         self.materials = device.resident("paint materials", materials)
-        self.chosen = device.resident("paint chosen", chosen)
-        self.tiles = device.resident("paint tiles", tiles)
+        self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
+        self.lists: tuple[Resident, ...] = ()
         size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
         self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
+    def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:
+        """List the tiles of blocks, unless that was done before; the lists stay on the device."""
+        if not self.ranges.keys() >= set(blocks):
+            wanted = sorted({*self.ranges, *blocks}, key=lambda block: block[::-1])
+            tiles, chosen, self.ranges = tiles_by_block(
+                self.chart, wanted, self.seen, self.needed, self.scale, self.chief_ray
+            )
+            for resident in self.lists:
+                resident.destroy()
+            self.lists = (
+                self.device.resident("paint tiles", tiles),
+                self.device.resident("paint chosen", chosen),
+            )
+
+    def load_bytes(self, blocks: Sequence[tuple[int, int]]) -> int:
+        """Return the device memory that `load` takes: none."""
+        return 0
+
+    def load(self, blocks: Sequence[tuple[int, int]]) -> None:
+        """Do nothing: all that blocks need is on the device after `prepare`."""
+
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.primitives, self.materials, self.chosen, self.tiles):
+        for resident in (self.primitives, self.materials, *self.lists):
             resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
-        """Paint one block of the sim grid into `planes` (J, BY, BX)."""
+        """Paint one block of the sim grid into `planes` (J, BY, BX), after `prepare`."""
         grid = self.grid
+        tiles, chosen = self.lists
         first, plain, with_edges = self.ranges[block]
         corner = np.array(grid.block_origin(block)) + 0.5
         for kernel, start, count in zip(
@@ -225,8 +243,8 @@ class Paint:
                     "first": start,
                 },
                 primitives=self.primitives,
-                chosen=self.chosen,
+                chosen=chosen,
                 materials=self.materials,
-                tiles=self.tiles,
+                tiles=tiles,
                 planes=planes,
             )

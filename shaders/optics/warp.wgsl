@@ -19,13 +19,15 @@ struct Params {
     origin: vec2f,            // sample (0, 0) of the block
     centre: vec2f,            // the optical axis in raster samples (sample 0 at 0)
     size: vec2i,              // raster columns, rows
+    first: vec2i,             // column and row of the raster with which `coefficients` begins
+    cols: i32,                // columns of `coefficients`
     inverse_radius2: f32,
     scale: f32,               // raster samples per sim sample
     plane: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> coefficients: array<f32>;   // (rows, cols)
+@group(0) @binding(1) var<storage, read> coefficients: array<f32>;   // (rows, cols): of the raster what the block sees
 @group(0) @binding(2) var<storage, read_write> planes: array<f32>;
 
 // beta3 at f + 1, f, f - 1, f - 2 for 0 <= f < 1
@@ -45,7 +47,7 @@ fn mirror(k: i32, n: i32) -> i32 {
 }
 
 fn row_sum(first: vec2i, row: i32, weights: vec4f) -> f32 {
-    let at = mirror(first.y + row, params.size.y) * params.size.x;
+    let at = (mirror(first.y + row, params.size.y) - params.first.y) * params.cols - params.first.x;
     return dot(weights, vec4f(
         coefficients[at + mirror(first.x, params.size.x)],
         coefficients[at + mirror(first.x + 1, params.size.x)],

@@ -69,6 +69,7 @@ def on_device(device, scale, site_channels, blocks, needed, rect):
     sites = site_channels[: grid.sites]
     aperture_um = PITCH_UM * np.sqrt(FILL)
     stage = Convolve(device, scale, needed, aperture_um, sites)
+    stage.load([block for block in grid.blocks_for(*rect) if needed[block]])
     rec = Recording(device)
     shape = (grid.sites, *(-(-side // grid.period) for side in rect[2:]))
     rates = rec.buffer("rates", shape, F32)

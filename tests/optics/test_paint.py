@@ -283,6 +283,7 @@ def test_the_host_paints_blocks_of_the_real_plane(device: Device):
         device, chart, coefficients, Scale("test", GRID, PITCH_UM, SIGMA, NO_KERNELS), chief_ray
     )
     for block in [(2, 3), (3, 2)]:
+        stage.prepare([block])  # the second time the lists of both are made
         rec = Recording(device)
         out = rec.buffer("planes", (2, GRID.block[1], GRID.block[0]), F32)
         stage.record(rec, block, out)
@@ -376,7 +377,7 @@ def test_tiles_know_their_ground_and_their_edges():
     for primitives, fewest in ((shapes(), 1), (bars, 1), (inside, 2), ((), 1)):
         chart = scene(primitives).source.placed(48 * 1.55 / 2)
         seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray)
-        tiles, chosen, ranges = tiles_by_block(chart, seen, needed, scale, chief_ray)
+        tiles, chosen, ranges = tiles_by_block(chart, seen, seen, needed, scale, chief_ray)
         assert sorted(ranges) == sorted(np.ndindex(GRID.blocks))
         assert sum(plain + edges for _, plain, edges in ranges.values()) == len(tiles)
         grounds = set()

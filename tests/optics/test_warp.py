@@ -38,6 +38,8 @@ def on_device(samples, origin, shape, centre, scale, distortion, radius, plane=0
         "origin": origin,
         "centre": centre,
         "size": samples.shape[::-1],
+        "first": (0, 0),
+        "cols": samples.shape[1],
         "inverse_radius2": radius**-2,
         "scale": scale,
         "plane": plane,
@@ -122,6 +124,7 @@ def test_the_host_places_the_raster(device: Device):
     )
     assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), 2)
     block = (0, 1)
+    stage.load([block])
     rec = Recording(device)
     out = rec.buffer("planes", (2, grid.block[1], grid.block[0]), F32)
     rec.clear(out)
@@ -152,6 +155,37 @@ def test_the_host_places_the_raster(device: Device):
     # The polynomial is within FIT_ERROR_UM of the bank's map; f32 adds 1e-4 raster samples at most.
     off = FIT_ERROR_UM / placed.pitch_um + 1e-4
     assert_close(found, expected, atol=2 * 1.5 * off * np.abs(splines).max())
+
+
+def test_a_block_sees_the_same_whatever_else_is_loaded(device: Device):
+    """What is brought for one block holds all that it reads, to the bit, also at borders."""
+    lens = bank(distortion=-0.1)
+    planes = np.random.default_rng(8).uniform(0.4, 1, (1, 90, 130)).astype(F32)
+    grid = SimGrid(96, 128, 4, 2, 256, 104, (3, 2))  # blocks of 48 samples, well beyond the sensor
+    placed = Raster(planes).placed(64 * 1.55, 48 * 1.55, 0.775)
+    scale = Scale("test", grid, 0.775, 0.0, NO_KERNELS)
+    stage = Warp(device, placed, np.eye(1), scale, chief_ray_map(lens))
+    blocks = list(np.ndindex(grid.blocks))
+
+    def at(block: tuple[int, int]) -> np.ndarray:
+        rec = Recording(device)
+        out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
+        stage.record(rec, block, out)
+        label = rec.download(out)
+        return rec.run()[label]
+
+    stage.load(blocks)
+    assert stage.loaded == (range(130), range(90))
+    assert stage.load_bytes(blocks) == 49152  # 46800 bytes, in a buffer of 1.5 x 2^15
+    whole = {block: at(block) for block in blocks}
+    sizes = set()
+    for block in blocks:
+        stage.load([block])
+        sizes.add(tuple(map(len, stage.loaded)))
+        assert_close(at(block), whole[block], atol=0)
+    # 48 samples of 0.775 um are 24 of the raster's, and four around them; at the border fewer.
+    assert max(size[0] for size in sizes) < 50 and len(sizes) > 3
+    stage.release()
 
 
 def test_the_defaults_are_of_the_default_grid(device: Device):
