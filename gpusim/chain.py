@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -158,6 +158,7 @@ class Renderer:
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolve] = []
         self.resident_glare: Resident | None = None
+        pool.clear()  # what others left behind is no part of this renderer's peak
         with pool.within(self.memory_bytes):
             try:
                 self._prepare(progress or (lambda what, done, total: None))
@@ -326,7 +327,7 @@ class Renderer:
         """Return the device memory that is taken for a while, beside tile, scene and kernels."""
         planes = self.plan.basis.coefficients.shape[1]
         scratch = max(Scratch.nbytes(scale.grid, planes) for scale in self.plan.scales)
-        strip = strip_bytes(self.camera.sensor.cols, self.memory_bytes)
+        strip = strip_bytes(self.frame, self.memory_bytes)
         return max(scratch, strip) + RESERVE_BYTES
 
     def room(self) -> int:
@@ -349,7 +350,16 @@ class Renderer:
             if other is not convolve:
                 lacking -= other.shed(lacking)
         convolve.shed(lacking, blocks)
-        convolve.load(blocks, progress)
+        try:
+            convolve.load(blocks, progress)
+        except OutOfMemoryError:  # the adapter has less than the budget
+            self.drop(number, blocks)
+            convolve.load(blocks, progress)
+
+    def drop(self, number: int = 0, blocks: Sequence[tuple[int, int]] = ()) -> None:
+        """Drop all kernels, but for those of some blocks."""
+        for other, convolve in enumerate(self.convolutions):
+            convolve.shed(convolve.held_bytes, blocks if other == number else ())
 
     def least_bytes(self) -> int:
         """Return the device memory that the smallest tile takes, beside what is in use now."""
@@ -389,8 +399,11 @@ class Renderer:
         if needed + largest + planes <= self.room():
             total = sum(len(c.nodes_of(blocks) - c.nodes.keys()) for c, blocks in pairs)
             done = iter(range(1, total + 1))
-            for number, (_, blocks) in enumerate(pairs):
-                self.load(number, blocks, lambda: report("kernels", next(done), total))
+            try:
+                for number, (_, blocks) in enumerate(pairs):
+                    self.load(number, blocks, lambda: report("kernels", next(done), total))
+            except OutOfMemoryError:  # the adapter has less: they are made where they are needed
+                self.drop()
         self._spent("kernels", started)
 
     def _white_e(self, exposure_s: float) -> dict[str, float]:
@@ -445,9 +458,8 @@ class _Shot:
             except OutOfMemoryError as error:
                 parts = halves(tile, period)
                 if not parts:
-                    raise self._too_little() from error
-                for convolve in renderer.convolutions:
-                    convolve.shed(convolve.held_bytes)
+                    raise self._too_little(error.value) from error
+                renderer.drop()
                 tiles.extendleft(reversed(parts))
                 left = sum(map(self._steps, tiles))
                 # The last such note stands for those of the halves before it.
@@ -462,17 +474,17 @@ class _Shot:
         pool = self.renderer.device.pool
         held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
         if self.renderer.least_bytes() > pool.budget - pool.in_use + held:
-            raise self._too_little()
+            others = pool.in_use - held
+            raise self._too_little(f"{mebibytes(pool.budget)}, {mebibytes(others)} of it in use")
 
-    def _too_little(self) -> UserError:
-        pool = self.renderer.device.pool
-        held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
-        others = pool.in_use - held
+    def _too_little(self, found: object) -> UserError:
+        self.renderer.drop()
+        others = self.renderer.device.pool.in_use
         return UserError(
             "The GPU memory does not hold the smallest tile: the kernels around one block, the "
             "block, and the scene that it sees.",
             field="memory",
-            value=f"{mebibytes(pool.budget)}, {mebibytes(others)} of it in use",
+            value=found,
             allowed=f"at least {mebibytes(self.renderer.least_bytes() + others)}: a larger "
             "--memory, another adapter, or a looser tolerance",
         )
@@ -489,8 +501,17 @@ class _Shot:
             rec.clear(rates)
             rec.run()
             for number, line in renderer.lines(whole):
-                for blocks in self._parts(number, line):
-                    self._blocks(number, blocks, rates, whole)
+                parts = deque(self._parts(number, line))
+                while parts:
+                    blocks = parts.popleft()
+                    try:
+                        self._load(number, blocks)
+                    except OutOfMemoryError:
+                        if len(blocks) == 1:
+                            raise
+                        parts.extendleft([blocks[len(blocks) // 2 :], blocks[: len(blocks) // 2]])
+                    else:
+                        self._blocks(number, blocks, rates, whole)
                 advance()
             for strip in strips(tile, renderer.memory_bytes):
                 self._strip(strip, rates, whole)
@@ -511,17 +532,21 @@ class _Shot:
             yield line[:count]
             line = line[count:]
 
+    def _load(self, number: int, blocks: list[tuple[int, int]]) -> None:
+        """Bring scene and kernels of blocks onto the device."""
+        renderer = self.renderer
+        renderer.sources[number].load(blocks)
+        if renderer.convolutions[number].missing_bytes(blocks):
+            started = time.perf_counter()
+            renderer.load(number, blocks)
+            self.times_s["kernels"] += time.perf_counter() - started
+
     def _blocks(
         self, number: int, blocks: list[tuple[int, int]], rates: Resident, rect: Rect
     ) -> None:
         """Add blocks to the planes (S, rows, cols) of the sites of a rectangle."""
         renderer = self.renderer
         scale, source = renderer.plan.scales[number], renderer.sources[number]
-        source.load(blocks)
-        if renderer.convolutions[number].missing_bytes(blocks):
-            started = time.perf_counter()
-            renderer.load(number, blocks)
-            self.times_s["kernels"] += time.perf_counter() - started
         rec = Recording(renderer.device)
         scratch = Scratch(rec, scale.name, scale.grid, renderer.plan.basis.coefficients.shape[1])
         for block in blocks:

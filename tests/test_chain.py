@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
+import wgpu
 from harness import assert_close
 from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.special import ndtr
 
 from gpusim.chain import Capture, Renderer, capture
 from gpusim.errors import UserError
-from gpusim.gpu import Device
+from gpusim.gpu import Device, DeviceLostError, Recording
 from gpusim.optics import paint
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
@@ -325,6 +328,198 @@ def test_a_photograph_meets_the_certificate_and_tiles_alike():
     assert_close(tiled.raw, shot.raw, atol=0)
 
 
+# Rectangles, and memory
+
+
+def inside(rect: tuple[int, int, int, int]) -> tuple[slice, slice]:
+    x, y, width, height = rect
+    return np.s_[y : y + height, x : x + width]
+
+
+RECTANGLES = [
+    (0, 0, 128, 96),
+    (0, 0, 1, 1),
+    (127, 95, 1, 1),
+    (17, 31, 40, 23),
+    (64, 1, 3, 95),
+    (1, 50, 127, 2),
+]
+
+
+@pytest.mark.parametrize("rect", RECTANGLES)
+def test_a_rectangle_is_that_of_the_frame_bit_for_bit(
+    renderer: Renderer, whole: Capture, rect: tuple[int, int, int, int]
+):
+    found = renderer.capture(EXPOSURE_S, seed=5, tile=rect, keep=("rate", "electrons"))
+    assert found.rect == (rect[1], rect[0], rect[3], rect[2])
+    for name in ("raw", "rate", "electrons"):
+        part = np.ascontiguousarray(getattr(whole, name)[inside(rect)])
+        assert_close(getattr(found, name), part, atol=0)
+
+
+WIDE = StubCamera(bank(coma_um=0.6, falloff=0.1, halo=0.01, circle_um=360.0), sensor(240, 320))
+
+
+def wide_photograph() -> Scene:
+    rng = np.random.default_rng(6)
+    return photograph(rng.uniform(0.2, 1, (2, 60, 80)).astype(np.float32))
+
+
+@pytest.mark.parametrize("subject", [scene(shapes()), wide_photograph()], ids=["chart", "photo"])
+def test_a_rectangle_alone_takes_less_work_and_gives_the_same_bits(subject: Scene):
+    rng = np.random.default_rng(11)
+    with rendering(WIDE, subject) as one:
+        full = one.capture(EXPOSURE_S, seed=3, keep=("rate",))
+    for _ in range(2):
+        x, y = (int(n) for n in rng.integers(0, (260, 180)))
+        rect = (x, y, 41, 37)
+        with rendering(WIDE, subject) as one:
+            part = one.capture(EXPOSURE_S, seed=3, tile=rect, keep=("rate",))
+        assert_close(part.raw, np.ascontiguousarray(full.raw[inside(rect)]), atol=0)
+        assert_close(part.rate, np.ascontiguousarray(full.rate[inside(rect)]), atol=0)
+        assert part.work["blocks"] < full.work["blocks"] / 2
+        assert part.work["nodes"] < full.work["nodes"] * 2 / 3
+        assert part.memory["peak_bytes"] < full.memory["peak_bytes"]
+
+
+def test_a_rectangle_is_certified_by_probes_inside_it(whole: Capture):
+    with rendering(CAMERA, scene(shapes()), Accuracy(tolerance=1e-2, probes=4)) as one:
+        part = one.capture(EXPOSURE_S, tile=(33, 21, 30, 25))
+    assert part.certificate.met and part.certificate.probes == 4
+    for probe in part.certificate.points:  # their places are those in the frame
+        assert 21 <= probe.row < 46 and 33 <= probe.col < 63
+        assert probe.render == pytest.approx(whole.rate[probe.row, probe.col] * EXPOSURE_S)
+
+
+@pytest.mark.parametrize("subject", [scene(shapes()), wide_photograph()], ids=["chart", "photo"])
+def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
+    with rendering(WIDE, subject) as one:
+        full = one.capture(EXPOSURE_S, seed=3)
+        least = one.least_bytes()
+    assert "kernels" not in full.times_s  # all of them fit: they were made beforehand
+    assert full.memory["budget_bytes"] == one.device.pool.budget
+    # Glare, tables of the chart, and a few kernels more than a block has.
+    budget = one.device.pool.in_use + least + (3 << 20)
+    small = capture(
+        WIDE, subject, exposure_s=EXPOSURE_S, seed=3, accuracy=COARSE, memory_bytes=budget
+    )
+    assert small.memory == {
+        "budget_bytes": budget,
+        "peak_bytes": small.memory["peak_bytes"],
+    }
+    assert small.memory["peak_bytes"] <= budget < full.memory["peak_bytes"]
+    assert small.times_s["kernels"] > 0 and small.work["nodes"] >= full.work["nodes"]
+    assert_close(small.raw, full.raw, atol=0)
+
+
+def test_a_budget_below_the_smallest_tile_is_refused(device: Device):
+    with rendering(CAMERA, scene(shapes())) as one:
+        least = one.least_bytes()
+    before = device.pool.in_use
+    given = {"exposure_s": 0.1, "accuracy": COARSE}
+    with pytest.raises(UserError, match="does not hold the smallest tile") as caught:
+        capture(CAMERA, scene(shapes()), **given, memory_bytes=before + least // 2)
+    assert caught.value.field == "memory" and "at least" in caught.value.allowed
+    assert device.pool.in_use == before
+    allowed = int((float(caught.value.allowed.split()[2]) + 0.1) * 2**20)  # a tenth of a MiB
+    found = capture(CAMERA, scene(shapes()), **given, memory_bytes=allowed)
+    assert found.memory["peak_bytes"] <= allowed
+
+
+class Limited:
+    """A device without memory: for all beyond so many bytes, or for large buffers of a label."""
+
+    def __init__(self, device: Device, nbytes: float, label: str = "", largest: int = 0) -> None:
+        self.real, self.pool = device.gpu, device.pool
+        self.nbytes, self.label, self.largest = nbytes, label, largest
+        self.refused = 0
+
+    def create_buffer(self, *, label: str, size: int, usage: int) -> object:
+        """Return a buffer, or say that there is no memory."""
+        full = self.pool.in_use + self.pool.idle + size > self.nbytes
+        if full or (label == self.label and size > self.largest):
+            self.refused += 1
+            raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
+        return self.real.create_buffer(label=label, size=size, usage=usage)
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, device: Device, *limits: object) -> Limited:
+    device.pool.clear()
+    adapter = Limited(device, *limits)
+    monkeypatch.setattr(device.pool, "_device", adapter)
+    return adapter
+
+
+def test_an_adapter_with_less_than_the_budget_gives_the_same_bits(monkeypatch, device: Device):
+    subject = wide_photograph()
+    with rendering(WIDE, subject) as one:
+        full = one.capture(EXPOSURE_S, seed=3)
+        least = one.least_bytes()
+    adapter = limited(monkeypatch, device, device.pool.in_use + least + (2 << 20))
+    with rendering(WIDE, subject) as one:
+        for _ in range(2):
+            found = one.capture(EXPOSURE_S, seed=3)
+            assert_close(found.raw, full.raw, atol=0)
+    assert adapter.refused and found.memory["peak_bytes"] < full.memory["peak_bytes"]
+    assert "kernels" in found.times_s
+
+
+def test_where_the_memory_ends_tiles_are_halved(monkeypatch, device: Device):
+    """No planes of more than 100 KiB: tiles of a quarter, of 80 x 320 pixels."""
+    subject = wide_photograph()
+    with rendering(WIDE, subject) as one:
+        full = one.capture(EXPOSURE_S, seed=3)
+        before = device.pool.budget
+        adapter = limited(monkeypatch, device, np.inf, "rates", 100 << 10)
+        steps = []
+        found = one.capture(EXPOSURE_S, seed=3, progress=lambda *step: steps.append(step))
+    assert (full.work["tiles"], found.work["tiles"]) == (1, 4) and adapter.refused > 1
+    assert found.notes[-1] == "GPU memory ran out: tiles of at most 160 x 120 pixels"
+    assert_close(found.raw, full.raw, atol=0)
+    assert device.pool.budget == before
+    assert steps[-1][1] == steps[-1][2]
+
+
+def test_where_the_smallest_tile_does_not_fit_it_says_what_is_needed(monkeypatch, device: Device):
+    subject = wide_photograph()
+    with rendering(WIDE, subject) as one:
+        least = one.least_bytes()
+    before = device.pool.in_use
+    with rendering(WIDE, subject) as one:
+        limited(monkeypatch, device, device.pool.in_use + least // 2)  # in use: the scene's
+        with pytest.raises(UserError, match="does not hold the smallest tile") as caught:
+            one.capture(EXPOSURE_S, seed=3)
+    assert caught.value.field == "memory" and "MiB" in caught.value.value
+    assert "at least" in caught.value.allowed
+    assert device.pool.in_use == before
+
+
+def test_a_lost_device_ends_the_render_and_says_so(monkeypatch):
+    own = Device.open(os.environ.get("GPUSIM_ADAPTER"))
+    one = Renderer(CAMERA, scene(shapes()), COARSE, own)
+    run, left = Recording.run, [3]
+
+    def breaks_off(self: Recording, *given: object) -> object:
+        left[0] -= 1
+        if not left[0]:
+            own.gpu.destroy()
+        return run(self, *given)
+
+    monkeypatch.setattr(Recording, "run", breaks_off)
+    with pytest.raises(DeviceLostError, match="device was lost"):
+        one.capture(EXPOSURE_S)
+    one.release()
+    assert own.lost
+
+
+def test_planes_may_be_kept_in_files(renderer: Renderer, whole: Capture, tmp_path: Path):
+    found = renderer.capture(EXPOSURE_S, seed=5, keep=("rate",), folder=tmp_path)
+    assert isinstance(found.raw, np.memmap) and isinstance(found.rate, np.memmap)
+    assert_close(np.load(tmp_path / "dn.npy"), whole.raw, atol=0)
+    assert_close(np.load(tmp_path / "rate.npy"), whole.rate, atol=0)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["dn.npy", "rate.npy"]
+
+
 # What is refused
 
 
@@ -341,6 +536,12 @@ def test_a_photograph_meets_the_certificate_and_tiles_alike():
         ("frame", {"frame": 2**32}),
         ("tile-size", {"tile_px": 1}),
         ("tile-size", {"tile_px": 0}),
+        ("tile", {"tile": (0, 0, 129, 1)}),
+        ("tile", {"tile": (0, 0, 1, 97)}),
+        ("tile", {"tile": (128, 0, 1, 1)}),
+        ("tile", {"tile": (-1, 0, 5, 5)}),
+        ("tile", {"tile": (3, 3, 0, 5)}),
+        ("tile", {"tile": (3, 3, 5, -2)}),
     ],
 )
 def test_values_out_of_range_are_refused(renderer: Renderer, field: str, given: dict):

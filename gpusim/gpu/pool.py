@@ -82,7 +82,7 @@ class Pool:
         ------
         OutOfMemoryError
             The buffer is larger than a portable binding, the budget does not allow it, or the
-            adapter has no more; then what is in use becomes the budget.
+            adapter has no more.
         """
         if nbytes > MAX_BINDING_BYTES:
             raise OutOfMemoryError(
@@ -140,7 +140,6 @@ class Pool:
         try:
             return self._device.create_buffer(label=label, size=size, usage=use.value)
         except wgpu.GPUOutOfMemoryError as error:
-            self.budget = self.in_use
             raise OutOfMemoryError(
                 f"The adapter has no memory left for the buffer {label!r}",
                 value=f"{mebibytes(size)} beside {mebibytes(self.in_use)} in use",

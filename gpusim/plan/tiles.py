@@ -32,9 +32,10 @@ def tile_bytes(rect: Rect, period: int) -> int:
     return size_class(4 * rows * cols)
 
 
-def strip_bytes(cols: int, budget: int) -> int:
-    """Return the device memory that a strip takes."""
-    return STRIP_PLANES * size_class(4 * cols * _strip_rows(cols, budget))
+def strip_bytes(rect: Rect, budget: int) -> int:
+    """Return the device memory that a strip of a tile takes."""
+    _, _, rows, cols = rect
+    return STRIP_PLANES * size_class(4 * cols * min(rows, _strip_rows(cols, budget)))
 
 
 def tiles_of(rect: Rect, period: int, budget: int, side: int | None = None) -> list[Rect]:
