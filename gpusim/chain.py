@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
@@ -591,7 +592,12 @@ def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None
     """Return an array in memory, or in a file of a folder."""
     if folder is None:
         return np.empty(shape, dtype)
-    return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
+    file = folder / f"{name}.npy"
+    array = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
+    if hasattr(os, "posix_fallocate"):  # a full disk is told here, and kills nothing later
+        with file.open("r+b") as opened:
+            os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
+    return array
 
 
 def _rectangle(tile: tuple[int, int, int, int] | None, rows: int, cols: int) -> Rect:
@@ -625,6 +631,7 @@ def capture(
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
+    _rectangle(tile, camera.sensor.rows, camera.sensor.cols)  # before the long work
     renderer = Renderer(camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes)
     try:
         return renderer.capture(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import OpenEXR
 import pytest
 import rawpy
 from command_line import Ran, assert_refused, gpusim, process
-from fake_capture import fake_capture
+from fake_capture import COLS, ROWS, fake_capture
 from PIL import Image
 
 from gpusim.cli import render
@@ -84,6 +85,50 @@ def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     assert (asked["accuracy"].tolerance, asked["accuracy"].probes) == (1e-2, 5)
 
 
+def test_the_memory_and_the_rectangle_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
+    ran = shot(tmp_path, "--memory", "512MiB", "--tile", "10, 20,30,40")
+    assert ran.code == 0, ran.err
+    assert (asked["memory_bytes"], asked["tile"]) == (512 << 20, (10, 20, 30, 40))
+    assert asked["folder"].parent.parent == tmp_path  # beside the files that are being made
+    assert not list(tmp_path.glob(".gpusim-*")) and not list(tmp_path.glob("planes-*"))
+    assert "123 MiB" in ran.out and "1024 MiB" in ran.out
+    assert shot(tmp_path).code == 0
+    assert asked["memory_bytes"] is asked["tile"] is None
+
+
+@pytest.mark.parametrize(
+    ("text", "nbytes"),
+    [("512MiB", 2**29), ("1.5 GiB", 3 * 2**29), ("800mb", 800 * 10**6), ("2GB", 2 * 10**9)],
+)
+def test_a_memory_is_a_number_and_a_unit(text: str, nbytes: int):
+    assert render.bytes_of(text) == nbytes
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "first"), [(33, 21, "RGGB"), (34, 21, "GRBG"), (33, 20, "GBRG")]
+)
+def test_the_files_of_a_rectangle_have_its_filter_pattern(
+    asked: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    x: int,
+    y: int,
+    first: str,
+):
+    rect = (y, x, ROWS, COLS)
+    part = dataclasses.replace(fake_capture(), rect=rect)
+    monkeypatch.setattr(render, "take", lambda *_, **__: part)
+    ran = shot(tmp_path, "--tile", f"{x},{y},{COLS},{ROWS}")
+    assert ran.code == 0, ran.err
+    with rawpy.imread(str(tmp_path / "raw.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image, part.raw)
+        names = raw.color_desc.decode()
+        assert "".join(names[site] for site in raw.raw_pattern.flat) == first
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert [report["capture"][key] for key in ("first_col", "first_row")] == [x, y]
+    assert f"at ({x}, {y}) of a larger frame" in (tmp_path / "report.html").read_text()
+
+
 def test_the_screen_shows_adapter_stages_certificate_and_files(
     asked: dict[str, Any], tmp_path: Path
 ):
@@ -139,6 +184,14 @@ def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
         ("--luminance", "0", ("luminance", "0", "above 0")),
         ("--luminance", "-5", ("luminance", "-5", "above 0")),
         ("--keep", "electrons,volts", ("--keep", "volts", "electrons, rate")),
+        ("--tile", "1,2,3", ("--tile", "1,2,3", "x,y,width,height")),
+        ("--tile", "1,2,3,4,5", ("--tile", "x,y,width,height")),
+        ("--tile", "1,2,-3,4", ("--tile", "-3", "x,y,width,height")),
+        ("--tile", "a,b,c,d", ("--tile", "x,y,width,height")),
+        ("--memory", "512", ("--memory", "512", "512MiB")),
+        ("--memory", "0MiB", ("--memory", "512MiB")),
+        ("--memory", "-1GiB", ("--memory", "512MiB")),
+        ("--memory", "lots", ("--memory", "lots", "512MiB")),
     ],
 )
 def test_a_wrong_option_is_refused(tmp_path: Path, option: str, value: str, words: tuple[str, ...]):
@@ -176,6 +229,16 @@ def test_a_wrong_camera_file_is_refused(
     file.write_text(CAMERA.replace(*change))
     assert_refused(gpusim("render", file, "demo", "--out", tmp_path / "out"), *words)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_rectangle_outside_the_frame_and_too_little_memory_are_refused(tmp_path: Path):
+    file = tmp_path / "camera.yaml"
+    file.write_text(CAMERA)
+    given = ("render", file, "demo", "--out", tmp_path / "out", "--tolerance", 0.02)
+    for tile in ("100,0,29,10", "0,90,1,7", "0,0,0,5"):
+        assert_refused(gpusim(*given, "--tile", tile), "tile", "within 128 x 96")
+    assert_refused(gpusim(*given, "--memory", "1MB"), "memory", "at least")
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_an_unknown_or_missing_camera_is_refused(tmp_path: Path):

@@ -18,10 +18,11 @@ from PIL import Image
 from gpusim import report
 from gpusim.report.facts import plain, shaders_sha256
 from gpusim.report.probes import probe_map
-from gpusim.report.words import duration, error, exposure
+from gpusim.report.words import duration, error, exposure, mebibytes
 
 FILES = ["raw.dng", "report.json"]
 COMMAND = ["gpusim", "render", "<i>camera</i>", "demo"]
+SIZE = {"rows": ROWS, "cols": COLS}
 VOID = {"meta", "img", "br"}
 
 
@@ -197,14 +198,13 @@ def test_without_certificate_the_page_says_so(developed: np.ndarray):
 
 def test_each_probe_lies_on_its_pixel_and_the_worst_is_ringed():
     probes = plain(sorted(POINTS, key=lambda probe: -probe.relative))
-    drawn = probe_map(probes, {"rows": ROWS, "cols": COLS})
-    circles = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"[^>]*?fill="([^"]+)"', drawn)
-    assert [(float(x), float(y)) for x, y, _ in circles] == [
-        (5.5, 3.5),
-        (60.5, 40.5),
-        (60.5, 40.5),
-    ]
-    assert circles[-1][2] == "none"
+    places = np.array([(5.5, 3.5), (60.5, 40.5), (60.5, 40.5)])
+    for row, col in ((0, 0), (2, 4)):  # a rectangle that begins there
+        drawn = probe_map(probes, {**SIZE, "first_row": row, "first_col": col})
+        circles = re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"[^>]*?fill="([^"]+)"', drawn)
+        found = [(float(x), float(y)) for x, y, _ in circles]
+        assert found == [(x - col, y - row) for x, y in places]
+        assert circles[-1][2] == "none"
 
 
 @pytest.mark.parametrize(
@@ -213,7 +213,7 @@ def test_each_probe_lies_on_its_pixel_and_the_worst_is_ringed():
 )
 def test_colours_run_over_viridis_from_1e_6_to_1e_2(relative: float, colour: str):
     probes = [{"row": 0, "col": 0, "relative": relative}]
-    assert f'fill="{colour}"><title>' in probe_map(probes, {"rows": 9, "cols": 9})
+    assert f'fill="{colour}"><title>' in probe_map(probes, SIZE | {"first_row": 0, "first_col": 0})
 
 
 # words
@@ -221,6 +221,11 @@ def test_colours_run_over_viridis_from_1e_6_to_1e_2(relative: float, colour: str
 
 def test_exposures_read_as_photographers_write_them():
     assert [exposure(s) for s in (1 / 60, 0.3, 1.0, 2.5)] == ["1/60 s", "0.3 s", "1 s", "2.5 s"]
+
+
+def test_memory_is_rounded_up_to_whole_mebibytes():
+    sizes = (0, 1, 2**20, 2**20 + 1, 2**30)
+    assert [mebibytes(n) for n in sizes] == ["0 MiB", "1 MiB", "1 MiB", "2 MiB", "1024 MiB"]
 
 
 def test_durations_keep_three_digits():

@@ -63,8 +63,16 @@ def render(
     frame: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Frame number: new noise, same sensor.")
     ] = 0,
+    tile: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="Render this rectangle of the frame alone."),
+    ] = None,
     tile_size: Annotated[
         int | None, typer.Option(metavar="PX", min=1, help="Side of a tile; planned if not given.")
+    ] = None,
+    memory: Annotated[
+        str | None,
+        typer.Option(metavar="SIZE", help="Budget of GPU memory: 512MiB; 1GiB if not given."),
     ] = None,
     keep: Annotated[
         str, typer.Option(metavar="PLANES", help="Planes to keep as EXR: electrons,rate.")
@@ -85,7 +93,9 @@ def render(
         probes=certify,
         seed=seed,
         frame=frame,
+        tile=tile,
         tile_px=tile_size,
+        memory=memory,
         keep=keep,
     )
 

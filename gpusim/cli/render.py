@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,19 +42,26 @@ def run(
     probes: int,
     seed: int,
     frame: int,
+    tile: str | None,
     tile_px: int | None,
+    memory: str | None,
     keep: str,
 ) -> None:
     """Render one capture into the folder `out` and show what was done."""
     exposure_s = exposure_seconds(exposure)
     planes = kept_planes(keep)
+    rectangle = None if tile is None else rectangle_of(tile)
+    memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy(tolerance=tolerance, probes=probes)
     camera = load_camera(camera_name)
     check_filter_array(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2)
     default_device()
     with staging(out) as folder:
-        with screen.progress_bar() as progress:
+        with (
+            screen.progress_bar() as progress,
+            tempfile.TemporaryDirectory(prefix="planes-", dir=folder) as work,
+        ):
             capture = take(
                 camera,
                 scene,
@@ -60,12 +69,16 @@ def run(
                 seed=seed,
                 frame=frame,
                 accuracy=accuracy,
+                memory_bytes=memory_bytes,
+                tile=rectangle,
                 tile_px=tile_px,
                 keep=planes,
+                folder=Path(work),
                 progress=progress,
             )
             progress("files", 0, 1)
             facts = write(capture, folder)
+            del capture  # its arrays are files of `work`
             progress("files", 1, 1)
     screen.show_capture(facts, out)
 
@@ -85,6 +98,36 @@ def exposure_seconds(text: str) -> float:
             allowed="a number or a fraction above 0: 0.01, 2, 1/60",
         )
     return seconds
+
+
+def rectangle_of(text: str) -> tuple[int, int, int, int]:
+    """Return the rectangle x, y, width, height that `text` names."""
+    if not re.fullmatch(r"\s*\d{1,9}\s*(,\s*\d{1,9}\s*){3}", text, re.ASCII):
+        raise UserError(
+            "the tile is not a rectangle of pixels",
+            field="--tile",
+            value=text,
+            allowed="four whole numbers x,y,width,height: 1000,760,256,256",
+        )
+    x, y, width, height = (int(part) for part in text.split(","))
+    return x, y, width, height
+
+
+def bytes_of(text: str) -> int:
+    """Return the memory that `text` names."""
+    found = re.fullmatch(r"\s*(\d{1,9}(?:\.\d*)?)\s*([MG]i?B)\s*", text, re.IGNORECASE | re.ASCII)
+    nbytes = 0
+    if found:
+        base = 1024 if "i" in found[2].lower() else 1000
+        nbytes = int(float(found[1]) * base ** (2 if found[2][0] in "mM" else 3))
+    if nbytes < 1:
+        raise UserError(
+            "the memory is not a size",
+            field="--memory",
+            value=text,
+            allowed="a number above 0 and its unit: 512MiB, 1.5GiB, 800MB",
+        )
+    return nbytes
 
 
 def kept_planes(text: str) -> tuple[str, ...]:
@@ -109,7 +152,7 @@ def write(capture: Capture, folder: Path) -> dict[str, Any]:
     write_dng(
         folder / "raw.dng",
         capture.raw,
-        capture.camera.sensor,
+        capture.camera.sensor.cut(*capture.rect[:2]),
         white_e=capture.white_e,
         exposure_s=capture.exposure_s,
         transmission=capture.transmission,

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gpusim.errors import UserError
-from gpusim.report.words import duration, error
+from gpusim.report.words import duration, error, mebibytes
 
 
 def show_error(mistake: UserError) -> None:
@@ -87,9 +87,14 @@ def stages(facts: Mapping[str, Any]) -> Table:
         time = duration(facts["times_s"].get(stage["name"])) if stage["runs"] else "left out"
         style = "" if stage["runs"] else "dim"
         table.add_row(stage["name"], time, Text(stage["reason"]), style=style)
+    if "kernels" in facts["times_s"]:
+        table.add_row("kernels", duration(facts["times_s"]["kernels"]), "made tile by tile")
     table.add_row("render", duration(facts["capture"]["wall_s"]), "wall clock", style="bold")
     if facts["certificate"] is not None:
         table.add_row("certificate", duration(facts["certificate"]["seconds"]))
+    memory = facts["memory"]
+    budget = f"of the GPU at most, of a budget of {mebibytes(memory['budget_bytes'])}"
+    table.add_row("memory", mebibytes(memory["peak_bytes"]), budget)
     return table
 
 

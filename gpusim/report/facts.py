@@ -52,6 +52,8 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         "capture": {
             "rows": rows,
             "cols": cols,
+            "first_row": capture.rect[0],
+            "first_col": capture.rect[1],
             "exposure_s": float(capture.exposure_s),
             "seed": capture.seed,
             "frame": capture.frame,
@@ -69,6 +71,8 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         },
         "shaders_sha256": shaders_sha256(),
         "plan": _plan(capture.plan),
+        "memory": plain(capture.memory),
+        "work": plain(capture.work),
         "prepare_s": plain(capture.prepare_s),
         "times_s": plain(capture.times_s),
         "certificate": plain(capture.certificate),

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from gpusim.report.probes import probe_map
-from gpusim.report.words import duration, error, exposure
+from gpusim.report.words import duration, error, exposure, mebibytes
 
 # The overview shows no single pixel, so a JPEG serves: 0.3 MB where a PNG of a noisy capture has 3.
 _OVERVIEW_PX = 1400
@@ -40,8 +40,8 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
     capture = facts["capture"]
     title = escape(f"{facts['scene']['name']}: {facts['camera']['title']}")
     summary = escape(
-        f"{capture['cols']} x {capture['rows']} px, {exposure(capture['exposure_s'])}, "
-        f"seed {capture['seed']}, frame {capture['frame']}. "
+        f"{capture['cols']} x {capture['rows']} px{_place(facts)}, "
+        f"{exposure(capture['exposure_s'])}, seed {capture['seed']}, frame {capture['frame']}. "
         f"Made {facts['created']} by gpusim {facts['gpusim']}."
     )
     return document(
@@ -53,6 +53,14 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         _certificate(facts),
         _details(facts),
     )
+
+
+def _place(facts: Mapping[str, Any]) -> str:
+    """Return where a rectangle lies in its frame; nothing for a whole frame."""
+    capture, sensor = facts["capture"], facts["camera"]["sensor"]
+    if (capture["rows"], capture["cols"]) == (sensor["rows"], sensor["cols"]):
+        return ""
+    return f" at ({capture['first_col']}, {capture['first_row']}) of a larger frame"
 
 
 def document(title: str, summary: str, *sections: str) -> str:
@@ -159,6 +167,10 @@ def _stages(facts: Mapping[str, Any]) -> str:
 <td class="number">{duration(stage["predicted_cost_s"])}</td>
 <td class="number">{duration(seconds)}</td><td class="bar">{bar}</td></tr>"""
     prepared = ", ".join(f"{name} {duration(s)}" for name, s in facts["prepare_s"].items())
+    if "kernels" in times:
+        prepared += f"; kernels within the render, tile by tile: {duration(times['kernels'])}"
+    memory = facts["memory"]
+    held = f"{mebibytes(memory['peak_bytes'])} of a budget of {mebibytes(memory['budget_bytes'])}"
     return f"""<h2>What was done, and what was left out</h2>
 <div class="scroll"><table>
 <thead><tr><th>Stage</th><th>Reason</th><th class="number">Predicted error</th>
@@ -167,7 +179,9 @@ def _stages(facts: Mapping[str, Any]) -> str:
 <tfoot><tr><td colspan="4">Render, wall clock</td>
 <td class="number">{duration(facts["capture"]["wall_s"])}</td><td></td></tr></tfoot>
 </table></div>
-<p class="soft">Before, and not again for further frames of this scene: {escape(prepared)}.</p>"""
+<p class="soft">Before, and not again for further frames of this scene: {escape(prepared)}.
+GPU memory at most {escape(held)}; {facts["work"]["tiles"]} tiles, {facts["work"]["blocks"]} blocks,
+kernels at {facts["work"]["nodes"]} points of the field.</p>"""
 
 
 def _certificate(facts: Mapping[str, Any]) -> str:

@@ -24,12 +24,14 @@ def probe_map(probes: Sequence[Mapping[str, Any]], capture: Mapping[str, Any]) -
     probes : sequence of mapping
         ``row``, ``col`` and ``relative`` of each, the worst first.
     capture : mapping
-        ``rows`` and ``cols`` of the sensor.
+        ``rows`` and ``cols`` of the sensor or of the rectangle of it that was rendered, which
+        begins at ``first_row`` and ``first_col``.
     """
     cols, rows = capture["cols"], capture["rows"]
+    top, left = capture["first_row"], capture["first_col"]
     unit = max(cols, rows) / 100
     dots = "".join(
-        f'<circle cx="{probe["col"] + 0.5}" cy="{probe["row"] + 0.5}" r="{unit:.2f}" '
+        f'<circle cx="{probe["col"] - left + 0.5}" cy="{probe["row"] - top + 0.5}" r="{unit:.2f}" '
         f'fill="{_colour(probe["relative"])}">'
         f"<title>row {probe['row']}, column {probe['col']}: {error(probe['relative'])}</title>"
         "</circle>"
@@ -39,8 +41,9 @@ def probe_map(probes: Sequence[Mapping[str, Any]], capture: Mapping[str, Any]) -
     return f"""<svg class="map" viewBox="0 0 {cols} {rows + 8 * unit:.2f}" role="img"
 aria-label="Map of probes"><rect width="{cols}" height="{rows}" fill="var(--map)"/>
 <g stroke="var(--page)" stroke-width="{unit / 6:.2f}">{dots}</g>
-<circle cx="{worst["col"] + 0.5}" cy="{worst["row"] + 0.5}" r="{2 * unit:.2f}" fill="none"
-stroke="var(--bad)" stroke-width="{unit / 2:.2f}"/>{_scale(cols, rows + 2 * unit, unit)}</svg>"""
+<circle cx="{worst["col"] - left + 0.5}" cy="{worst["row"] - top + 0.5}" r="{2 * unit:.2f}"
+fill="none" stroke="var(--bad)" stroke-width="{unit / 2:.2f}"/>
+{_scale(cols, rows + 2 * unit, unit)}</svg>"""
 
 
 def _scale(width: float, top: float, unit: float) -> str:

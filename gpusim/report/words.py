@@ -24,6 +24,11 @@ def duration(seconds: float | None) -> str:
     return f"{seconds * 1e6:.3g} us"
 
 
+def mebibytes(nbytes: int) -> str:
+    """Return a size of memory in whole MiB, rounded up."""
+    return f"{-(-nbytes // 2**20)} MiB"
+
+
 def error(value: float | None) -> str:
     """Return a relative error with two digits: 3.2e-04; a dash where there is none."""
     if value is None:

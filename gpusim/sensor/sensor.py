@@ -244,6 +244,15 @@ class Sensor(_Strict):
             }
         )
 
+    def cut(self, row: int, col: int) -> Sensor:
+        """Return this sensor with a filter pattern that begins at a pixel, for files of a part."""
+        rows = [
+            line[col % self.period[1] :] + line[: col % self.period[1]] for line in self.cfa.pattern
+        ]
+        first = row % self.period[0]
+        pattern = ColourFilterArray(pattern=rows[first:] + rows[:first])
+        return self.model_copy(update={"cfa": pattern})
+
 
 def _wrong(problem: str, allowed: str) -> PydanticCustomError:
     return PydanticCustomError("sensor", "{problem}", {"problem": problem, "allowed": allowed})

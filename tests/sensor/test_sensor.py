@@ -252,3 +252,12 @@ def test_an_unknown_preset_is_refused_with_the_known_ones():
     with pytest.raises(UserError, match="no sensor of that name") as caught:
         load_sensor("imx999")
     assert "imx477" in caught.value.allowed
+
+
+def test_the_pattern_of_a_part_begins_where_the_part_does():
+    sensor = load_sensor("imx477")
+    assert sensor.cfa.pattern == [["B", "G"], ["G", "R"]]
+    for row, col, first in ((0, 0, "BGGR"), (1, 0, "GRBG"), (0, 3, "GBRG"), (5, 7, "RGGB")):
+        part = sensor.cut(row, col)
+        assert "".join(part.site_channels()) == first
+        assert part.model_copy(update={"cfa": sensor.cfa}) == sensor
