@@ -112,6 +112,6 @@ def cells_within(
     trial_um = half_um[1] / 4
     trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
     spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
-    cells = tuple(int(np.clip(np.ceil(2 * half / spacing_um), 1, 32)) for half in half_um)
+    cells = tuple(max(int(np.ceil(2 * half / spacing_um)), 1) for half in half_um)
     widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))
     return cells, trial * (widest / trial_um) ** 2

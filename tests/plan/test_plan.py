@@ -9,9 +9,10 @@ from optics.made import BLUE, FLAT, RED, bank, monochrome, scene, sensor, shapes
 from gpusim import gpu
 from gpusim.errors import UserError
 from gpusim.gpu import Device
+from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.plan import Accuracy, Plan, layout, plan_optics
-from gpusim.plan.layout import KERNEL_BYTES
+from gpusim.plan.layout import BLOCK_BYTES, cheapest_grid
 from gpusim.plan.optics import CUTS_UM
 from gpusim.plan.predict import alias_error, cells_within, cut_error, edge_integral, node_error
 from gpusim.scene.raster import Raster
@@ -310,7 +311,45 @@ def test_a_lens_that_changes_too_fast_is_refused():
     wild = bank(coma_um=8.0, fields=12)
     with pytest.raises(UserError, match="do not fit") as caught:
         plan_optics(wild, sensor(), COLOURED, Accuracy(2e-5))
-    assert caught.value.field == "tolerance" and f"{KERNEL_BYTES >> 20} MiB" in caught.value.allowed
+    assert caught.value.field == "tolerance" and f"{BLOCK_BYTES >> 20} MiB" in caught.value.allowed
+
+
+# Layout of blocks
+
+
+def layouts(planes: int, cells: tuple[int, int], rows: int = 1520, cols: int = 2028) -> SimGrid:
+    def needed(grid: SimGrid) -> dict[tuple[int, int], int]:
+        return dict.fromkeys(np.ndindex(grid.blocks), planes)
+
+    camera = sensor().model_copy(update={"rows": rows, "cols": cols})
+    return cheapest_grid(camera, 4, 2, 31.0, cells, needed)
+
+
+def test_blocks_are_full_where_more_nodes_cost_less_than_more_transforms():
+    """A photograph in three planes, of which all blocks need all: 176 samples of 256 - 2 x 40."""
+    grid = layouts(3, (16, 12))
+    # Two blocks of 132 samples for each cell took 1.8 times as many transforms.
+    assert (grid.block, grid.cells, grid.blocks) == ((176, 176), (24, 18), (24, 18))
+    # Where cells of the tolerance hold whole blocks, no node is added.
+    assert layouts(3, (12, 9)).cells == (12, 9)
+
+
+def test_what_memory_holds_all_kernels_does_not_bound_the_frame():
+    """12 and 48 megapixels are cut as 3 are: the kernels of all their nodes take gigabytes."""
+    small = layouts(3, (16, 12))
+    for factor in (2, 4):
+        grid = layouts(3, (16 * factor, 12 * factor), 1520 * factor, 2028 * factor)
+        assert grid.length == small.length
+        assert grid.block[0] == pytest.approx(small.block[0], rel=0.05)
+        assert grid.blocks[0] == pytest.approx(factor * small.blocks[0], rel=0.05)
+
+
+def test_nodes_closer_than_a_few_samples_are_refused():
+    assert layouts(1, (42, 34), 96, 128).block == (8, 8)
+    with pytest.raises(UserError, match="changes too fast") as caught:
+        layouts(1, (43, 34), 96, 128)
+    assert "44 x 35 PSF nodes" in caught.value.value
+    assert "at least 8 samples apart" in caught.value.allowed
 
 
 def test_a_psf_wider_than_the_longest_transform_is_refused(monkeypatch):
