@@ -44,9 +44,10 @@ class Warp:
         of_spectra = raster.spline_coefficients()
         shape = (coefficients.shape[1], *of_spectra.shape[1:])
         self.splines = np.empty(shape, np.float32)
-        for spline, share in zip(self.splines, coefficients.T, strict=True):
-            # Plane by plane: in float64 all together are twice as large as the rest.
-            spline[...] = sum(part * plane for part, plane in zip(share, of_spectra, strict=True))
+        for row in range(shape[1]):  # in float64 all together are twice as large as the rest
+            np.matmul(
+                coefficients.T, of_spectra[:, row], out=self.splines[:, row], casting="same_kind"
+            )
         blocks = self.grid.blocks
         self.needed = {(x, y): shape[0] for y in range(blocks[1]) for x in range(blocks[0])}
         self.size = (shape[2], shape[1])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -17,6 +19,9 @@ B_SPLINE = np.array([1, 4, 1]) / 6
 # misfit at the samples over their rms: 5.4 % before, 4.27 % after 5 steps, 4.25 % after 50.
 FIT_STEPS = 5
 FLOOR = 0.01  # of the sample: what a step multiplies must not be zero
+# Rows that are worked on at once, in float64, and rows around them: ten that the steps reach, and
+# the pole of the spline's filter, 0.268, to the 38th power, 2e-22.
+BAND_ROWS, BAND_MARGIN = 256, 48
 ROUNDING = 1e-9  # of a sample: what counts as equal in sizes
 
 
@@ -56,22 +61,36 @@ class PlacedRaster:
         -------
         ndarray (M, rows, cols), float32
         """
-        from scipy.ndimage import correlate1d, spline_filter
-
-        def at_samples(coefficients: np.ndarray) -> np.ndarray:
-            rows = correlate1d(coefficients, B_SPLINE, axis=0, mode="mirror")
-            return correlate1d(rows, B_SPLINE, axis=1, mode="mirror")
-
         result = np.empty(self.planes.shape, np.float32)
-        for plane, out in zip(self.planes, result, strict=True):
-            samples = plane.astype(np.float64)
-            fit = np.maximum(spline_filter(samples, order=3, mode="mirror"), FLOOR * samples)
-            for _ in range(FIT_STEPS):
-                value = at_samples(fit)
-                ratio = np.divide(samples, value, out=np.zeros_like(value), where=value > 0)
-                fit *= at_samples(ratio)
-            out[...] = fit
+        count, rows, _ = result.shape
+
+        def band(number: int, first: int) -> None:
+            last = min(first + BAND_ROWS, rows)
+            above, below = min(first, BAND_MARGIN), min(rows - last, BAND_MARGIN)
+            fit = _fitted(self.planes[number, first - above : last + below].astype(np.float64))
+            result[number, first:last] = fit[above : above + last - first]
+
+        # SciPy lets go of the interpreter in its loops.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            bands = [(n, first) for n in range(count) for first in range(0, rows, BAND_ROWS)]
+            list(pool.map(band, *zip(*bands, strict=True)))
         return result
+
+
+def _fitted(samples: np.ndarray) -> np.ndarray:
+    """Return the non-negative spline coefficients of one plane, in float64."""
+    from scipy.ndimage import correlate1d, spline_filter
+
+    def at_samples(coefficients: np.ndarray) -> np.ndarray:
+        rows = correlate1d(coefficients, B_SPLINE, axis=0, mode="mirror")
+        return correlate1d(rows, B_SPLINE, axis=1, mode="mirror")
+
+    fit = np.maximum(spline_filter(samples, order=3, mode="mirror"), FLOOR * samples)
+    for _ in range(FIT_STEPS):
+        value = at_samples(fit)
+        ratio = np.divide(samples, value, out=np.zeros_like(value), where=value > 0)
+        fit *= at_samples(ratio)
+    return fit
 
 
 @dataclass(frozen=True, eq=False)

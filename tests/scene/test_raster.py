@@ -7,6 +7,7 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 
 from gpusim.scene import PlacedRaster, Raster
+from gpusim.scene.raster import BAND_ROWS, _fitted
 
 RNG = np.random.default_rng(5)
 
@@ -169,3 +170,14 @@ def test_small_rasters_have_a_spline(shape):
     assert coefficients.shape == placed.planes.shape
     assert np.isfinite(coefficients).all()
     assert coefficients.min() >= 0
+
+
+def test_bands_do_not_show():
+    """Rows are fitted in bands: they are those of one band, to the rounding of f32."""
+    rng = np.random.default_rng(4)
+    rows = 2 * BAND_ROWS + 3
+    planes = (rng.uniform(0, 1, (2, rows, 9)) ** 8).astype(np.float32)  # it would ring below zero
+    found = Raster(planes).placed(4.5, rows / 2, 1.0).spline_coefficients()
+    expected = np.stack([_fitted(plane.astype(float)) for plane in planes])
+    assert found.min() >= 0
+    assert_close(found, expected, rtol=2**-23, atol=1e-18)
