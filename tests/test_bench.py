@@ -10,12 +10,14 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from gpusim.gpu import Device
 
 TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "mosaic", "exposure", "noise", "adc"]
+FRAMES = ["render-demo", "frame-12mp", "frame-12mp-mono", "scaling"]
 SMALL = (128, 168)  # a fraction of a second for each stage
 # Largest difference from the reference over its largest value. Rounding to f32 is below 2e-6 in
 # transforms of 256 and in sums of that many; coordinates of a few hundred samples times a spline's
@@ -54,13 +56,8 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    assert [name for name, _ in lines] == [
-        "render-demo",
-        "psf-bank",
-        "psf-refocus",
-        "blur-1mp",
-        *STAGES,
-    ]
+    whole = [*FRAMES, "psf-bank", "psf-refocus", "blur-1mp"]
+    assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)
 
 
@@ -118,3 +115,65 @@ def test_the_blur_is_within_a_millionth_of_the_peak(jobs: ModuleType, own_device
     peer = job.peers["scipy"][0]()
     # SciPy in float32, the same model: both within a millionth.
     assert abs(job.run() - peer).max() <= 2e-6 * peer.max()
+
+
+def test_the_photograph_of_the_frames_has_colours_highlights_and_shadows(jobs: ModuleType):
+    planes = jobs.photograph(96, 128).source.planes
+    assert planes.shape == (3, 96, 128) and planes.min() > 0
+    assert planes.max() == 10.0 and np.quantile(planes, 0.02) < 0.05
+    assert np.linalg.matrix_rank(planes.reshape(3, -1)) == 3
+    again = jobs.photograph(96, 128).source.planes
+    assert np.array_equal(planes, again)
+
+
+def test_the_psfs_of_the_frames_end_63_samples_from_side_to_side(jobs: ModuleType):
+    bank = jobs.frame_camera(*SMALL, jobs.FRAME_FOCAL_MM).bank()
+    assert bank.psf.shape[-1] * bank.pitch_um == pytest.approx(63 * 0.775, abs=bank.pitch_um)
+    assert bank.psf.sum(axis=(2, 3)) == pytest.approx(1, abs=1e-5)
+
+
+def test_a_frame_is_certified_once_and_tells_what_it_took(jobs: ModuleType, own_device: Device):
+    """Colour in three planes beside black and white in one, on a fraction of the sensor."""
+    job = jobs.JOBS["frame-12mp-mono"][1](own_device, SMALL)
+    jobs.FRAME_PROBES = 4
+    mono = job.run()
+    assert job.error["met"] and job.error["rms"] < jobs.FRAME_TOLERANCE
+    assert job.run().certificate is None  # the second time there is no certificate to wait for
+    facts = job.facts(mono)
+    assert facts["planes"] == 1 and facts["memory"]["peak_bytes"] < facts["peak_rss_bytes"]
+    render, share = job.peers["frame-12mp"]
+    render.error["met"] = True
+    colour = render()
+    assert share == 1 and jobs.frame_facts(colour)["planes"] == 3
+
+
+def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyPatch):
+    """Four sizes of one lens: the first call, to warm up, renders the smallest alone."""
+    seen = []
+
+    class Render:
+        def __init__(self, device: object, camera: object, scene: object, tolerance: float) -> None:
+            self.error = {}
+            seen.append((camera, scene.source.planes.shape))
+
+        def __call__(self) -> str:
+            return "a capture"
+
+    monkeypatch.setattr(jobs, "FrameRender", Render)
+    monkeypatch.setattr(jobs, "frame_facts", lambda capture: {"of": capture})
+    job = jobs.JOBS["scaling"][1](None, (48, 64))
+    job.run()
+    assert list(job.facts(None)["sizes"]) == ["0.000192 MP"]
+    job.run()
+    facts = job.facts(None)
+    assert len(facts["sizes"]) == 4 and facts["largest_over_smallest"] >= 1
+    assert all(size["of"] == "a capture" for size in facts["sizes"].values())
+    assert [(c.sensor.rows, c.sensor.cols) for c, _ in seen[1:]] == [
+        (12, 16),
+        (24, 32),
+        (48, 64),
+        (96, 128),
+    ]
+    assert [shape for _, shape in seen[1:]] == [(3, 6, 8), (3, 12, 16), (3, 24, 32), (3, 48, 64)]
+    assert len({camera.lens.max_field_deg for camera, _ in seen}) == 1
+    assert job.pixels == sum(c.sensor.rows * c.sensor.cols for c, _ in seen[1:])

@@ -148,12 +148,12 @@ def main() -> int:
         "--out", type=Path, metavar="FILE", help="append the line of JSON to a file"
     )
     parser.add_argument(
-        "--megapixels", type=float, metavar="N", help="frame size of the stages' jobs, 0.02 to 12.3"
+        "--megapixels", type=float, metavar="N", help="frame size of the jobs, 0.02 to 12.3"
     )
     options = parser.parse_args()
     if options.list:
         for name, (what, _) in JOBS.items():
-            print(f"{name:12} {what}")
+            print(f"{name:15} {what}")
         return 0
     if options.name not in JOBS:
         wrong = "No job is named" if options.name is None else f"There is no job {options.name!r}"

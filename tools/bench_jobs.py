@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+import resource
+import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,11 +18,11 @@ from bench_blur import blur_1mp
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import load_camera
-from gpusim.chain import Renderer
+from gpusim.chain import Capture, Renderer
 from gpusim.gpu import Device, Kernel, Recording
-from gpusim.lens.bank import bank_of, default_fields_deg
+from gpusim.lens.bank import Bank, bank_of, default_fields_deg
 from gpusim.lens.generator import Generator
-from gpusim.lens.prescription import Prescription
+from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.psf import intensity
 from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
@@ -38,17 +42,25 @@ from gpusim.reference.noise import noise
 from gpusim.reference.paint import paint
 from gpusim.reference.rows import rows
 from gpusim.reference.warp import warp
-from gpusim.scene import Chart, Disc, PlacedRaster, make_scene
+from gpusim.scene import Chart, Disc, PlacedRaster, Raster, Scene, make_scene
+from gpusim.scene.spectra import rgb_reflectances, white_radiance
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
+from gpusim.sensor.sensor import Sensor, load_sensor
 
 EXPOSURE_S = 1 / 60
 PITCH_UM, SIM_PITCH_UM, SIGMA = 1.55, 0.775, 0.8
 CHIEF_RAY = ChiefRayMap(np.array([1.0, 0.03, 0, 0, 0, 0, 0, 0]), 5000.0)  # barrel, some per cent
 RADIUS = CHIEF_RAY.radius_um / SIM_PITCH_UM
 SITES = [0, 1, 1, 2]  # channels of a Bayer pattern
+# The frame jobs: PSFs of 63 x 63 samples (two a pixel), of a lens whose corners are those of the
+# sensor, at f/2.8. A tenth of the noise's sigma is 0.3 % of 1000 electrons, which is somewhat less
+# than a photograph's brighter parts have here; in the shadows it is more.
+FRAME_PSF = 63
+FRAME_FOCAL_MM, SCALING_FOCAL_MM = 12.0, 24.0
+FRAME_TOLERANCE, FRAME_SIGMA, FRAME_PROBES = 3e-3, 0.1, 64
 DOT_UM = 30.0  # radius of the dots that paint paints
 PART = 64  # side of what a sensor stage's error is found on, pixels
 Run = Callable[[], object]
@@ -121,6 +133,167 @@ def render_demo(device: Device, frame: tuple[int, int]) -> Job:
             "certify_s": certificate.seconds,
         },
     )
+
+
+@dataclass(frozen=True)
+class FrameCamera:
+    """A camera whose PSFs end FRAME_PSF samples of the sim grid from side to side."""
+
+    sensor: Sensor
+    lens: Prescription
+
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+        """Return the lens's bank with the middle of its PSFs, of unit energy again."""
+        bank = self.lens.bank(progress)
+        kept = round(FRAME_PSF * SIM_PITCH_UM / bank.pitch_um / 2)
+        middle = bank.psf.shape[-1] // 2
+        part = bank.psf[..., middle - kept : middle + kept, middle - kept : middle + kept]
+        psf = part / part.sum(axis=(2, 3), keepdims=True, dtype=np.float64)
+        return dataclasses.replace(bank, psf=psf.astype(np.float32))
+
+
+def frame_camera(
+    rows: int, cols: int, focal_length_mm: float, largest: tuple[int, int] | None = None
+) -> FrameCamera:
+    """Return the sensor of the demonstration camera, as large as wanted, behind its lens.
+
+    The lens's field is that of the largest sensor.
+    """
+    camera = load_camera("demo")
+    sensor = load_sensor("imx477").model_copy(update={"rows": rows, "cols": cols})
+    half_um = math.hypot(*(largest or (rows, cols))) / 2 * sensor.pixel_pitch_um
+    # 7 % beyond the corner: the PSFs' reach and the distortion.
+    field_deg = math.degrees(math.atan(1.07e-3 * half_um / focal_length_mm))
+    lens = load_prescription("double-gauss").scaled(focal_length_mm)
+    return FrameCamera(sensor, lens.stopped(camera.lens.f_number).limited(field_deg))
+
+
+def photograph(rows: int, cols: int) -> Scene:
+    """Return a made-up photograph in RGB, the same for the same size: no two parts alike.
+
+    Clouds of four sizes in the logarithm, 1 : 200 from the darkest to the brightest, of slightly
+    different colours; upon them 400 rectangles with sharp edges, and a hundred lamps ten times as
+    bright as white.
+    """
+    rng = np.random.default_rng(4)
+    grey = np.zeros((rows, cols), np.float32)
+    for side, share in ((6, 1.2), (24, 0.6), (96, 0.4), (384, 0.3)):
+        coarse = rng.standard_normal((side, side)).astype(np.float32)
+        at = np.meshgrid(
+            np.linspace(0, side - 1, rows), np.linspace(0, side - 1, cols), indexing="ij"
+        )
+        grey += share * map_coordinates(coarse, at, np.float32, order=1)
+    planes = np.stack([grey + 0.1 * part for part in rng.standard_normal(3).astype(np.float32)])
+    planes = 0.18 * np.exp(np.clip(planes, -3.3, 2.0))
+    for number in range(500):
+        high, wide = (rows * rng.uniform(0.005, 0.05, 2)).astype(int) + 1
+        top, left = rng.integers(0, rows - high + 1), rng.integers(0, cols - wide + 1)
+        place = np.s_[:, top : top + high, left : left + wide]
+        if number < 400:
+            planes[place] = rng.uniform(0.03, 0.9, (3, 1, 1))
+        else:
+            round_ = np.hypot(*np.ogrid[-1 : 1 : high * 1j, -1 : 1 : wide * 1j]) < 1
+            planes[place] = np.where(round_, 10.0, planes[place])
+    spectra = rgb_reflectances() * white_radiance("D65", 300.0)
+    return Scene("photograph", spectra, Raster(planes), "D65", spectra.sum(axis=0))
+
+
+def peak_rss_bytes() -> int:
+    """Return the most memory that this process has held so far: host, and lavapipe's device."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
+
+
+class FrameRender:
+    """Renders of one camera and scene, from the scene in memory to the raw; PSF bank cached.
+
+    The first call also certifies, and fills `error`.
+    """
+
+    def __init__(self, device: Device, camera: FrameCamera, scene: Scene, tolerance: float) -> None:
+        self.device, self.camera, self.scene, self.tolerance = device, camera, scene, tolerance
+        self.error: dict[str, object] = {}
+        self.bank = camera.bank()
+
+    def __call__(self) -> Capture:
+        """Plan, prepare and render."""
+        known = SimpleNamespace(sensor=self.camera.sensor, bank=lambda progress: self.bank)
+        accuracy = Accuracy(self.tolerance, 0 if self.error else FRAME_PROBES)
+        renderer = Renderer(known, self.scene, accuracy, self.device)
+        try:
+            capture = renderer.capture(EXPOSURE_S)
+        finally:
+            renderer.release()
+        if not self.error:
+            found = capture.certificate
+            self.error.update(
+                measure=f"of the true signal, and of the noise's sigma, at {found.probes} probes",
+                worst=found.worst_relative,
+                rms=found.rms_relative,
+                worst_sigma=found.worst_sigma,
+                rms_sigma=found.rms_sigma,
+                met=found.rms_sigma <= FRAME_SIGMA and found.worst_sigma <= 10 * FRAME_SIGMA,
+                certify_s=found.seconds,
+            )
+        return capture
+
+
+def frame_facts(capture: Capture) -> dict[str, object]:
+    """Return what else is known of a render."""
+    return {
+        "planes": capture.plan.basis.coefficients.shape[1],
+        "times_s": capture.times_s,
+        "prepare_s": capture.prepare_s,
+        "work": capture.work,
+        "memory": capture.memory,
+        "peak_rss_bytes": peak_rss_bytes(),
+        "scales": {scale.name: str(scale.grid) for scale in capture.plan.scales},
+    }
+
+
+def frame_job(device: Device, frame: tuple[int, int], mono: bool) -> Job:
+    """Time the whole sensor: a photograph in three planes, or a chart in one beside it."""
+    camera = frame_camera(*frame, FRAME_FOCAL_MM)
+    colour = partial(FrameRender, device, camera, photograph(*frame), FRAME_TOLERANCE)
+    if not mono:
+        render = colour()
+        return Job(render, math.prod(frame), render.error, facts=frame_facts)
+    render = FrameRender(device, camera, make_scene("slanted-edge"), FRAME_TOLERANCE)
+    peers = {"frame-12mp": (colour(), 1.0)}
+    return Job(render, math.prod(frame), render.error, peers=peers, facts=frame_facts)
+
+
+def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time frames of 1, 4, 12 and 48 MP of one camera and one kind of scene, one after another.
+
+    The first call, which warms up, renders the smallest alone.
+    """
+    sizes = [tuple(side * n // 8 for side in frame) for n in (2, 4, 8, 16)]
+    warm: list[bool] = []
+    found: dict[str, object] = {}
+
+    def run() -> None:
+        for height, width in sizes if warm else sizes[:1]:
+            camera = frame_camera(height, width, SCALING_FOCAL_MM, sizes[-1])
+            render = FrameRender(
+                device, camera, photograph(height // 2, width // 2), FRAME_TOLERANCE
+            )
+            render.error["measure"] = "not certified here: see frame-12mp"
+            started = time.perf_counter()
+            capture = render()
+            spent = time.perf_counter() - started
+            found[f"{height * width / 1e6:.3g} MP"] = {
+                "ns_per_pixel": 1e9 * spent / (height * width),
+                **frame_facts(capture),
+            }
+        warm.append(True)
+
+    def facts(best: object) -> dict[str, object]:
+        each = [size["ns_per_pixel"] for size in found.values()]
+        return {"largest_over_smallest": max(each) / min(each), "sizes": found}
+
+    pixels = sum(map(math.prod, sizes))
+    return Job(run, pixels, {"measure": "not certified here: see frame-12mp"}, facts=facts)
 
 
 def sim_grid(frame: tuple[int, int]) -> SimGrid:
@@ -462,6 +635,15 @@ def psf_refocus(device: Device, frame: tuple[int, int]) -> Job:
 
 JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "render-demo": ("a capture of the demonstration camera, source to raw", render_demo),
+    "frame-12mp": (
+        "the whole sensor and a photograph, three planes",
+        partial(frame_job, mono=False),
+    ),
+    "frame-12mp-mono": (
+        "the whole sensor and a black-and-white chart",
+        partial(frame_job, mono=True),
+    ),
+    "scaling": ("frames of 1, 4, 12 and 48 MP: time for each pixel", scaling_job),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
     "psf-refocus": ("the same at another focus", psf_refocus),
     "blur-1mp": (
