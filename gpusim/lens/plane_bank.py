@@ -17,7 +17,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import PITCH_UM, REFERENCE_NM, WAVELENGTHS_NM, load_dataset, save_dataset
+from gpusim.lens.bank import (
+    PITCH_UM,
+    REFERENCE_NM,
+    WAVELENGTHS_NM,
+    load_dataset,
+    pupil_amplitude,
+    save_dataset,
+)
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import System, build, first_order, transmission
@@ -49,12 +56,13 @@ _VARIABLES = {
     "relative_illumination": (
         _LINES,
         "1",
-        "projected solid angle of the vignetted pupil over that of field 0, 0",
+        "what the vignetted pupil passes, over that of field 0, 0: see projected_solid_angle_sr",
     ),
     "projected_solid_angle_sr": (
         ("wavelength",),
         "sr",
-        "integral of d alpha d beta over the pupil of field 0, 0",
+        "integral of d alpha d beta over the pupil of field 0, 0, times what an apodised stop "
+        "passes",
     ),
     "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "outside_energy": (_LINES, "1", "share of the light outside the PSF window"),
@@ -232,6 +240,7 @@ def compute_plane_bank(
             "history": "; ".join(system.prescription.history) or "as published",
             "focus": f"image plane {system.image_z_mm - system.geometry.vertex_z[-1]:.6f} mm "
             "behind the last vertex, found with every surface on the axis",
+            "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
         },
         **stacked,
     )

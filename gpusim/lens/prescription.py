@@ -221,6 +221,9 @@ class Prescription(_Strict):
     focus: Literal["best", "paraxial", "as-given"]
     focus_shift_um: float = 0.0  # of the image plane from that focus, away from the lens
     stop: int
+    # G: the stop passes the amplitude exp(-G rho^2), rho from 0 at its centre to 1 at its rim. With
+    # 100, 1/e is at a tenth of the rim: such a beam needs no stop.
+    gaussian_apodisation: float = Field(0.0, ge=0, le=100)
     surfaces: tuple[Surface, ...] = Field(min_length=1)
     coating: Coating | None = None
     checks: tuple[Check, ...] = ()
@@ -314,6 +317,8 @@ class Prescription(_Strict):
     def stopped(self, f_number: float) -> Prescription:
         """Return the lens with its stop closed to an f-number; the glass keeps its size.
 
+        An apodising filter keeps its size too: the smaller stop passes its middle.
+
         Raises
         ------
         UserError
@@ -334,6 +339,7 @@ class Prescription(_Strict):
         return with_clear_apertures(self).derived(
             f"stop closed to f/{f_number:g}",
             f_number=float(f_number),
+            gaussian_apodisation=self.gaussian_apodisation * min(1.0, widest / f_number) ** 2,
             entrance_pupil_diameter_mm=None,
             stop_semi_diameter_mm=None,
         )

@@ -41,7 +41,7 @@ def intensity(
     at = (np.arange(size) - size // 2) * pitch_um
     lit = pupil.coverage.any(axis=0)
     phase = np.exp(1j * k * 1e3 * pupil.opd_mm[:, lit])
-    field = np.ascontiguousarray(pupil.coverage[:, lit] * phase)
+    field = np.ascontiguousarray(pupil.amplitude[:, lit] * phase)
     along = np.exp(1j * k * np.outer(pupil.beta[lit], at))
     if pupil.half:
         across = 2 * np.cos(k * np.outer(at[: size // 2 + 1], pupil.alpha))
@@ -67,4 +67,4 @@ def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float)
     half = size * pitch_um / 2
     x, y = np.gradient(1e3 * pupil.opd_mm, pupil.alpha, pupil.beta)
     folds = (np.abs(x) > period_a - half) | (np.abs(y) > period_b - half)
-    return float((folds * pupil.coverage).sum() / pupil.coverage.sum())
+    return float((folds * pupil.light).sum() / pupil.light.sum())

@@ -130,7 +130,7 @@ def line_spread(
     2.5e-3 with 256 nodes, and the other frequencies are right to 2e-4.
     """
     wavelength_um = wavelength_nm * 1e-3
-    field = pupil.coverage * np.exp(2e3j * np.pi / wavelength_um * pupil.opd_mm)
+    field = pupil.amplitude * np.exp(2e3j * np.pi / wavelength_um * pupil.opd_mm)
     if direction == "tangential":
         spacing = pupil.beta[1] - pupil.beta[0]
     else:
@@ -142,7 +142,7 @@ def line_spread(
     line = np.fft.fftshift(np.square(np.abs(np.fft.ifft(field, count, axis=1))).sum(axis=0))
     at_um = (np.arange(count) - count // 2) * (wavelength_um / (spacing * count))
     both = 2 if pupil.half and direction == "sagittal" else 1
-    passed = both * pupil.coverage.sum()
+    passed = both * pupil.light.sum()
     return at_um, line * (count / passed)
 
 
@@ -191,10 +191,10 @@ def through_focus(
     """
     step = wavelength_nm * 1e-6 * frequency_cy_mm / 2
     alpha, beta = pupil.alpha, pupil.beta
-    coverage, opd = pupil.coverage, pupil.opd_mm
+    amplitude, light, opd = pupil.amplitude, pupil.light, pupil.opd_mm
     if direction == "sagittal":
         alpha = np.concatenate([-alpha[::-1], alpha]) if pupil.half else alpha
-        coverage, opd = _whole(coverage, pupil), _whole(opd, pupil)
+        amplitude, light, opd = (_whole(one, pupil) for one in (amplitude, light, opd))
         nodes, turn = step / (alpha[1] - alpha[0]), (1, 0)
         ahead, behind = ((alpha[:, None] + side, beta[None]) for side in (step, -step))
     else:
@@ -205,13 +205,13 @@ def through_focus(
         """Return the values a step away, 0 beyond the grid."""
         return ndimage.shift(values, [-sign * nodes * axis for axis in turn], order=order)
 
-    both = moved(coverage, 1, 1) * moved(coverage, -1, 1)
+    both = moved(amplitude, 1, 1) * moved(amplitude, -1, 1)
     lit = both > 0
     difference = (moved(opd, 1, 3) - moved(opd, -1, 3))[lit]
     per_dz = (_path_per_dz(*ahead, slope) - _path_per_dz(*behind, slope))[lit]
     k = 2e6 * np.pi / wavelength_nm
     phase = np.exp(1j * k * (difference + np.multiply.outer(np.asarray(dz_mm), per_dz)))
-    return phase @ both[lit] / coverage.sum()
+    return phase @ both[lit] / light.sum()
 
 
 def polychromatic(

@@ -60,6 +60,8 @@ class Samples:
     ok : ndarray of bool, shape (L, R)
     half : bool
         Whether the rays stand for their mirror images too: of a centred lens, azimuth 0.
+    apodisation : float
+        G: the diaphragm passes the amplitude exp(-G (height / semi-diameter)^2).
     """
 
     chief_x_mm: np.ndarray
@@ -72,6 +74,7 @@ class Samples:
     margin: np.ndarray
     ok: np.ndarray
     half: bool = True
+    apodisation: float = 0.0
 
     @property
     def inside(self) -> np.ndarray:
@@ -89,13 +92,15 @@ class Pupil:
         (i + 1/2) d_alpha of the half pupil alpha > 0, or all of it.
     beta : ndarray, shape (B,)
     coverage : ndarray, shape (A, B)
-        Share of each cell that lies inside every aperture: the amplitude A.
+        Share of each cell that lies inside every aperture.
     opd_mm : ndarray, shape (A, B)
         W; without meaning where the coverage is 0.
     fit_residual_mm : float
         RMS difference between W and the traced rays inside the pupil.
     half : bool
         Whether the other half, alpha < 0, is the mirror image of this one.
+    apodised : ndarray, shape (A, B), or 1
+        Amplitude that the stop passes. The field's A is coverage times this.
     """
 
     alpha: np.ndarray
@@ -104,6 +109,20 @@ class Pupil:
     opd_mm: np.ndarray
     fit_residual_mm: float
     half: bool = True
+    apodised: np.ndarray | float = 1.0
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """A of each cell, shape (A, B)."""
+        return self.coverage * self.apodised
+
+    @property
+    def light(self) -> np.ndarray:
+        """What each cell passes of the light that falls on it, shape (A, B).
+
+        Not the square of A: of a cell on a rim, a share passes whole.
+        """
+        return self.amplitude * self.apodised
 
     @property
     def cell(self) -> float:
@@ -112,8 +131,8 @@ class Pupil:
 
     @property
     def projected_solid_angle_sr(self) -> float:
-        """Integral of d alpha d beta over the whole pupil (both halves)."""
-        return (2.0 if self.half else 1.0) * float(self.coverage.sum()) * self.cell
+        """Integral of what passes, d alpha d beta, over the whole pupil (both halves)."""
+        return (2.0 if self.half else 1.0) * float(self.light.sum()) * self.cell
 
 
 def sample_rays(
@@ -217,6 +236,7 @@ def _sample(
         margin=np.concatenate([margin, diaphragm[None]])[:, :, 1:],
         ok=ok[:, 1:],
         half=half,
+        apodisation=system.prescription.gaussian_apodisation,
     )
 
 
@@ -331,6 +351,8 @@ def _pupil(
     centre_b, half_b, grid_b = _axis(beta, False, nodes, finest)
 
     active = [m for m in range(len(margin)) if margin[m].max() > 0]
+    if samples.apodisation and active[-1:] != [len(margin) - 1]:
+        active.append(len(margin) - 1)  # the diaphragm, though it clips nothing
     targets = np.column_stack([opd, *margin[active]])
     for degree in DEGREES:
         fitted, smooth = _fit(
@@ -358,6 +380,9 @@ def _pupil(
         opd_mm=smooth[0],
         fit_residual_mm=residual,
         half=samples.half,
+        apodised=np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
+        if samples.apodisation
+        else 1.0,
     )
 
 
@@ -433,8 +458,9 @@ def within_hull(
 def best_focus_shift(system: System, wavelengths_nm: np.ndarray) -> float:
     """Return the shift of the image plane (mm) that is best on axis over all wavelengths.
 
-    Best: the least sum over wavelengths of the variance of W / lambda over the pupil. A shift dz
-    adds dz (gamma - 1) to W exactly, so the least-squares answer is closed.
+    Best: the least sum over wavelengths of the variance of W / lambda over the pupil, weighted by
+    the amplitude, as it darkens the peak. A shift dz adds dz (gamma - 1) to W exactly, so the
+    least-squares answer is closed.
     """
     samples = sample_field(system, system.index(wavelengths_nm), 0.0)
     above = below = 0.0
@@ -442,7 +468,7 @@ def best_focus_shift(system: System, wavelengths_nm: np.ndarray) -> float:
     for pupil, wavelength in zip(
         pupils(samples, wavelengths_nm, 1.0, 256), wavelengths_nm, strict=True
     ):
-        weight = pupil.coverage / pupil.coverage.sum()
+        weight = pupil.amplitude / pupil.amplitude.sum()
         sine2 = np.minimum(pupil.alpha[:, None] ** 2 + pupil.beta[None] ** 2, 1)
         gamma = np.sqrt(1 - sine2)
         opd = pupil.opd_mm - (weight * pupil.opd_mm).sum()

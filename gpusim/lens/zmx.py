@@ -113,14 +113,6 @@ class _Reader:
         unit = (head.first("UNIT") or ["none"])[0]
         if unit != "MM":
             raise self.refuse("lens units other than millimetres are not read", "UNIT", unit, "MM")
-        # GFAC type factor: type 0 is uniform, type 1 Gaussian, uniform where its factor is 0.
-        if self.number(head, "GFAC", 0) > 1 or self.number(head, "GFAC", 1) != 0:
-            raise self.refuse(
-                "pupil apodisation is not modelled",
-                "GFAC",
-                " ".join(head.first("GFAC")),
-                "0 0 (uniform)",
-            )
         # ENVD temperature pressure adjust: at 20 degC and 1 atm the adjustment is none.
         at_home = self.number(head, "ENVD", 0, 20) == 20 and self.number(head, "ENVD", 1, 1) == 1
         if self.number(head, "ENVD", 2) != 0 and not at_home:
@@ -130,10 +122,10 @@ class _Reader:
                 " ".join(head.first("ENVD")),
                 "20 degC and 1 atm, or no adjustment (third number 0)",
             )
-        used = {"MODE", "UNIT", "GFAC", "ENVD", "NAME", "NOTE", "GCAT"}
+        used = {"MODE", "UNIT", "ENVD", "NAME", "NOTE", "GCAT"}
         wavelengths = self._wavelengths(used)
         fields = self._fields(used)
-        aperture = self._aperture(used)
+        aperture = self._aperture(used) | self._apodisation(used)
         if "RAIM" in head.lines:
             self.account.substituted("file", "RAIM: every ray is aimed at the real stop")
             used.add("RAIM")
@@ -282,6 +274,26 @@ class _Reader:
                 "FNUM, ENPD or FLOA",
             )
         raise self.refuse("the file states no aperture", "FNUM", None, "FNUM, ENPD or FLOA")
+
+    def _apodisation(self, used: set[str]) -> dict[str, object]:
+        """GFAC type factor: 0 uniform, 1 Gaussian exp(-factor rho^2), 2 cosine cubed."""
+        kind, factor = self.number(self.head, "GFAC", 0), self.number(self.head, "GFAC", 1)
+        if kind not in (0, 1) or not 0 <= factor <= 100:
+            raise self.refuse(
+                "this apodisation of the pupil is not modelled",
+                "GFAC",
+                " ".join(self.head.first("GFAC")),
+                "0 (uniform), or 1 (Gaussian) with a factor from 0 to 100",
+            )
+        used.add("GFAC")
+        if kind == 0 or factor == 0:
+            return {}
+        self.account.substituted(
+            "file",
+            f"GFAC: Gaussian apodisation over the entrance pupil, factor {factor:g}, by the same "
+            "over the stop, at which rays are aimed",
+        )
+        return {"gaussian_apodisation": factor}
 
     def _stop(self) -> int:
         stops = [block.number for block in self.surfaces if "STOP" in block.lines]

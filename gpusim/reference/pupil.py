@@ -51,6 +51,8 @@ def pupil(
     rows: int,
     fold_um: float,
     focus_mm: float,
+    stop: np.ndarray | None = None,
+    apodisation: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate W and reach, and fill the cells of half the pupil, alpha > 0.
 
@@ -69,13 +71,17 @@ def pupil(
         T, and the rows that are wanted.
     fold_um, focus_mm : float
         Rays that land farther out than this in x or y fold; shift of the image plane.
+    stop : ndarray (A, B), optional
+        rho^2 at the nodes: where their rays cross the stop, over its radius.
+    apodisation : float
+        G: the stop passes the amplitude exp(-G rho^2).
 
     Returns
     -------
     field : ndarray (rows, T), complex128
         A exp(2 pi i W).
     sums : ndarray (rows, 2), float64
-        Sums over each row: of A; of A where rays fold.
+        Sums over each row: of the light that each cell passes; of that whose rays fold.
     """
     nodes = np.asarray(nodes, np.float64)
     whole = np.concatenate([nodes[::-1], nodes])
@@ -100,6 +106,14 @@ def pupil(
             value += (in_a * in_b)[:, None] * node
             d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
             d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
+    filtered = np.zeros(len(x))
+    if stop is not None:
+        mirrored = np.concatenate([stop[::-1], stop]).astype(np.float64)
+        for m, node_a in enumerate(_NODES):
+            for n, node_b in enumerate(_NODES):
+                in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
+                filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
+    passed = np.exp(-apodisation * np.maximum(filtered, 0))
     share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)
 
     # The plane moves by focus_mm and the chief ray's point in it by focus_mm times its slope; the
@@ -116,7 +130,7 @@ def pupil(
     folds = 1e3 * np.maximum(abs(land_x), abs(land_y)) > fold_um
 
     field = np.zeros(here.shape, np.complex128)
-    field[here] = share * np.exp(2j * np.pi * w)
-    covered, folded = np.zeros((2, *here.shape))
-    covered[here], folded[here] = share, share * folds
-    return field, np.stack([covered.sum(axis=1), folded.sum(axis=1)], axis=-1)
+    field[here] = share * passed * np.exp(2j * np.pi * w)
+    light, folded = np.zeros((2, *here.shape))
+    light[here], folded[here] = share * passed**2, share * passed**2 * folds
+    return field, np.stack([light.sum(axis=1), folded.sum(axis=1)], axis=-1)

@@ -30,6 +30,7 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
     return [
         *first_order_facts(system),
         ("working f-number, NA", _working(bank)),
+        *_apodisation(system),
         ("T-stop", f"T/{t_stop(bank):.4g}"),
         ("image circle", f"{2e-3 * bank.image_circle_um:.3f} mm diameter"),
         *(
@@ -144,6 +145,13 @@ def distortions(field_deg: np.ndarray, height_um: np.ndarray) -> dict[str, np.nd
             axis -= (scale[1] - scale[0]) * square[0] / (square[1] - square[0])
         found[name] = np.concatenate([[0.0], 100 * (scale / axis - 1)])
     return found
+
+
+def _apodisation(system: System) -> list[tuple[str, str]]:
+    """Return a line on a stop that is apodised."""
+    factor = system.prescription.gaussian_apodisation
+    text = f"amplitude exp(-{factor:g} \N{GREEK SMALL LETTER RHO}\N{SUPERSCRIPT TWO})"
+    return [("apodised stop", f"{text}; NA: of an even one as bright")] if factor else []
 
 
 def _working(bank: Bank) -> str:

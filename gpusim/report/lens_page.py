@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from gpusim.lens import transfer
 from gpusim.lens.bank import Bank
 from gpusim.lens.layout import Element, beam, elements
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import sample_rays
+from gpusim.lens.wavefront import Pupil, sample_rays
 from gpusim.report.lens_facts import working_f_number
 
 Result = TypeVar("Result")
@@ -135,9 +135,13 @@ def lens_page(
         chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
         chief = pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))
         (chief_um,) = each([np.stack(list(chief))])
-    f_number = working_f_number(bank)
-    limits = np.stack([transfer.diffraction_mtf(frequency, w, f_number) for w in wavelengths])
     light = pupils[0].weight
+    limits = np.stack(
+        [
+            _limit(pupil, wavelength, frequency, working_f_number(bank))
+            for pupil, wavelength in zip(pupils[0].fine, wavelengths, strict=True)
+        ]
+    )
     return LensPage(
         bank=bank,
         system=system,
@@ -158,6 +162,16 @@ def _chief_um(system: System, wavelengths_nm: np.ndarray) -> Callable[[float], n
     """Return a function from field angle (rad) to where its chief rays land."""
     index, centre = system.index(wavelengths_nm), np.zeros(1)
     return lambda theta: 1e3 * sample_rays(system, index, theta, centre, centre).chief_y_mm
+
+
+def _limit(
+    pupil: Pupil, wavelength_nm: float, frequency: np.ndarray, f_number: float
+) -> np.ndarray:
+    """Return the MTF of a perfect lens with the axial pupil."""
+    if np.isscalar(pupil.apodised):
+        return transfer.diffraction_mtf(frequency, wavelength_nm, f_number)
+    perfect = replace(pupil, opd_mm=np.zeros_like(pupil.opd_mm))
+    return np.abs(transfer.pupil_otf(perfect, wavelength_nm, frequency, "tangential"))
 
 
 def quadrature(bank: Bank) -> np.ndarray:

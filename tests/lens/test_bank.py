@@ -67,6 +67,19 @@ def test_transmission_is_fresnels_for_uncoated_surfaces(bank, demo_lens):
     assert 0.55 < expected < 0.62  # eight glass-air surfaces of 5 to 7 % each
 
 
+def test_an_apodised_stop_dims_the_bank_and_is_said(demo_lens, bank):
+    apodised = demo_lens.model_copy(update={"gaussian_apodisation": 1.0})
+    found = compute_bank(apodised, bank.wavelengths_nm, bank.field_deg, size=64)
+    # Even in direction cosines on the axis, where the lens meets the sine condition to 1.5 %.
+    share = found.projected_solid_angle_sr / bank.projected_solid_angle_sr
+    np.testing.assert_allclose(share, (1 - np.exp(-2)) / 2, rtol=0.015)
+    # Vignetting takes the dim rim first: less is lost off the axis.
+    np.testing.assert_array_equal(found.relative_illumination[0], 1)
+    assert (found.relative_illumination[-1] > 1.01 * bank.relative_illumination[-1]).all()
+    assert "exp(-1 rho^2)" in found.provenance["pupil"]
+    assert "rho" not in bank.provenance["pupil"]
+
+
 def test_a_coating_is_on_every_surface_between_glass_and_air_and_only_there(demo_lens):
     # The double Gauss: 8 surfaces between glass and air, a diaphragm in air, 2 cemented surfaces.
     coating = Coating(wavelength_nm=[400.0, 500.0, 700.0], reflectance=[0.02, 0.004, 0.01])
@@ -307,11 +320,12 @@ def test_another_lens_or_setting_is_another_bank(cache, demo_lens):
     cached_bank(demo_lens, **TINY)
     cached_bank(demo_lens, **TINY | {"size": 34})
     cached_bank(demo_lens.stopped(4.0), **TINY)
+    cached_bank(demo_lens.model_copy(update={"gaussian_apodisation": 0.5}), **TINY)
     surfaces = list(demo_lens.surfaces)
     surfaces[3] = surfaces[3].model_copy(update={"glass": "SCHOTT/N-SF15"})
     cached_bank(demo_lens.model_copy(update={"surfaces": tuple(surfaces)}), **TINY)
-    assert len(computed) == 4
-    assert len(list(folder.iterdir())) == 4
+    assert len(computed) == 5
+    assert len(list(folder.iterdir())) == 5
 
 
 @pytest.mark.parametrize("damage", ["garbage", "truncated", "empty", "foreign"])

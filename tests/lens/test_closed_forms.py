@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lens.made import lens, model
-from scipy.integrate import quad
-from scipy.special import j1
+from scipy.integrate import quad, simpson
+from scipy.special import j0, j1
 
 from gpusim.lens import psf as reference_psf
+from gpusim.lens import transfer
 from gpusim.lens import wavefront as reference_wavefront
 from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, first_order
@@ -105,6 +106,89 @@ def test_a_perfect_lens_has_the_transfer_function_of_diffraction(f_number, pupil
     s = nu[inner]
     limit = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
     np.testing.assert_allclose(otf[inner], limit, rtol=0, atol=1e-3)
+
+
+def gaussian_image(f_number, apodisation, r_um):
+    """Return the PSF of ``perfect_lens`` with an apodised stop: light per um^2 of unit power.
+
+    The Hankel transform of what the stop passes at height h, which leaves at the sine s(h), of
+    weight d(s^2) = 2 s ds: by Simpson's rule over h.
+    """
+    h = np.linspace(1e-9, 1, 2001)
+    sine = sine_of_aperture(f_number / h)
+    passed = np.exp(-apodisation * h * h)
+    area = simpson(passed**2 * 2 * sine * np.gradient(sine, h, edge_order=2), x=h) * np.pi
+    wave = j0(2 * np.pi / LAMBDA_UM * np.outer(r_um, sine)) * passed
+    amplitude = simpson(wave * 2 * sine * np.gradient(sine, h, edge_order=2), x=h) * np.pi
+    return amplitude**2 / (LAMBDA_UM**2 * area)
+
+
+@pytest.mark.parametrize(("f_number", "apodisation"), [(2.8, 1.0), (8.0, 0.3), (8.0, 4.0)])
+def test_an_apodised_stop_gives_its_hankel_transform(f_number, apodisation, pupil_of, psf_of):
+    system = build(perfect_lens(f_number, gaussian_apodisation=apodisation))
+    scale = LAMBDA_UM / (2 * sine_of_aperture(f_number))
+    pitch, size = scale / 16, 256
+    pupil = pupil_of(system, window_um=size * pitch)
+    psf = psf_of(pupil, size, pitch) / pitch**2
+    at = (np.arange(size) - 128) * pitch
+    exact = gaussian_image(f_number, apodisation, at)
+    # As without: the rim's rounding.
+    np.testing.assert_allclose(psf[128], exact, rtol=0, atol=2e-4 * exact.max())
+    np.testing.assert_allclose(psf[:, 128], exact, rtol=0, atol=2e-4 * exact.max())
+    assert psf[128, 128] == pytest.approx(exact[128], rel=2e-4)
+    # Another filter, and none, are seen.
+    for other in (apodisation + 0.1, 0.0):
+        wrong = gaussian_image(f_number, other, at)
+        assert np.abs(wrong - exact).max() > 4e-4 * exact.max()
+
+
+def test_a_stop_that_cuts_nothing_of_a_gaussian_gives_a_gaussian(pupil_of, psf_of):
+    # exp(-9) = 1e-4 of the amplitude at the rim. Amplitude exp(-G (s / s0)^2) in the pupil, so
+    # exp(-(pi s0 r / lambda)^2 / G) in the image, and its square; 2 pi s0^2 / (G lambda^2) at the
+    # middle of unit power. The sine falls short of its slope on the axis, s0 = 1 / (2 N), by 1e-3
+    # at the rim and by 1 / G of that where the light is.
+    g, sine = 9.0, 1 / 40
+    pupil = pupil_of(build(perfect_lens(20.0, gaussian_apodisation=g)), window_um=512)
+    psf = psf_of(pupil, 256, 2.0)
+    at = 2.0 * (np.arange(256) - 128.0)
+    exact = np.exp(-2 * (np.pi * sine * at / LAMBDA_UM) ** 2 / g)
+    peak = 2 * np.pi * sine**2 / (g * LAMBDA_UM**2)
+    assert psf[128, 128] / 4 == pytest.approx(peak, rel=1e-3)
+    np.testing.assert_allclose(psf[128] / 4, peak * exact, rtol=0, atol=1e-3 * peak)
+    # No ring of Airy's, 1.7e-2 of the peak.
+    assert psf[128, np.abs(at) > 50].max() < 1e-4 * peak
+    # What passes: pi s0^2 times the mean of exp(-2 G rho^2).
+    even = np.pi * sine**2
+    assert pupil.projected_solid_angle_sr == pytest.approx(
+        even * (1 - np.exp(-2 * g)) / (2 * g), rel=1e-3
+    )
+
+
+def test_an_apodised_lens_has_its_pupils_transfer_function(pupil_of, psf_of):
+    # The OTF of the line spread and of the pupil's overlap are those of the PSF.
+    system = build(perfect_lens(4.0, gaussian_apodisation=1.0))
+    pupil = pupil_of(system, window_um=128.0)
+    nu = np.array([50.0, 150.0, 300.0])
+    found = transfer.pupil_otf(pupil, D_LINE[0], nu, "sagittal").real
+    # Overlap of two Gaussian discs 2 s apart, by sums over a square.
+    sine = sine_of_aperture(4.0)
+    x = (np.arange(2000) + 0.5) / 1000 - 1
+
+    def amplitude(shift):
+        rho2 = (x[:, None] + shift) ** 2 + x**2
+        return np.where(rho2 < 1, np.exp(-rho2), 0.0)
+
+    exact = []
+    for s in nu * 1e-3 * LAMBDA_UM / (2 * sine):
+        exact.append((amplitude(s) * amplitude(-s)).sum() / (amplitude(0.0) ** 2).sum())
+    # 2.5e-3 of the rim's cells (line_spread), where there is little light, and the sine condition.
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1.5e-3)
+    for one, expected in zip(nu, exact, strict=True):
+        still = np.zeros(1)
+        overlap = transfer.through_focus(pupil, D_LINE[0], one, "tangential", still)[0]
+        assert abs(overlap - expected) < 1.5e-3
+    even = pupil_of(build(perfect_lens(4.0)), window_um=128.0)
+    assert np.abs(transfer.pupil_otf(even, D_LINE[0], nu, "sagittal") - exact).max() > 0.05
 
 
 def hopkins(s, w20_waves):

@@ -91,6 +91,13 @@ def test_stopping_down_keeps_the_glass_and_closes_the_stop(double_gauss):
     assert build(stopped).stop_radius_mm < 0.52 * build(double_gauss).stop_radius_mm
 
 
+def test_stopping_down_passes_the_middle_of_an_apodising_filter(double_gauss):
+    filtered = double_gauss.model_copy(update={"gaussian_apodisation": 2.0})
+    # A filter of exp(-2 (r / r0)^2) at half its size: exp(-0.5 (2 r / r0)^2).
+    assert filtered.stopped(4.0).gaussian_apodisation == pytest.approx(0.5)
+    assert filtered.stopped(first_order(filtered).f_number).gaussian_apodisation == 2.0
+
+
 def test_a_lens_does_not_open_beyond_its_published_aperture(double_gauss):
     with pytest.raises(UserError) as caught:
         double_gauss.stopped(1.4)

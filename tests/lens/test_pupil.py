@@ -45,19 +45,33 @@ def packed(grids: list[dict]) -> np.ndarray:
     return np.array(rows, np.float32)
 
 
-def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0, length=T):
+def on_device(
+    nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0, stop=None, apodisation=0.0
+):
     """Return field and sums of P beams."""
     count = len(grids)
+    filtered = stop is not None
     found = run_stage(
         "lens/pupil",
         (rows, count if pairs is None else pairs, 1),
-        {"na": nodes.shape[1], "nb": nodes.shape[2], "fold_um": fold_um, "focus_mm": focus_mm},
-        {"grids": packed(grids), "nodes": nodes.astype(np.float32)},
         {
-            "field": ((count, rows, length), np.complex64),
+            "na": nodes.shape[1],
+            "nb": nodes.shape[2],
+            "fold_um": fold_um,
+            "focus_mm": focus_mm,
+            "apodisation": apodisation,
+        },
+        {
+            "grids": packed(grids),
+            "nodes": nodes.astype(np.float32),
+            "stop": stop.astype(np.float32) if filtered else np.full(1, 7, np.float32),
+        },
+        {
+            "field": ((count, rows, T), np.complex64),
             "sums": ((count, rows, 2), np.float32),
         },
-        T=length,
+        T=T,
+        APODISED=filtered,
     )
     return found["field"], found["sums"].astype(float)
 
@@ -232,6 +246,56 @@ def test_rims_of_two_apertures():
     assert 0.3 < sums[..., 0].sum() * 2 * place["cell"] ** 2 / (np.pi * 0.06**2) < 0.9
 
 
+def filtered_bound(apodisation: float, rho2: float) -> float:
+    """Return what exp adds to a share: G times the error of rho^2, and (3 + 2 |x|) u of itself."""
+    return apodisation * 30 * ULP * 1.6 * rho2 + (4 + 2 * apodisation * rho2) * ULP
+
+
+def test_an_apodised_stop_darkens_the_rim():
+    place = grid()
+    a, b = np.moveaxis(at_nodes(place) - [0, 1 / 32], -1, 0)
+    nodes = np.stack([0 * a + 0.25, (a * a + b * b) / 0.05**2], axis=-1)[None]
+    rho2 = (a * a + (b - 0.01) ** 2)[None] / 0.05**2  # not where the rim is: the stop is not all
+    found, sums = on_device(nodes, [place], stop=rho2, apodisation=1.5)
+    field, light = pupil(
+        nodes[0].astype(np.float32), **place, length=T, rows=ROWS, fold_um=FAR, focus_mm=0.0,
+        stop=rho2[0].astype(np.float32), apodisation=1.5,
+    )  # fmt: skip
+    bound = rim_bound(place["cell"] / 0.05, 4.0) + amplitude_bound(0.25) + filtered_bound(1.5, 2)
+    assert_close(found[0], field, atol=bound)
+    assert_close(sums[0], light, atol=2 * T * bound)
+    # Amplitude at the cells within, from the equation; the light is its square.
+    alpha, beta = at_cells(place)
+    inside = (alpha**2 + (beta - 1 / 32) ** 2) < (0.05 - place["cell"]) ** 2
+    exact = np.exp(-1.5 * (alpha**2 + (beta - 1 / 32 - 0.01) ** 2) / 0.05**2)
+    assert_close(np.abs(found[0][inside]).astype(float), exact[inside], atol=bound)
+    assert (exact[inside] < 0.3).any()
+    even, _ = on_device(nodes, [place])
+    with pytest.raises(AssertionError, match="elements are bad"):
+        assert_close(even[0], field, atol=bound)
+
+
+def test_light_that_a_filter_stops_does_not_fold_either():
+    place = grid()
+    nodes = tilted(place, (0, 200.0))
+    rho2 = np.full((1, NA, NB), 0.5)
+    _, sums = on_device(nodes, [place], fold_um=100.0, stop=rho2, apodisation=1.0)
+    assert_close(sums[..., 1], sums[..., 0].copy(), atol=0)
+    _, even = on_device(nodes, [place], fold_um=100.0)
+    # Of light exp(-2 G rho^2); T sums of it.
+    expected = np.exp(-1.0) * even
+    assert_close(sums, expected, atol=T * filtered_bound(2.0, 0.5) + T * ULP * even.max())
+
+
+def test_a_factor_of_nothing_is_the_pupil_without_a_filter():
+    nodes = noise(10)
+    rho2 = np.random.default_rng(11).uniform(0, 1, (2, NA, NB))
+    for one, other in zip(
+        on_device(nodes, TWO), on_device(nodes, TWO, stop=rho2, apodisation=0.0), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
 def tilted(place: dict, landing_um: tuple[float, float]) -> np.ndarray:
     """Return nodes of a wavefront all of whose rays land at one point, in x and y."""
     waves = -at_nodes(place) @ np.array(landing_um) * 1e-3 * place["waves_per_mm"]
@@ -335,5 +399,5 @@ def test_weights_and_slopes_are_those_of_four_nodes():
 
 def test_the_defaults_are_of_one_grid():
     made = Kernel("lens/pupil")
-    assert made.overrides == {"T": 1024}
+    assert made.overrides == {"T": 1024, "APODISED": False}
     assert made.workgroup_size == (64, 1, 1)

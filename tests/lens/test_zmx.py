@@ -61,6 +61,21 @@ def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, writte
     assert account.listed("substituted") == ["file: RAIM: every ray is aimed at the real stop"]
 
 
+def test_a_gaussian_apodisation_is_read(tmp_path, written):
+    _, text = written
+    found = parse_zmx(text.replace("GFAC 0 0", "GFAC 1 0.7").encode("cp1252"), tmp_path / "a.zmx")
+    assert found.gaussian_apodisation == 0.7
+    said = [one for one in found.account.listed("substituted") if "GFAC" in one]
+    assert len(said) == 1
+    assert "factor 0.7" in said[0]
+    # Uniform whatever the factor, and Gaussian of none.
+    for even in ("GFAC 0 1.0", "GFAC 1 0"):
+        content = text.replace("GFAC 0 0", even).encode("cp1252")
+        found = parse_zmx(content, tmp_path / "a.zmx")
+        assert found.gaussian_apodisation == 0
+        assert not any("GFAC" in one for one in found.account.listed("substituted"))
+
+
 def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
     rows = [
         {
@@ -112,7 +127,9 @@ def test_every_kind_of_aperture_is_read(tmp_path, written, line, name, value):
         ("FTYP 0 0 3", "FTYP 0 0 0", ["no field", "YFLN"]),
         ("SURF 4\r\n", "SURF 5\r\n", ["not numbered in order", "SURF 4"]),
         ("FTYP 0 0", "FTYP 0 1", ["telecentric"]),
-        ("GFAC 0 0", "GFAC 1 2.0", ["apodisation"]),
+        ("GFAC 0 0", "GFAC 2 1", ["apodisation", "GFAC", "2 1", "1 (Gaussian)"]),
+        ("GFAC 0 0", "GFAC 1 -0.5", ["apodisation", "-0.5", "0 to 100"]),
+        ("GFAC 0 0", "GFAC 1 half", ["GFAC", "half", "number"]),
         ("ENVD 2.0E+1 1 0", "ENVD 4.0E+1 1 1", ["environment"]),
         (
             "SURF 2\r\n  TYPE STANDARD",
