@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from command_line import assert_refused, gpusim
+from lens.exports import write_isetcam, write_zemax
 from PIL import Image
 
 from gpusim.cli import lens as cli_lens
@@ -16,6 +17,7 @@ from gpusim.lens import plane_bank
 from gpusim.lens.bank import Bank, compute_bank
 from gpusim.lens.plane_bank import compute_plane_bank
 from gpusim.lens.prescription import load_prescription, presets
+from gpusim.lens.ready import NPZ_ARRAYS, load_ready
 
 DEMO = ("lens", "double-gauss", "--focal-length", "8.3", "--f-number", "2.8")
 
@@ -169,10 +171,94 @@ def test_a_lens_without_axis_shows_its_first_order_and_writes_its_plane_bank(
     assert plane_bank.PlaneBank.load(tmp_path / "bank.nc").psf.shape == (2, 1, 1, 32, 32)
 
 
-def test_a_lens_without_axis_has_no_page(tilted: Path, tmp_path: Path):
-    ran = gpusim("lens", tilted, "--out", tmp_path / "lens.png")
-    assert_refused(ran, "symmetric about the axis", "surfaces.3", "tilt_deg")
-    assert not (tmp_path / "lens.png").exists()
+@pytest.mark.parametrize("suffix", ["png", "html"])
+def test_a_lens_without_axis_has_a_page_over_both_directions(
+    tilted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+):
+    def small(lens, *, progress):
+        return compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32, progress=progress)
+
+    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    ran = gpusim("lens", tilted, "--out", tmp_path / f"lens.{suffix}")
+    assert ran.code == 0, ran.err
+    assert "image of the axis" in ran.out
+    if suffix == "png":
+        assert np.asarray(Image.open(tmp_path / "lens.png").convert("L")).std() > 20
+    else:
+        text = (tmp_path / "lens.html").read_text(encoding="utf-8")
+        assert "tilted by 0.1, 0 deg" in text
+        assert "image of the axis" in text
+
+
+def test_a_saved_bank_without_axis_is_shown_again(tilted: Path, tmp_path: Path):
+    lens = load_prescription(tilted)
+    compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32).save(tmp_path / "bank.nc")
+    ran = gpusim("lens", tmp_path / "bank.nc", "--out", tmp_path / "again.png")
+    assert ran.code == 0, ran.err
+    assert "image of the axis" in ran.out
+    assert (tmp_path / "again.png").stat().st_size > 20_000
+    (tmp_path / "bank.nc").write_bytes((tmp_path / "bank.nc").read_bytes()[:-3000])
+    assert gpusim("lens", tmp_path / "bank.nc").code == 2
+
+
+def ready_made(folder: Path) -> dict[str, Path]:
+    """Write a lens of Gaussians in every form that is read; return where."""
+    zemax, isetcam = folder / "zemax", folder / "isetcam"
+    zemax.mkdir()
+    isetcam.mkdir()
+    write_isetcam(isetcam)
+    listed = write_zemax(zemax)
+    bank = load_ready(listed).bank()
+    bank.save(folder / "bank.nc")
+    given = {name: getattr(bank, name) for name in NPZ_ARRAYS if hasattr(bank, name)}
+    np.savez(folder / "bank.npz", title="arrays", source="made up", **given)
+    return {
+        "Zemax text exports": listed,
+        "ISETCam ray-trace folder": isetcam,
+        "saved bank": folder / "bank.nc",
+        "NumPy arrays": folder / "bank.npz",
+        "MTF table": Path("diffraction-limited"),
+    }
+
+
+def test_ready_made_lenses_of_every_kind_are_shown(tmp_path: Path):
+    for kind, path in ready_made(tmp_path).items():
+        ran = gpusim("lens", path)
+        assert ran.code == 0, ran.err
+        assert kind in ran.out
+        for words in ("focal length", "image circle", "T-stop", "not known"):
+            assert words in ran.out
+        assert "check values" not in ran.out  # there is no source to check
+
+
+@pytest.mark.parametrize("suffix", ["png", "html", "nc"])
+def test_a_ready_made_lens_has_its_page_and_its_bank(tmp_path: Path, suffix: str):
+    ran = gpusim("lens", "diffraction-limited", "--out", tmp_path / f"out.{suffix}")
+    assert ran.code == 0, ran.err
+    assert ran.out.splitlines()[-1] == str(tmp_path / f"out.{suffix}")
+    file = tmp_path / f"out.{suffix}"
+    if suffix == "png":
+        assert np.asarray(Image.open(file).convert("L")).std() > 20
+    elif suffix == "html":
+        assert "MTF table" in file.read_text(encoding="utf-8")
+    else:
+        np.testing.assert_array_equal(
+            Bank.load(file).psf, load_ready("diffraction-limited").bank().psf
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("diffraction-limited", "--f-number", "4"), ("ready-made", "--f-number", "4.0")),
+        (("diffraction-limited", "--focus-shift", "4"), ("ready-made", "--focus-shift")),
+        (("missing.nc",), ("no such lens", "missing.nc")),
+        (("missing.npz",), ("no such lens", "missing.npz")),
+        (("/",), ("ISETPARMS.TXT",)),
+    ],
+)
+def test_what_is_no_ready_made_lens_or_cannot_be_changed_is_refused(arguments, words):
+    assert_refused(gpusim("lens", *arguments), *words)
 
 
 def test_a_command_that_fails_leaves_the_old_file(
@@ -180,7 +266,7 @@ def test_a_command_that_fails_leaves_the_old_file(
 ):
     from gpusim.report import lens_figure
 
-    def broken(page):
+    def broken(figure):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(lens_figure, "png", broken)

@@ -16,15 +16,25 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
 
-from gpusim.lens.bank import compute_bank, default_fields_deg
+from gpusim.lens.bank import Bank, compute_bank, default_fields_deg
+from gpusim.lens.plane_bank import compute_plane_bank
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, checked, first_order
+from gpusim.lens.transfer import diffraction_mtf
 from gpusim.report import lens_figure
 from gpusim.report import lens_page as page_numbers
-from gpusim.report.lens_facts import distortions, lens_facts, t_stop, working_f_number
-from gpusim.report.lens_figure import colour_image, draw, png, svg
+from gpusim.report.lens_facts import (
+    distortions,
+    lens_facts,
+    ready_facts,
+    t_stop,
+    working_f_number,
+)
+from gpusim.report.lens_figure import colour_image, draw, draw_ready, png, svg
 from gpusim.report.lens_html import lens_html
-from gpusim.report.lens_page import LensPage, lens_page
+from gpusim.report.lens_page import BankPage, LensPage, lens_page, ready_page
+from gpusim.report.plane_figure import _psfs, draw_plane
+from gpusim.report.plane_page import PlanePage, plane_page
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +65,8 @@ def test_mtf_begins_at_1_and_stays_below_the_diffraction_limit_on_axis(page: Len
 def test_through_focus_passes_through_the_mtf_at_its_frequency(page: LensPage):
     here = np.flatnonzero(np.isclose(page.focus_mm, 0, atol=1e-12))
     assert len(here) == 1
-    for curves in page.curves:
-        for focus, frequency in zip(curves.through_focus, curves.against_frequency, strict=True):
+    for curves, pair in zip(page.curves, page.through_focus, strict=True):
+        for focus, frequency in zip(pair, curves.against_frequency, strict=True):
             at = np.interp(page.focus_frequency, page.frequency, frequency)
             # Two grids of the pupil: 1e-3 (COARSE_NODES); a chord of the curve: 1e-3.
             assert focus[here[0]] == pytest.approx(at, abs=2e-3)
@@ -136,7 +146,7 @@ def test_the_radius_points_up():
     image = np.zeros((8, 8, 3))
     image[4, 7] = 1.0  # eta 0, xi at its greatest
     axes = Figure().add_subplot()
-    lens_figure._psf_image(axes, image, 1.0, 4.0)
+    lens_figure.psf_image(axes, image, 1.0, 4.0)
     (shown,) = axes.get_images()
     row, col = np.argwhere(shown.get_array()[..., 0] == 1)[0]
     left, right, low, high = shown.get_extent()
@@ -230,18 +240,192 @@ def test_names_at_the_ends_of_curves_keep_apart_and_inside():
     assert min(at["a"] - at["c"], at["b"] - at["a"]) * height >= 9.9  # points
 
 
+# a ready-made bank, and one without an axis
+
+
+@pytest.fixture(scope="module")
+def ready(page: LensPage) -> BankPage:
+    return ready_page(page.bank)
+
+
+def test_a_banks_own_mtf_is_that_of_its_pupils_but_for_the_window(page: LensPage, ready: BankPage):
+    beyond = page.bank.outside_energy.max()
+    assert beyond < 0.06
+    for own, traced in zip(ready.curves, page.curves, strict=True):
+        assert (own.name, own.field_deg) == (traced.name, traced.field_deg)
+        for one, other in zip(own.against_frequency, traced.against_frequency, strict=True):
+            there = page.frequency < ready.frequency[-1]
+            found = np.interp(page.frequency[there], ready.frequency, one)
+            # What the window has lost of the light counts at low frequencies; the wavelengths
+            # between are every other one here.
+            np.testing.assert_allclose(found, other[there], rtol=0, atol=2 * beyond)
+        np.testing.assert_allclose(own.against_frequency[:, 0], 1, atol=1e-6)
+    np.testing.assert_allclose(ready.limit[0], 1)
+    assert (ready.limit >= ready.curves[0].against_frequency - 2 * beyond).all()
+    # Tangential and sagittal taken for one another would be seen.
+    off_axis = page.curves[2].against_frequency
+    assert np.abs(off_axis[0] - off_axis[1]).max() > 4 * beyond
+
+
+def test_chief_rays_of_a_bank_are_those_of_its_map(page: LensPage, ready: BankPage):
+    assert ready.chief_nm[0] == 550
+    # Nearest to those that a lens's page draws.
+    np.testing.assert_array_equal(np.sort(ready.chief_nm), [450.0, 550.0, 600.0, 650.0])
+    traced = dict(zip(page.chief_nm, page.chief_um.T, strict=True))
+    for line in (550.0, 600.0, 650.0):
+        found = ready.chief_um[:, list(ready.chief_nm).index(line)]
+        np.testing.assert_allclose(found, traced[line], rtol=0, atol=0.05)
+
+
+def narrow(bank: Bank, fields: slice, lines: slice) -> Bank:
+    """Return a part of a bank; the reference is its first wavelength."""
+    both = {
+        name: getattr(bank, name)[fields, lines]
+        for name in (
+            *("real_height_um", "psf", "relative_illumination", "outside_energy"),
+            *("folded_energy", "fit_residual_waves", "failed_rays"),
+        )
+    }
+    return replace(
+        bank,
+        wavelengths_nm=bank.wavelengths_nm[lines],
+        reference_nm=float(bank.wavelengths_nm[lines][0]),
+        field_deg=bank.field_deg[fields],
+        ideal_height_um=bank.ideal_height_um[fields],
+        projected_solid_angle_sr=bank.projected_solid_angle_sr[lines],
+        transmission=bank.transmission[lines],
+        **both,
+    )
+
+
+@pytest.mark.parametrize(
+    ("fields", "lines", "curves"),
+    [
+        (slice(None), slice(None), ["axis", "half field", "full field"]),
+        (slice(None, 2), slice(2, 3), ["axis", "full field"]),
+        (slice(None, 3), slice(1, 3), ["axis", "half field", "full field"]),
+    ],
+)
+def test_the_page_of_any_bank_is_readable(ready: BankPage, fields, lines, curves):
+    few = ready_page(narrow(ready.bank, fields, lines))
+    assert [one.name for one in few.curves] == curves
+    figure = draw_ready(few)
+    shown = words(figure)
+    assert overlaps(shown) == []
+    said = " ".join(text for text, _ in shown)
+    assert "Not drawn" in said
+    assert ("the bank has one wavelength" in said) == (len(few.chief_nm) == 1)
+    width, height = figure.get_size_inches() * figure.dpi
+    for text, box in shown:
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+
+
+def test_what_a_bank_does_not_know_is_said(ready: BankPage):
+    unknown = np.full_like(ready.bank.folded_energy, np.nan)
+    bank = replace(ready.bank, folded_energy=unknown, failed_rays=unknown)
+    facts = dict(ready_facts(bank))
+    assert facts["rays that failed"] == "not known"
+    assert "folded back not known" in facts["light beyond the PSFs' window"]
+    assert facts["fields, wavelengths"] == "5, 5"
+    assert "length, vertex to vertex" not in facts
+
+
+@pytest.fixture(scope="module")
+def plane(demo_lens) -> PlanePage:
+    # Symmetric, so that what it must show is known; and over more of y than of x.
+    bank = compute_plane_bank(
+        demo_lens, [500.0, 550.0, 600.0], [-6.0, 0.0, 6.0], [-6.0, 0.0, 6.0, 12.0], size=64
+    )
+    return plane_page(bank, build(demo_lens))
+
+
+def test_maps_of_a_lens_with_an_axis_are_symmetric(plane: PlanePage):
+    along_x, along_y = plane.mtf
+    np.testing.assert_allclose(along_x[:3], along_y[:3].T, rtol=0, atol=2e-3)
+    np.testing.assert_allclose(plane.lateral_um[:3], plane.lateral_um[:3].T, atol=1e-4)
+    assert 0.3 < along_x[1, 1] < 0.7
+    # Off in y, x is the sagittal direction: the wrong one would be seen.
+    assert abs(along_x[3, 1] - along_y[3, 1]) > 0.02
+
+
+def test_arrows_show_the_distortion(plane: PlanePage, page: LensPage):
+    away, ideal = plane.away_um[3, 1], plane.ideal_um[3, 1]
+    height = 1e3 * plane.bank.efl_mm * np.tan(np.radians(12.0))
+    np.testing.assert_allclose(ideal, [0, height], atol=1e-3)
+    real, _ = page.bank.height_from_angle(12.0)
+    np.testing.assert_allclose(away, [0, real - height], atol=0.05)
+    assert abs(away[1]) > 1
+    np.testing.assert_allclose(plane.away_um[1, 1], 0, atol=1e-9)
+
+
+def test_light_to_the_right_and_up_is_shown_there(plane: PlanePage):
+    psf = np.zeros_like(plane.bank.psf)
+    psf[..., 32, 32] = 0.4  # rows y, columns x
+    psf[..., 32 + 6, 32 + 2] = 0.6
+    figure = Figure(figsize=(12, 12))
+    _psfs(figure, replace(plane.bank, psf=psf), 1.0, 1.0, 6.0)
+    for axes in figure.axes:
+        (shown,) = axes.get_images()
+        picture = np.asarray(shown.get_array()).sum(axis=-1)
+        row, col = np.unravel_index(picture.argmax(), picture.shape)
+        assert shown.origin == "lower"
+        # Lateral colour moves the outer wavelengths by less than 2 samples.
+        assert row - 32 == pytest.approx(6, abs=2)
+        assert col - 32 == pytest.approx(2, abs=2)
+    boxes = np.array([axes.get_position().bounds[:2] for axes in figure.axes]).reshape(4, 3, 2)
+    assert (np.diff(boxes[..., 0], axis=1) > 0).all()
+    assert (np.diff(boxes[..., 1], axis=0) > 0).all()  # field y rises upwards
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_page_of_a_lens_without_an_axis_is_readable(plane: PlanePage, known: bool):
+    one = plane if known else plane_page(plane.bank, None)
+    figure = draw_plane(one)
+    shown = words(figure)
+    assert overlaps(shown) == []
+    said = " ".join(text for text, _ in shown)
+    assert ("no surfaces" in said) != known
+    assert ("back focal length" in said) == known
+    width, height = figure.get_size_inches() * figure.dpi
+    for text, box in shown:
+        assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
+
+
+def test_a_field_of_90_degrees_has_no_ideal_image(plane: PlanePage):
+    wide = replace(plane.bank, field_y_deg=np.array([-60.0, 0.0, 60.0, 95.0]))
+    page = plane_page(wide, None)
+    np.testing.assert_array_equal(np.isnan(page.away_um[..., 0]).any(axis=1), [0, 0, 0, 1])
+    assert overlaps(words(draw_plane(page))) == []
+
+
+def test_an_apodised_stop_is_on_the_page(demo_lens):
+    filtered = demo_lens.model_copy(update={"gaussian_apodisation": 1.0})
+    bank = compute_bank(filtered, [500.0, 550.0, 600.0], [0.0, 7.0, 14.0], size=64)
+    page = lens_page(bank, build(filtered))
+    facts = dict(lens_facts(bank, page.system))
+    assert "exp(-1 " in facts["apodised stop"]
+    # Of the apodised pupil: above the MTF, and below that of an even one at high frequency.
+    axis = page.curves[0].against_frequency
+    assert (axis <= page.limit + 2e-3).all()
+    assert page.limit[0] == pytest.approx(1, abs=3e-3)
+    even = diffraction_mtf(page.frequency, 550.0, 2.8)
+    high = page.frequency > 400
+    assert high.any()
+    assert (page.limit[high] < even[high] - 0.02).all()
+
+
 # files
 
 
 def test_the_picture_has_its_size_and_is_not_empty(page: LensPage):
-    picture = Image.open(io.BytesIO(png(page)))
+    picture = Image.open(io.BytesIO(png(draw(page))))
     assert picture.size == (1920, 2144)
     assert len(np.unique(np.asarray(picture.convert("L")))) > 100
 
 
 def test_the_drawing_is_the_same_each_time_and_needs_nothing_from_elsewhere(page: LensPage):
-    text = svg(page)
-    assert text == svg(page)
+    text = svg(draw(page, titled=False))
+    assert text == svg(draw(page, titled=False))
     for link in re.findall(r'(?:href|src)="([^"]*)"', text):
         assert link.startswith(("#", "data:"))
     assert "<text" not in text  # letters are outlines: no font is asked for

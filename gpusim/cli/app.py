@@ -117,7 +117,9 @@ def lens(
         str | None,
         typer.Argument(
             metavar="[LENS]",
-            help="A preset name, or a .yaml, .zmx, .seq or .dat file; without it, the presets.",
+            help="A preset name, a .yaml, .zmx, .seq or .dat file; or ready-made PSFs: a .nc or "
+            ".npz bank, an ISETCam folder, a .yaml of Zemax exports or of an MTF table. Without "
+            "it, the presets.",
         ),
     ] = None,
     focal_length: Annotated[

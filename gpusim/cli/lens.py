@@ -16,10 +16,21 @@ from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.bank import cached_bank
+from gpusim.lens.plane_bank import PlaneBank
+from gpusim.lens.prescription import KINDS as LENS_KINDS
 from gpusim.lens.prescription import Prescription, load_prescription, presets
+from gpusim.lens.ready import ReadyLens, is_ready, load_ready
 from gpusim.lens.sampling import window
 from gpusim.lens.system import Checked, System, build, checked, first_order
-from gpusim.report.lens_facts import checks_table, first_order_facts, identity, lens_facts
+from gpusim.report.lens_facts import (
+    checks_table,
+    first_order_facts,
+    identity,
+    lens_facts,
+    plane_facts,
+    ready_facts,
+    ready_identity,
+)
 
 KINDS = (".nc", ".png", ".html")
 
@@ -43,6 +54,23 @@ def run(
             )
         Console().print(library())
         return
+    if is_ready(name):
+        changes = {
+            "--focal-length": focal_length_mm,
+            "--f-number": f_number,
+            "--focus-shift": focus_shift_um,
+        }
+        for option, value in changes.items():
+            if value is not None:
+                raise UserError(
+                    "a ready-made lens is used as it is: it has no surfaces to trace again",
+                    file=name,
+                    field=option,
+                    value=value,
+                    allowed=f"a {LENS_KINDS} file, or a preset, for a lens that changes",
+                )
+        show_ready(name, out)
+        return
     lens = load_prescription(name)
     # The source's figures hold for the lens as published.
     checks = checked(lens)
@@ -57,11 +85,9 @@ def run(
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
         system = build(lens)
         with progress_bar() as progress:
-            if system.geometry.moved.any() and (file is None or file.suffix.lower() == ".nc"):
-                # Without an axis there is no curve against field: first order, and the bank.
-                facts = first_order_facts(system)
-                if file is not None:
-                    write_plane_bank(lens, file, progress)
+            if system.geometry.moved.any():
+                # Without an axis there is no curve against field.
+                facts = plane_work(lens, system, account, file, progress)
             else:
                 facts = work(lens, system, checks, file, progress)
     console = Console()
@@ -89,27 +115,93 @@ def work(
     if kind == ".nc":
         bank.save(file)
     elif kind is not None:
-        from gpusim.report.lens_figure import png
+        from gpusim.report.lens_figure import draw, png
         from gpusim.report.lens_html import lens_html
         from gpusim.report.lens_page import lens_page
 
         page = lens_page(bank, system, lambda done, all_: progress("page", done, all_))
         if kind == ".png":
-            file.write_bytes(png(page))
+            file.write_bytes(png(draw(page)))
         else:
             file.write_text(lens_html(page, checks, lens.account), encoding="utf-8")
     return lens_facts(bank, system)
 
 
-def write_plane_bank(
-    lens: Prescription, file: Path, progress: Callable[[str, int, int], None]
-) -> None:
-    """Write the bank of a lens with moved elements, over both directions of the field."""
+def plane_work(
+    lens: Prescription,
+    system: System,
+    account: Account,
+    file: Path | None,
+    progress: Callable[[str, int, int], None],
+) -> list[tuple[str, str]]:
+    """Do what ``work`` does for a lens with moved elements, over both directions of the field.
+
+    The bank takes a while: without a file to write, first-order data are all that is shown.
+    """
     from gpusim.lens.plane_bank import compute_plane_bank
 
-    compute_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_)).save(
-        file
-    )
+    if file is None:
+        return first_order_facts(system)
+    bank = compute_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
+    write_plane(bank, system, account, file)
+    return plane_facts(bank, system)
+
+
+def write_plane(bank: PlaneBank, system: System | None, account: Account, file: Path) -> None:
+    """Write a bank over both directions of the field, or its page."""
+    if file.suffix.lower() == ".nc":
+        bank.save(file)
+        return
+    from gpusim.report.plane_page import plane_page
+
+    page = plane_page(bank, system)
+    if file.suffix.lower() == ".png":
+        from gpusim.report.lens_figure import png
+        from gpusim.report.plane_figure import draw_plane
+
+        file.write_bytes(png(draw_plane(page)))
+    else:
+        from gpusim.report.lens_html import plane_html
+
+        file.write_text(plane_html(page, account), encoding="utf-8")
+
+
+def show_ready(name: str, out: Path | None) -> None:
+    """Show what a ready-made lens holds; write its bank or its page where `out` asks for them."""
+    from gpusim.lens.plane_bank import holds_plane_bank, load_plane_bank
+
+    console = Console()
+    with ExitStack() as stack:
+        file = None if out is None else stack.enter_context(whole_file(out, KINDS))
+        if holds_plane_bank(Path(name)):
+            bank = load_plane_bank(Path(name))
+            facts = [("lens", bank.provenance["title"]), *plane_facts(bank, None)]
+            if file is not None:
+                write_plane(bank, None, Account(), file)
+        else:
+            lens = load_ready(name)
+            facts = [*ready_identity(lens), *ready_facts(lens.bank())]
+            if file is not None:
+                write_ready(lens, file)
+    console.print(texts(facts))
+    if out is not None:
+        print(out)
+
+
+def write_ready(lens: ReadyLens, file: Path) -> None:
+    """Write the bank of a ready-made lens, or its page."""
+    from gpusim.report.lens_figure import draw_ready, png
+    from gpusim.report.lens_html import ready_html
+    from gpusim.report.lens_page import ready_page
+
+    if file.suffix.lower() == ".nc":
+        lens.bank().save(file)
+        return
+    page = ready_page(lens.bank())
+    if file.suffix.lower() == ".png":
+        file.write_bytes(png(draw_ready(page)))
+    else:
+        file.write_text(ready_html(page, lens), encoding="utf-8")
 
 
 def library() -> Table:

@@ -129,6 +129,16 @@ class PlaneBank:
     pitch_um: float
     provenance: dict[str, str]
 
+    @property
+    def reference(self) -> int:
+        """Index of the wavelength nearest to the reference."""
+        return int(np.abs(self.wavelengths_nm - self.reference_nm).argmin())
+
+    @property
+    def middle(self) -> tuple[int, int]:
+        """Row and column of the field on the axis."""
+        return int(np.abs(self.field_y_deg).argmin()), int(np.abs(self.field_x_deg).argmin())
+
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
         import xarray
@@ -161,6 +171,37 @@ class PlaneBank:
             Where the file is not a whole bank.
         """
         return cls(**load_dataset(path, _VARIABLES, _SCALARS))
+
+
+def holds_plane_bank(path: Path) -> bool:
+    """Tell a bank over both directions of the field from one with an axis."""
+    import h5py
+
+    if path.suffix.lower() != ".nc":
+        return False
+    try:
+        with h5py.File(path, "r") as file:
+            return "field_x_deg" in file
+    except OSError:
+        return False
+
+
+def load_plane_bank(path: Path) -> PlaneBank:
+    """Read a saved bank over both directions of the field.
+
+    Raises
+    ------
+    UserError
+        Where the file is not a whole bank.
+    """
+    try:
+        return PlaneBank.load(path)
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+        raise UserError(
+            f"not a whole bank: {' '.join(str(error).split())}",
+            file=path,
+            allowed="a NetCDF file as gpusim lens LENS --out bank.nc writes it",
+        ) from error
 
 
 def default_sides_deg(prescription: Prescription, count: int = SIDE) -> np.ndarray:

@@ -15,6 +15,7 @@ names what is missing, and where to put it.
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -105,6 +106,17 @@ def mtf_presets() -> dict[str, Path]:
     """Return the MTF-only lenses that come with the package: name to file."""
     folder = Path(str(resources.files("gpusim") / "data" / "mtf"))
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def is_ready(name_or_path: str | Path) -> bool:
+    """Tell a ready-made lens from a prescription, by the name and what a YAML file lists."""
+    path = mtf_presets().get(str(name_or_path), Path(name_or_path))
+    suffix = path.suffix.lower()
+    if suffix in (".yaml", ".yml") and path.is_file():
+        # A file that is no mapping is for the reader of prescriptions to refuse.
+        with contextlib.suppress(UserError):
+            return not {"mtf", "psf_files"}.isdisjoint(read_mapping(path, "lens"))
+    return path.is_dir() or suffix in (".nc", ".npz", ".txt")
 
 
 def load_ready(name_or_path: str | Path) -> ReadyLens:

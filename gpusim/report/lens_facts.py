@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from gpusim.lens.bank import Bank
+from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.ready import ReadyLens
 from gpusim.lens.system import Checked, System, first_order
 
 THETA = "\N{GREEK SMALL LETTER THETA}"
@@ -24,18 +26,37 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
     system : System
         The lens of the bank.
     """
+    return [*first_order_facts(system), *_apodisation(system), *_image_facts(bank)]
+
+
+def ready_facts(bank: Bank) -> list[tuple[str, str]]:
+    """Return what a bank without a prescription says of its lens."""
+    return [
+        ("focal length", f"{bank.efl_mm:.4f} mm"),
+        ("largest field", f"{bank.field_deg[-1]:.4g}\N{DEGREE SIGN} from the axis"),
+        ("f-number", f"f/{bank.f_number:.4g}"),
+        *_image_facts(bank),
+        ("fields, wavelengths", f"{len(bank.field_deg)}, {len(bank.wavelengths_nm)}"),
+        (
+            "PSFs",
+            f"{bank.psf.shape[-1]} x {bank.psf.shape[-1]} samples at {bank.pitch_um:.4g} "
+            "\N{MICRO SIGN}m",
+        ),
+    ]
+
+
+def _image_facts(bank: Bank) -> list[tuple[str, str]]:
+    """Return the main properties of the image."""
     edge = f"at {bank.field_deg[-1]:.4g}\N{DEGREE SIGN}"
     reference = bank.reference
     lateral_um = np.ptp(bank.real_height_um[-1])
     return [
-        *first_order_facts(system),
-        ("working f-number, NA", _working(bank)),
-        *_apodisation(system),
+        ("working f-number, NA", _working(working_f_number(bank))),
         ("T-stop", f"T/{t_stop(bank):.4g}"),
         ("image circle", f"{2e-3 * bank.image_circle_um:.3f} mm diameter"),
         *(
-            (f"distortion, {name}", f"{percent[-1]:+.2f} % {edge}, against the scale on axis")
-            for name, percent in distortions(
+            (f"distortion, {name}", f"{curve[-1]:+.2f} % {edge}, against the scale on axis")
+            for name, curve in distortions(
                 bank.field_deg, bank.real_height_um[:, reference]
             ).items()
         ),
@@ -48,8 +69,55 @@ def lens_facts(bank: Bank, system: System) -> list[tuple[str, str]]:
         ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
         (
             "light beyond the PSFs' window",
-            f"up to {100 * bank.outside_energy.max():.2g} %; "
-            f"folded back {100 * bank.folded_energy.max():.2g} %",
+            f"up to {percent(bank.outside_energy)}; folded back {percent(bank.folded_energy)}",
+        ),
+        (
+            "rays that failed",
+            "not known" if np.isnan(bank.failed_rays).any() else f"{bank.failed_rays.sum():.0f}",
+        ),
+    ]
+
+
+def plane_facts(bank: PlaneBank, system: System | None) -> list[tuple[str, str]]:
+    """Return the data of a lens without symmetry: first order where it is known, and the image.
+
+    Parameters
+    ----------
+    bank : PlaneBank
+    system : System, optional
+        The lens of the bank.
+    """
+    micro = "\N{MICRO SIGN}m"
+    reference = bank.reference
+    row, column = bank.middle
+    x_um, y_um = bank.chief_x_um[row, column, reference], bank.chief_y_um[row, column, reference]
+    light = bank.relative_illumination[..., reference]
+    number = 0.5 / float(np.sqrt(bank.projected_solid_angle_sr[reference] / np.pi))
+    order = (
+        [
+            ("focal length", f"{bank.efl_mm:.4f} mm, centred"),
+            ("f-number", f"f/{bank.f_number:.4g}, centred"),
+        ]
+        if system is None
+        else [*first_order_facts(system), *_apodisation(system)]
+    )
+    return [
+        *order,
+        ("working f-number, NA", _working(number)),
+        ("image of the axis", f"x {x_um:+.2f} {micro}, y {y_um:+.2f} {micro}"),
+        (
+            "fields",
+            f"{bank.field_x_deg[0]:.4g} to {bank.field_x_deg[-1]:.4g}\N{DEGREE SIGN} in x, "
+            f"{bank.field_y_deg[0]:.4g} to {bank.field_y_deg[-1]:.4g}\N{DEGREE SIGN} in y",
+        ),
+        ("relative illumination", f"{light.min():.3f} to {light.max():.3f}"),
+        (
+            "transmission",
+            f"{bank.transmission[reference]:.3f} at {bank.wavelengths_nm[reference]:g} nm",
+        ),
+        (
+            "light beyond the PSFs' window",
+            f"up to {percent(bank.outside_energy)}; folded back {percent(bank.folded_energy)}",
         ),
         ("rays that failed", f"{bank.failed_rays.sum():.0f}"),
     ]
@@ -81,6 +149,15 @@ def identity(lens: Prescription) -> list[tuple[str, str]]:
         ("source", lens.source),
         ("changes", "; ".join(lens.history) or "none: as published"),
         ("paraxial data at", f"{lens.reference_nm:g} nm"),
+    ]
+
+
+def ready_identity(lens: ReadyLens) -> list[tuple[str, str]]:
+    """Return what a ready-made lens is and where it comes from."""
+    return [
+        ("lens", lens.title),
+        ("source", lens.source),
+        ("read from", f"{lens.file}, {lens.kind}"),
     ]
 
 
@@ -154,8 +231,12 @@ def _apodisation(system: System) -> list[tuple[str, str]]:
     return [("apodised stop", f"{text}; NA: of an even one as bright")] if factor else []
 
 
-def _working(bank: Bank) -> str:
-    number = working_f_number(bank)
+def percent(shares: np.ndarray) -> str:
+    """Return the largest share in words."""
+    return "not known" if np.isnan(shares).any() else f"{100 * shares.max():.2g} %"
+
+
+def _working(number: float) -> str:
     return f"f/{number:.4g}, NA {0.5 / number:.4g}"
 
 

@@ -6,13 +6,25 @@ import base64
 from collections.abc import Sequence
 from html import escape
 
+from matplotlib.figure import Figure
+
 from gpusim.lens.account import Account
 from gpusim.lens.prescription import ASPHERE_POWERS, Surface
+from gpusim.lens.ready import ReadyLens
 from gpusim.lens.system import Checked, System
-from gpusim.report.lens_facts import checks_table, identity, lens_facts
-from gpusim.report.lens_figure import svg
-from gpusim.report.lens_page import LensPage
+from gpusim.report.lens_facts import (
+    checks_table,
+    identity,
+    lens_facts,
+    plane_facts,
+    ready_facts,
+    ready_identity,
+)
+from gpusim.report.lens_figure import draw, draw_ready, svg
+from gpusim.report.lens_page import BankPage, LensPage
 from gpusim.report.page import document, pairs
+from gpusim.report.plane_figure import draw_plane
+from gpusim.report.plane_page import PlanePage
 
 
 def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> str:
@@ -27,17 +39,12 @@ def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> st
         What the reader made of the lens file.
     """
     lens = page.system.prescription
-    picture = base64.b64encode(svg(page).encode()).decode()
-    figure = (
-        f'<figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" '
-        'alt="Layout, PSFs, MTF, through focus, distortion, lateral colour, illumination">'
-        "</figure>"
-    )
+    shown = "Layout, PSFs, MTF, through focus, distortion, lateral colour, illumination"
     notes = escape(lens.notes)
     return document(
         escape(lens.title),
         escape("; ".join(filter(None, [lens.patent, *lens.history]))),
-        figure,
+        _sheet(draw(page, titled=False), shown),
         "<h2>Check values of the source</h2>",
         _table(("Quantity", "Indices", "Source", "Found", "Verdict"), checks_table(checks))
         if checks
@@ -46,14 +53,78 @@ def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> st
         pairs(dict([*identity(lens), *lens_facts(page.bank, page.system)])),
         f"<p>{notes}</p>",
         "<h2>Surfaces</h2>",
-        _table(
-            ("", "Radius [mm]", "To the next [mm]", "Glass behind", "Clear radius [mm]", "Shape"),
-            [_surface(page.system, number) for number in range(1, len(lens.surfaces) + 1)],
-        ),
+        _surfaces(page.system),
         "<h2>What became of the lens file</h2>",
-        _table(("Surface", "", "What"), [(str(r.where), r.how, r.what) for r in account.rows]),
+        _account(account),
         "<h2>How it was computed</h2>",
         pairs(page.bank.provenance),
+    )
+
+
+def ready_html(page: BankPage, lens: ReadyLens) -> str:
+    """Return the page of a ready-made bank as an HTML document that needs no other file."""
+    return document(
+        escape(lens.title),
+        escape(f"{lens.kind}, {lens.file}"),
+        _sheet(
+            draw_ready(page, titled=False),
+            "PSFs, MTF, distortion, lateral colour, illumination",
+        ),
+        "<h2>Data</h2>",
+        pairs(dict([*ready_identity(lens), *ready_facts(page.bank)])),
+        f"<p>{escape(lens.notes)}</p>",
+        "<h2>Where it comes from</h2>",
+        pairs(page.bank.provenance),
+    )
+
+
+def plane_html(page: PlanePage, account: Account) -> str:
+    """Return the page of a lens without symmetry as an HTML document that needs no other file."""
+    bank, system = page.bank, page.system
+    of_lens = (
+        []
+        if system is None
+        else [
+            "<h2>Surfaces</h2>",
+            _surfaces(system),
+            "<h2>What became of the lens file</h2>",
+            _account(account),
+        ]
+    )
+    return document(
+        escape(bank.provenance["title"]),
+        escape(bank.provenance["history"]),
+        _sheet(
+            draw_plane(page, titled=False),
+            "Layout, PSFs over the field, MTF, chief rays, lateral colour, illumination",
+        ),
+        "<h2>Data</h2>",
+        pairs(dict(plane_facts(bank, system))),
+        *of_lens,
+        "<h2>How it was computed</h2>",
+        pairs(bank.provenance),
+    )
+
+
+def _sheet(figure: Figure, shown: str) -> str:
+    """Return a figure as part of a document."""
+    picture = base64.b64encode(svg(figure).encode()).decode()
+    return (
+        f'<figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" alt="{shown}">'
+        "</figure>"
+    )
+
+
+def _account(account: Account) -> str:
+    rows = [(str(row.where), row.how, row.what) for row in account.rows]
+    return _table(("Surface", "", "What"), rows)
+
+
+def _surfaces(system: System) -> str:
+    count = len(system.prescription.surfaces)
+    return _table(
+        ("", "Radius [mm]", "To the next [mm]", "Glass behind", "Clear radius [mm]", "Shape"),
+        [_surface(system, number) for number in range(1, count + 1)],
     )
 
 
@@ -79,10 +150,14 @@ def _surface(system: System, number: int) -> tuple[str, ...]:
 
 
 def _shape(surface: Surface) -> str:
-    """Return conic constant and polynomial of a surface, empty for a sphere."""
+    """Return conic constant, polynomial and place of a surface, empty for a sphere on the axis."""
     terms = zip(ASPHERE_POWERS, surface.asphere.coefficients, strict=True)
     parts = [f"conic {surface.conic:g}"] if surface.conic else []
     parts += [f"a{power} {value:g}" for power, value in terms if value]
+    if any(surface.decentre_mm):
+        parts.append("decentred by {:g}, {:g} mm".format(*surface.decentre_mm))
+    if any(surface.tilt_deg):
+        parts.append("tilted by {:g}, {:g} deg".format(*surface.tilt_deg))
     return ", ".join(parts)
 
 

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from gpusim.lens import transfer
 from gpusim.lens.bank import Bank
 from gpusim.lens.layout import Element, beam, elements
+from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import Pupil, sample_rays
 from gpusim.report.lens_facts import working_f_number
@@ -20,7 +21,7 @@ from gpusim.report.lens_facts import working_f_number
 Result = TypeVar("Result")
 
 # Parts of the largest field, by the bank's fields.
-CURVE_FIELDS = (0.0, 0.5, 1.0)
+CURVE_FIELDS = {"axis": 0.0, "half field": 0.5, "full field": 1.0}
 COLOUR_WAVELENGTHS_NM = (425.0, 475.0, 600.0, 650.0)
 RAYS = 7
 # Chief rays for distortion and lateral colour: more than the bank has fields, for smooth curves.
@@ -29,34 +30,26 @@ CHIEF_RAYS = 121
 
 @dataclass(frozen=True)
 class Curves:
-    """MTF of one field, each with the tangential and the sagittal direction; shape (2, n)."""
+    """MTF of one field against frequency, tangential and sagittal; shape (2, K)."""
 
+    name: str
     field_deg: float
     against_frequency: np.ndarray
-    through_focus: np.ndarray
 
 
 @dataclass(frozen=True)
-class LensPage:
-    """Everything that the page shows.
+class BankPage:
+    """What a page shows of a bank alone.
 
     Attributes
     ----------
     bank : Bank
-    system : System
-    elements : list of Element
-    beams : list of ndarray
-        One for each of CURVE_FIELDS, see :func:`gpusim.lens.layout.beam`.
     frequency : ndarray, shape (K,)
         Cycles/mm.
     limit : ndarray, shape (K,)
         MTF of a perfect lens with the axial pupil and the same spectrum.
-    focus_frequency : float
-        Cycles/mm of the through-focus curves.
-    focus_mm : ndarray, shape (Z,)
-        Shifts of the image plane.
     curves : list of Curves
-        One for each of CURVE_FIELDS.
+        One for each of CURVE_FIELDS that the bank tells apart.
     chief_deg : ndarray, shape (C,)
         Field angles of the chief rays.
     chief_nm : ndarray, shape (W,)
@@ -66,17 +59,38 @@ class LensPage:
     """
 
     bank: Bank
-    system: System
-    elements: list[Element]
-    beams: list[np.ndarray]
     frequency: np.ndarray
     limit: np.ndarray
-    focus_frequency: float
-    focus_mm: np.ndarray
     curves: list[Curves]
     chief_deg: np.ndarray
     chief_nm: np.ndarray
     chief_um: np.ndarray
+
+
+@dataclass(frozen=True)
+class LensPage(BankPage):
+    """Everything that the page of a prescription shows.
+
+    Attributes
+    ----------
+    system : System
+    elements : list of Element
+    beams : list of ndarray
+        One for each of CURVE_FIELDS, see :func:`gpusim.lens.layout.beam`.
+    focus_frequency : float
+        Cycles/mm of the through-focus curves.
+    focus_mm : ndarray, shape (Z,)
+        Shifts of the image plane.
+    through_focus : list of ndarray, shape (2, Z)
+        MTF of each of CURVE_FIELDS, tangential and sagittal.
+    """
+
+    system: System
+    elements: list[Element]
+    beams: list[np.ndarray]
+    focus_frequency: float
+    focus_mm: np.ndarray
+    through_focus: list[np.ndarray]
 
 
 def lens_page(
@@ -92,7 +106,8 @@ def lens_page(
     progress : callable, optional
         Called with (steps done, steps in all).
     """
-    fields = [np.radians(bank.field_deg[field_number(bank, part)]) for part in CURVE_FIELDS]
+    parts = CURVE_FIELDS.values()
+    fields = [np.radians(bank.field_deg[field_number(bank, part)]) for part in parts]
     # Every other wavelength: 50 nm of the default bank, enough for a curve.
     lines = slice(bank.reference % 2, None, 2)
     wavelengths = bank.wavelengths_nm[lines]
@@ -119,18 +134,17 @@ def lens_page(
         depth_mm = _depth_mm(bank, pupils, focus_frequency)
         focus_mm = np.linspace(-depth_mm, depth_mm, 61)
 
-        def curves(one: tuple[float, transfer.FieldPupils]) -> Curves:
-            theta, field = one
-            return Curves(
-                field_deg=float(np.degrees(theta)),
-                against_frequency=_both(field.otf, frequency),
-                through_focus=_both(
+        def curves(one: tuple[str, float, transfer.FieldPupils]) -> tuple[Curves, np.ndarray]:
+            name, theta, field = one
+            return (
+                Curves(name, float(np.degrees(theta)), _both(field.otf, frequency)),
+                _both(
                     lambda f, direction: field.through_focus(f, direction, focus_mm),
                     focus_frequency,
                 ),
             )
 
-        drawn = each(pool.map(curves, zip(fields, pupils, strict=True)))
+        drawn = each(pool.map(curves, zip(CURVE_FIELDS, fields, pupils, strict=True)))
         chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
         chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
         chief = pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))
@@ -151,10 +165,64 @@ def lens_page(
         limit=light @ limits / light.sum(),
         focus_frequency=focus_frequency,
         focus_mm=focus_mm,
-        curves=drawn,
+        curves=[one for one, _ in drawn],
+        through_focus=[one for _, one in drawn],
         chief_deg=chief_deg,
         chief_nm=chief_nm,
         chief_um=chief_um,
+    )
+
+
+def ready_page(bank: Bank) -> BankPage:
+    """Compute what the page of a bank without a prescription shows."""
+    f_number = working_f_number(bank)
+    cut_off = 1e6 / (bank.wavelengths_nm[0] * f_number)
+    highest = min(cut_off, 500 / bank.pitch_um)  # the PSFs are sampled no finer
+    tried = np.geomspace(highest / 500, highest, 120)
+    lost = np.flatnonzero(np.abs(bank_otf(bank, 0, tried, "tangential")) < 0.1)
+    top = min(round_above(tried[lost[0]]), highest) if lost.size else highest
+    frequency = np.linspace(0, top, 101)
+    fields = {field_number(bank, part): name for name, part in reversed(CURVE_FIELDS.items())}
+    drawn = [
+        Curves(
+            name,
+            float(bank.field_deg[number]),
+            _both(lambda f, way, number=number: bank_otf(bank, number, f, way), frequency),
+        )
+        for number, name in sorted(fields.items())
+    ]
+    limits = [transfer.diffraction_mtf(frequency, w, f_number) for w in bank.wavelengths_nm]
+    light = field_light(bank, 0)
+    others = [int(np.abs(bank.wavelengths_nm - w).argmin()) for w in COLOUR_WAVELENGTHS_NM]
+    lines = [bank.reference, *sorted({*others} - {bank.reference})]
+    chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
+    chief_nm = bank.wavelengths_nm[lines]
+    return BankPage(
+        bank=bank,
+        frequency=frequency,
+        limit=light @ np.array(limits) / light.sum(),
+        curves=drawn,
+        chief_deg=chief_deg,
+        chief_nm=chief_nm,
+        chief_um=np.stack([bank.height_from_angle(chief_deg, w)[0] for w in chief_nm], axis=1),
+    )
+
+
+def field_light(bank: Bank, field: int) -> np.ndarray:
+    """Return the light of each wavelength in one field's image, of an even spectrum."""
+    passed = bank.transmission * bank.projected_solid_angle_sr * bank.relative_illumination[field]
+    return passed * quadrature(bank)
+
+
+def bank_otf(
+    bank: Bank, field: int, frequency: np.ndarray, direction: transfer.Direction
+) -> np.ndarray:
+    """Return the polychromatic OTF of a field's PSFs; shape (K,)."""
+    otfs = transfer.otf(bank.psf[field], bank.pitch_um, frequency, direction)
+    shift = bank.real_height_um[field] - bank.real_height_um[field, bank.reference]
+    tangential = direction == "tangential"
+    return transfer.polychromatic(
+        otfs, field_light(bank, field), frequency, shift if tangential else 0.0
     )
 
 
@@ -174,7 +242,7 @@ def _limit(
     return np.abs(transfer.pupil_otf(perfect, wavelength_nm, frequency, "tangential"))
 
 
-def quadrature(bank: Bank) -> np.ndarray:
+def quadrature(bank: Bank | PlaneBank) -> np.ndarray:
     """Return the weights of the trapezoidal rule over the bank's wavelengths."""
     steps = np.diff(bank.wavelengths_nm)
     return (np.append(steps, 0.0) + np.insert(steps, 0, 0.0)) / 2 if steps.size else np.ones(1)
