@@ -569,7 +569,7 @@ def optiland_peers(system: System) -> dict[str, tuple[Run, float]]:
     try:
         from optiland.materials import IdealMaterial
         from optiland.optic import Optic
-        from optiland.psf import FFTPSF, HuygensPSF, MMDFTPSF
+        from optiland.psf import FFTPSF, MMDFTPSF, HuygensPSF
     except ImportError:
         return {}
     optic = Optic()
