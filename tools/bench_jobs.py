@@ -22,6 +22,7 @@ from gpusim.chain import Capture, Renderer
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.lens.bank import Bank, bank_of, default_fields_deg
 from gpusim.lens.generator import Generator
+from gpusim.lens.places import Heights
 from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.psf import intensity
 from gpusim.lens.system import System, build
@@ -306,7 +307,7 @@ def scale_of(grid: SimGrid) -> Scale:
     """Return a scale with kernels of one plane and three channels, alike over the field."""
     line = (np.arange(96) - 48) * 0.5
     blob = np.exp(-(line**2 + line[:, None] ** 2) / (2 * 2.0**2)).astype(np.float32)
-    kernels = FieldKernels(np.tile(blob, (2, 1, 3, 1, 1)), np.array([0.0, 1e4]), 0.5)
+    kernels = FieldKernels(np.tile(blob, (2, 1, 3, 1, 1)), Heights(np.array([0.0, 1e4])), 0.5)
     return Scale("bench", grid, SIM_PITCH_UM, SIGMA, kernels)
 
 

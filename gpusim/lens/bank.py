@@ -25,6 +25,7 @@ from gpusim.gpu import default_device
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
+from gpusim.lens.places import FieldPsfs, Heights
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 
@@ -157,6 +158,46 @@ class Bank:
     def rectilinear_circle_um(self) -> float:
         """Largest real height at the reference wavelength that has a place on the ideal plane."""
         return self._ideal_edge[1]
+
+    # What the chain asks of a bank: see gpusim.lens.field_bank.
+    centre_um = (0.0, 0.0)
+
+    @property
+    def lateral_um(self) -> float:
+        """Largest distance between the chief rays of two wavelengths at a field."""
+        return float(np.ptp(self.real_height_um, axis=1).max())
+
+    @property
+    def probes(self) -> tuple[int, ...]:
+        """Fields that stand for all: the axis, half and full field."""
+        return (0, len(self.field_deg) // 2, len(self.field_deg) - 1)
+
+    def field(self, number: int) -> FieldPsfs:
+        """Return the PSFs of a field; x points away from the axis."""
+        height = self.real_height_um[number]
+        shift = np.stack([height - height[self.reference], np.zeros(len(height))], axis=1)
+        return FieldPsfs(self.psf[number], shift, self.relative_illumination[number])
+
+    def places(self, reach_um: float) -> tuple[tuple[int, ...], Heights]:
+        """Return the fields as far as image points up to `reach_um` off the axis need them."""
+        radius_um = self.real_height_um[:, self.reference]
+        count = min(int(np.searchsorted(radius_um, reach_um)) + 1, len(radius_um))
+        return tuple(range(count)), Heights(radius_um[:count])
+
+    def ideal_points(
+        self, x_um: np.ndarray, y_um: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x and y on the ideal plane of real image points, and which are in the circle."""
+        radius = np.hypot(x_um, y_um)
+        ideal, inside = self.ideal_from_real(radius)
+        scale = ideal / np.maximum(radius, 1e-9)
+        return x_um * scale, y_um * scale, inside
+
+    def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
+        """Return the relative illumination at real image points, by wavelength first."""
+        heights = self.real_height_um[:, self.reference]
+        radius = np.hypot(x_um, y_um)
+        return np.stack([np.interp(radius, heights, row) for row in self.relative_illumination.T])
 
     @property
     def distortion(self) -> np.ndarray:

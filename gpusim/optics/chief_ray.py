@@ -1,4 +1,4 @@
-"""The chief-ray map as the shaders use it: a polynomial from the real to the ideal image plane."""
+"""The chief-ray map as the shaders use it: polynomials from the real to the ideal image plane."""
 
 from __future__ import annotations
 
@@ -27,43 +27,66 @@ class ChiefRayMap:
 
     coefficients: np.ndarray
     radius_um: float
+    centre_um = (0.0, 0.0)
+    degree = 0
 
     def params(self, sim_pitch_um: float) -> dict:
         """Return the fields of the shaders' `Params` that describe the map, in sim samples."""
         return {
             "g_low": self.coefficients[:4],
             "g_high": self.coefficients[4:],
+            "circle": self.centre_um,
             "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
         }
 
-    def outline(
-        self, corner: np.ndarray, size: tuple[float, float], sim_pitch_um: float
-    ) -> np.ndarray:
-        """Return where the outline of a rectangle of the sim grid lies on the ideal plane.
+    def terms(self, sim_pitch_um: float) -> np.ndarray:
+        """Return the shaders' `terms`: one that is not read, for a buffer cannot be empty."""
+        return np.zeros((1, 2), np.float32)
 
-        What lies in the rectangle lies within the outline: on the way from one of its points to
-        the next the map is monotone, nearly. Points beyond the image circle are drawn onto its
-        magnification.
+    def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
+        """Return ideal points (..., 2) of real ones; beyond the image circle g is that of the rim.
 
-        Parameters
-        ----------
-        corner : ndarray (2,)
-            x, y from the axis, sim samples.
-        size : (float, float)
-            Width and height, sim samples.
-        sim_pitch_um : float
-
-        Returns
-        -------
-        ndarray (36, 2)
-            x, y, sim samples.
+        The shaders go on with the polynomial there, and nothing of it is seen.
         """
-        side = np.linspace(0, 1, 9)
-        ends = [np.full(9, end) for end in (0, 1)]
-        around = [np.stack(pair, axis=1) for end in ends for pair in ((side, end), (end, side))]
-        real = corner + np.concatenate(around) * size
-        rho2 = np.minimum(np.sum(real**2, axis=1) * (sim_pitch_um / self.radius_um) ** 2, 1.0)
-        return real * np.polynomial.Polynomial(self.coefficients)(rho2)[:, None]
+        rho2 = np.minimum(np.sum(real_um**2, axis=-1) / self.radius_um**2, 1.0)
+        return real_um * np.polynomial.Polynomial(self.coefficients)(rho2)[..., None]
+
+    @property
+    def stretch(self) -> float:
+        """Largest factor by which the map stretches: along the radius, or across it."""
+        g = np.polynomial.Polynomial(self.coefficients)
+        rho2 = np.linspace(0, 1, 257)
+        along = g(rho2) + 2 * rho2 * g.deriv()(rho2)
+        return float(np.maximum(np.abs(g(rho2)), np.abs(along)).max())
+
+
+def outline(
+    chief_ray: ChiefRayMap, corner: np.ndarray, size: tuple[float, float], sim_pitch_um: float
+) -> np.ndarray:
+    """Return where the outline of a rectangle of the sim grid lies on the ideal plane.
+
+    What lies in the rectangle lies within the outline: on the way from one of its points to the
+    next the map is monotone, nearly.
+
+    Parameters
+    ----------
+    chief_ray : ChiefRayMap
+    corner : ndarray (2,)
+        x, y from the axis, sim samples.
+    size : (float, float)
+        Width and height, sim samples.
+    sim_pitch_um : float
+
+    Returns
+    -------
+    ndarray (36, 2)
+        x, y, sim samples.
+    """
+    side = np.linspace(0, 1, 9)
+    ends = [np.full(9, end) for end in (0, 1)]
+    around = [np.stack(pair, axis=1) for end in ends for pair in ((side, end), (end, side))]
+    real = corner + np.concatenate(around) * size
+    return chief_ray.ideal_um(real * sim_pitch_um) / sim_pitch_um
 
 
 def chief_ray_map(bank: Bank) -> ChiefRayMap:

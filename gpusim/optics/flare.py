@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor
@@ -13,7 +13,7 @@ SIDE = 256  # points along each side: the mean of a chart is then good to a few 
 
 
 def veiling_glare(
-    bank: Bank,
+    bank: FieldBank,
     sensor: Sensor,
     source: Chart | PlacedRaster,
     weights: np.ndarray,
@@ -26,7 +26,7 @@ def veiling_glare(
 
     Parameters
     ----------
-    bank : Bank
+    bank : FieldBank
     sensor : Sensor
     source : Chart or PlacedRaster
     weights : ndarray (J, C, L)
@@ -42,25 +42,15 @@ def veiling_glare(
     pitch = sensor.pixel_pitch_um
     line = (np.arange(SIDE) + 0.5) / SIDE - 0.5
     x, y = np.meshgrid(line * sensor.cols * pitch, line * sensor.rows * pitch)
-    radius = np.hypot(x, y)
-    ideal, lit = bank.ideal_from_real(radius)
-    scale = ideal / np.maximum(radius, 1e-9)
+    u, v, lit = bank.ideal_points(x, y)
     if isinstance(source, Chart):
-        planes = np.moveaxis(coefficients[source.material_at(x * scale, y * scale)], -1, 0)
+        planes = np.moveaxis(coefficients[source.material_at(u, v)], -1, 0)
     else:
-        cols = np.clip((x * scale - source.x0_um) / source.pitch_um, 0, source.planes.shape[2] - 1)
-        rows = np.clip((y * scale - source.y0_um) / source.pitch_um, 0, source.planes.shape[1] - 1)
+        cols = np.clip((u - source.x0_um) / source.pitch_um, 0, source.planes.shape[2] - 1)
+        rows = np.clip((v - source.y0_um) / source.pitch_um, 0, source.planes.shape[1] - 1)
         sampled = source.planes[:, rows.astype(int), cols.astype(int)]
         planes = np.tensordot(coefficients.T, sampled, axes=1)
-    illumination = np.stack(
-        [
-            np.interp(
-                radius, bank.real_height_um[:, bank.reference], bank.relative_illumination[:, k]
-            )
-            * lit
-            for k in range(len(bank.wavelengths_nm))
-        ]
-    )
+    illumination = bank.illumination_at(x, y) * lit
     moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
     mean = np.einsum("jl,jcl->c", moments, weights)
     channels = list(sensor.channels)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
@@ -21,7 +21,7 @@ ROUNDING = 1e-9  # far above the rounding of a decomposition in float64, far bel
 MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
 
 
-def spectral_weights(bank: Bank, sensor: Sensor) -> np.ndarray:
+def spectral_weights(bank: FieldBank, sensor: Sensor) -> np.ndarray:
     """Return the electrons/s of a unit of spectral radiance, by channel and wavelength.
 
     N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1,
@@ -72,7 +72,7 @@ class Basis:
     residual: float
 
 
-def edge_responses(bank: Bank) -> np.ndarray:
+def edge_responses(bank: FieldBank) -> np.ndarray:
     """Return edge-spread functions of the bank at axis, half and full field, along both axes.
 
     Returns
@@ -82,19 +82,16 @@ def edge_responses(bank: Bank) -> np.ndarray:
     """
     features = []
     positions = (np.arange(bank.psf.shape[-1]) - bank.psf.shape[-1] // 2) * bank.pitch_um
-    reference = list(bank.wavelengths_nm).index(bank.reference_nm)
-    for field in (0, len(bank.field_deg) // 2, len(bank.field_deg) - 1):
-        shift_um = bank.real_height_um[field] - bank.real_height_um[field, reference]
-        radial = np.cumsum(bank.psf[field].sum(axis=1, dtype=np.float64), axis=-1)
-        radial = np.stack(
-            [
+    for number in bank.probes:
+        psf, shift_um, _ = bank.field(number)
+        for axis, shifts in enumerate(shift_um.T):
+            edges = np.cumsum(psf.sum(axis=1 + axis, dtype=np.float64), axis=-1)
+            shifted = [
                 np.interp(positions - d, positions, row)
-                for d, row in zip(shift_um, radial, strict=True)
+                for d, row in zip(shifts, edges, strict=True)
             ]
-        )
-        tangential = np.cumsum(bank.psf[field].sum(axis=2, dtype=np.float64), axis=-1)
-        # Every second sample: 1 um, below half of the Airy radius.
-        features += [radial[:, ::2], tangential[:, ::2]]
+            # Every second sample: 1 um, below half of the Airy radius.
+            features.append(np.stack(shifted)[:, ::2])
     return np.concatenate(features, axis=1)
 
 

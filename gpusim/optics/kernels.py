@@ -5,10 +5,10 @@ in channel c at field point s is
 
     H_cj(x; s) = sum_l weights[j, c, l] K(s, l) h_l(x - (x_l(s) - x_ref(s)); s),
 
-K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour,
-interpolated between the bank's fields in radius and rotated to the azimuth of s. Into it are folded
-the pixel aperture, and the inverse of the Gaussian with which the scene was low-passed before it
-was sampled on the sim grid.
+K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour and
+interpolated between the bank's fields (`gpusim.lens.places`: in radius and rotated to the azimuth
+of s, or over a grid). Into it are folded the pixel aperture, and the inverse of the Gaussian with
+which the scene was low-passed before it was sampled on the sim grid.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 import scipy.fft
 from scipy.ndimage import map_coordinates
 
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.places import Places
 
 # Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples
 # on each side.
@@ -36,20 +37,20 @@ CUT_EDGE = 0.5
 
 @dataclass(frozen=True)
 class FieldKernels:
-    """Channel kernels at the fields of the bank, in the meridional frame, on the bank's grid.
+    """Channel kernels at the fields of the bank, in the frame of its PSFs, on the bank's grid.
 
     Attributes
     ----------
     splines : ndarray (F, J, C, n, n)
-        Cubic-spline coefficients, [tangential, radial].
-    radius_um : ndarray (F,)
-        Real image height of the fields at the reference wavelength.
+        Cubic-spline coefficients, [y, x]: [tangential, radial] of a lens with an axis.
+    places : Places
+        Where the fields lie.
     pitch_um : float
         Of the grid.
     """
 
     splines: np.ndarray
-    radius_um: np.ndarray
+    places: Places
     pitch_um: float
 
 
@@ -66,12 +67,14 @@ def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
     return 0.5 * (1 + np.cos(np.pi * fall))
 
 
-def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.ndarray, np.ndarray]:
+def field_images(
+    bank: FieldBank, weights: np.ndarray, reach_um: float
+) -> tuple[np.ndarray, Places]:
     """Fold the bank's wavelengths into channel kernels, at the fields that the sensor uses.
 
     Parameters
     ----------
-    bank : Bank
+    bank : FieldBank
     weights : ndarray (J, C, L)
         Electrons/s of each plane in each channel, by bank wavelength.
     reach_um : float
@@ -80,29 +83,37 @@ def field_images(bank: Bank, weights: np.ndarray, reach_um: float) -> tuple[np.n
     Returns
     -------
     images : ndarray of float32 (F', J, C, n, n)
-        On the bank's grid, [tangential, radial].
-    radius_um : ndarray (F',)
+        On the bank's grid, [y, x].
+    places : Places
+        Of the F' fields.
     """
     n = bank.psf.shape[-1] + 2 * PAD
-    fx = scipy.fft.rfftfreq(n, bank.pitch_um)
-    radius_um = bank.real_height_um[:, bank.reference]
-    fields = min(int(np.searchsorted(radius_um, reach_um)) + 1, len(radius_um))
-    images = np.empty((fields, *weights.shape[:2], n, n), np.float32)
-    for field in range(fields):
-        shift_um = bank.real_height_um[field] - radius_um[field]
-        padded = np.pad(bank.psf[field], ((0, 0), (PAD, PAD), (PAD, PAD)))
-        # Along the rows only: the shifts are radial, and the sum over wavelengths is linear.
+    fx, fy = scipy.fft.rfftfreq(n, bank.pitch_um), scipy.fft.fftfreq(n, bank.pitch_um)
+    fields, places = bank.places(reach_um)
+    images = np.empty((len(fields), *weights.shape[:2], n, n), np.float32)
+    for image, number in zip(images, fields, strict=True):
+        psf, shift_um, relative_illumination = bank.field(number)
+        padded = np.pad(psf, ((0, 0), (PAD, PAD), (PAD, PAD)))
+        # The sum over wavelengths is linear; of a lens with an axis the shifts are radial, and a
+        # transform along the rows is enough.
         lines = scipy.fft.rfft(padded, axis=-1, workers=2)
-        lines *= np.exp(-2j * np.pi * fx * shift_um[:, None, None]).astype(np.complex64)
-        share = (weights * bank.relative_illumination[field]).astype(np.float32)
+        lines *= np.exp(-2j * np.pi * fx * shift_um[:, :1, None]).astype(np.complex64)
+        both = shift_um[:, 1].any()
+        if both:
+            lines = scipy.fft.fft(lines, axis=-2, workers=2, overwrite_x=True)
+            turn = np.exp(-2j * np.pi * fy * shift_um[:, 1:]).astype(np.complex64)
+            lines *= turn[:, :, None]
+        share = (weights * relative_illumination).astype(np.float32)
         mixed = np.tensordot(share, lines, axes=1)
-        images[field] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
-    return images, radius_um[:fields]
+        if both:
+            mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)
+        image[...] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
+    return images, places
 
 
 def field_kernels(
     images: np.ndarray,
-    radius_um: np.ndarray,
+    places: Places,
     bank_pitch_um: float,
     sim_pitch_um: float,
     part: np.ndarray,
@@ -111,7 +122,7 @@ def field_kernels(
 
     Parameters
     ----------
-    images, radius_um
+    images, places
         As `field_images` returns them.
     bank_pitch_um, sim_pitch_um : float
     part : ndarray (n, n)
@@ -126,7 +137,7 @@ def field_kernels(
     shaped = scipy.fft.rfft2(images * part.astype(np.float32), workers=2)
     shaped *= shaping.astype(np.float32)
     return FieldKernels(
-        scipy.fft.irfft2(shaped, s=(n, n), workers=2, overwrite_x=True), radius_um, bank_pitch_um
+        scipy.fft.irfft2(shaped, s=(n, n), workers=2, overwrite_x=True), places, bank_pitch_um
     )
 
 
@@ -146,20 +157,13 @@ def sampled_kernels(
 ) -> np.ndarray:
     """Return the kernels of one field point on a sim grid, of the first planes only.
 
-    Beyond the last field they are the last field's.
-
     Returns
     -------
     ndarray (planes, C, 2 R, 2 R)
         Index [row, column]; the source sample is at [R, R].
     """
     channels, n = kernels.splines.shape[2], kernels.splines.shape[-1]
-    radius = float(np.hypot(x_um, y_um))
-    upper = int(np.clip(np.searchsorted(kernels.radius_um, radius), 1, len(kernels.radius_um) - 1))
-    lower = upper - 1
-    span = kernels.radius_um[upper] - kernels.radius_um[lower]
-    t = min((radius - kernels.radius_um[lower]) / span, 1.0)
-    cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
+    fields, weights, cos, sin = kernels.places.at(x_um, y_um)
     dx = (np.arange(2 * half_size) - half_size) * sim_pitch_um
     dy = dx[:, None]
     radial = (cos * dx + sin * dy) / kernels.pitch_um
@@ -169,7 +173,10 @@ def sampled_kernels(
     area = (sim_pitch_um / kernels.pitch_um) ** 2
     out = np.zeros((planes, channels, 2 * half_size, 2 * half_size))
     for index in np.ndindex(planes, channels):
-        spline = (1 - t) * kernels.splines[(lower, *index)] + t * kernels.splines[(upper, *index)]
+        spline = sum(
+            weight * kernels.splines[(field, *index)]
+            for field, weight in zip(fields, weights, strict=True)
+        )
         out[index][inside] = area * map_coordinates(
             spline, where, np.float64, order=3, prefilter=False
         )

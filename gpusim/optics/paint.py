@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, Resident
-from gpusim.optics.chief_ray import ChiefRayMap
+from gpusim.optics.chief_ray import ChiefRayMap, outline
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.scene.chart import Chart, Disc
@@ -62,7 +62,7 @@ def primitives_by_block(
     for y in range(grid.blocks[1]):
         for x in range(grid.blocks[0]):
             corner = np.array(grid.block_origin((x, y))) - grid.centre - REACH
-            ideal = chief_ray.outline(corner, size, pitch_um) * pitch_um
+            ideal = outline(chief_ray, corner, size, pitch_um) * pitch_um
             low, high = ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um
             near = np.all(
                 (bounds_um[:, :2] + bounds_um[:, 2:] > low)
@@ -107,13 +107,11 @@ def tiles_by_block(
         By block: its first tile, its tiles without edges, its tiles with edges.
     """
     grid = scale.grid
-    g = np.polynomial.Polynomial(chief_ray.coefficients)
-    rho2 = np.linspace(0, 1, 257)
-    # Largest stretch of the map: along the radius, or across it.
-    stretch = np.maximum(np.abs(g(rho2)), np.abs(g(rho2) + 2 * rho2 * g.deriv()(rho2))).max()
     # From a tile's middle to its corners, and the Gaussian's reach: Phi(-6) = 1e-9.
     reach_um = (TILE / np.sqrt(2) + 6 * scale.sigma) * scale.pitch_um
-    margin_um = 1.01 * stretch * reach_um  # 1.01: f32, and the map's curvature within a tile
+    margin_um = (
+        1.01 * chief_ray.stretch * reach_um
+    )  # 1.01: f32, and the map's curvature within a tile
     across, down = (np.arange(0, side, TILE) for side in grid.block)
     corners = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     tiles: list[tuple[int, int, int, int]] = []
@@ -123,13 +121,12 @@ def tiles_by_block(
         numbers = seen[block]
         corner = np.array(grid.block_origin(block)) - grid.centre
         middle_um = (corner + corners + TILE / 2) * scale.pitch_um
-        radius_um = np.hypot(*middle_um.T)
-        bright = np.minimum((radius_um / chief_ray.radius_um) ** 2, 1.0)
-        u, v = (middle_um * g(bright)[:, None]).T
+        u, v = chief_ray.ideal_um(middle_um).T
         distance_um = np.reshape(
             [chart.primitives[n].distance(u, v) for n in numbers], (len(numbers), len(corners))
         )
-        rim = radius_um > chief_ray.radius_um - reach_um
+        off_um = np.hypot(*(middle_um - chief_ray.centre_um).T)
+        rim = off_um > chief_ray.radius_um - reach_um
         with_edges = []
         first = len(tiles)
         for place, (x, y) in enumerate(corners):
@@ -193,9 +190,11 @@ class Paint:
         )
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
         self.materials = device.resident("paint materials", materials)
+        self.terms = device.resident("paint terms", chief_ray.terms(scale.pitch_um))
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.lists: tuple[Resident, ...] = ()
         size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
+        size["DEGREE"] = chief_ray.degree
         self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:
@@ -221,7 +220,7 @@ class Paint:
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.primitives, self.materials, *self.lists):
+        for resident in (self.primitives, self.materials, self.terms, *self.lists):
             resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
@@ -246,5 +245,6 @@ class Paint:
                 chosen=chosen,
                 materials=self.materials,
                 tiles=tiles,
+                terms=self.terms,
                 planes=planes,
             )

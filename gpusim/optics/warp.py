@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, Resident
 from gpusim.gpu.pool import size_class
-from gpusim.optics.chief_ray import ChiefRayMap
+from gpusim.optics.chief_ray import ChiefRayMap, outline
 from gpusim.optics.convolve import Scale
 from gpusim.scene.raster import PlacedRaster
 
@@ -53,7 +53,10 @@ class Warp:
         self.size = (shape[2], shape[1])
         self.scale = scale.pitch_um / raster.pitch_um
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)
-        self.kernel = Kernel("optics/warp", BX=self.grid.block[0], BY=self.grid.block[1])
+        self.terms = device.resident("warp terms", chief_ray.terms(scale.pitch_um))
+        self.kernel = Kernel(
+            "optics/warp", BX=self.grid.block[0], BY=self.grid.block[1], DEGREE=chief_ray.degree
+        )
         self.planes: list[Resident] = []
         self.loaded = (range(0), range(0))
 
@@ -64,7 +67,7 @@ class Warp:
         """Return the columns and rows of the raster that blocks see."""
         corners = [np.array(self.grid.block_origin(block)) - self.grid.centre for block in blocks]
         outlines = [
-            self.chief_ray.outline(corner, self.grid.block, self.pitch_um) for corner in corners
+            outline(self.chief_ray, corner, self.grid.block, self.pitch_um) for corner in corners
         ]
         at = np.array(self.centre) + self.scale * np.concatenate(outlines)
         low, high = (np.clip(end, 0, np.array(self.size) - 1) for end in (at.min(0), at.max(0)))
@@ -82,7 +85,7 @@ class Warp:
         """Bring what blocks see onto the device, in place of what was there."""
         seen = self.seen(blocks)
         if seen != self.loaded:
-            self.release()
+            self._drop()
             (left, *_, right), (top, *_, bottom) = seen
             for j, spline in enumerate(self.splines):
                 part = np.ascontiguousarray(spline[top : bottom + 1, left : right + 1])
@@ -91,6 +94,10 @@ class Warp:
 
     def release(self) -> None:
         """Give the device's memory back."""
+        self._drop()
+        self.terms.destroy()
+
+    def _drop(self) -> None:
         for resident in self.planes:
             resident.destroy()
         self.planes, self.loaded = [], (range(0), range(0))
@@ -115,5 +122,6 @@ class Warp:
                     "plane": number,
                 },
                 coefficients=coefficients,
+                terms=self.terms,
                 planes=planes,
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.fold import edge_responses, reduce_spectra, spectral_weights
@@ -39,7 +39,7 @@ CONTRAST = 20.0
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 
 
-def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
+def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
     """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
 
     Raises
@@ -66,7 +66,7 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     )
     sigma = SIGMA if is_chart else 0.0
     half_um = (sensor.cols * sensor.pixel_pitch_um / 2, sensor.rows * sensor.pixel_pitch_um / 2)
-    images, radius_um = field_images(bank, basis.weights, float(np.hypot(*half_um)))
+    images, places = field_images(bank, basis.weights, float(np.hypot(*half_um)))
     everything = np.ones(images.shape[-2:])
 
     if is_chart:
@@ -82,15 +82,16 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
         if alias <= accuracy.tolerance or oversampling * period == 8:
             break
     pitch_um = sensor.pixel_pitch_um / oversampling
-    reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + np.ptp(bank.real_height_um, axis=1).max()
+    reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
 
     # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
     # kernels of its own, and shaders/optics/columns sums four.
     coarse_stride = 4 if period == 4 else 1
     coarse_pitch_um = sensor.pixel_pitch_um * period / coarse_stride
     cut = None
+    probes = images[list(places.probes)]
     for cut_um in CUTS_UM:
-        lost = cut_error(images, bank.pitch_um, coarse_pitch_um, sensor, cut_um)
+        lost = cut_error(probes, bank.pitch_um, coarse_pitch_um, sensor, cut_um)
         if lost <= accuracy.tolerance / CONTRAST and cut_um < reach_um / 2:
             cut = cut_um
             break
@@ -99,12 +100,12 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
         if cut is None
         else core_window(distances_um(len(everything), bank.pitch_um), cut)
     )
-    kernels = field_kernels(images, radius_um, bank.pitch_um, pitch_um, core)
+    kernels = field_kernels(images, places, bank.pitch_um, pitch_um, core)
     # Green, or the only channel: the middle of the list.
     middle = len(sensor.channels) // 2
 
     def first(of: FieldKernels) -> FieldKernels:
-        return FieldKernels(of.splines[:, :1, middle : middle + 1], radius_um, bank.pitch_um)
+        return FieldKernels(of.splines[:, :1, middle : middle + 1], places, bank.pitch_um)
 
     # 20 um hold 98 % of the energy at f/2.8.
     cells, nodes = cells_within(
@@ -121,7 +122,7 @@ def plan_optics(bank: Bank, sensor: Sensor, scene: Scene, accuracy: Accuracy) ->
     )
     scales = [Scale("core" if cut else "whole", grid, pitch_um, sigma, kernels)]
     if cut is not None:
-        tail = field_kernels(images, radius_um, bank.pitch_um, coarse_pitch_um, everything - core)
+        tail = field_kernels(images, places, bank.pitch_um, coarse_pitch_um, everything - core)
         # The tail holds some per cent of the energy, and its error counts as much less.
         whole = images[:, 0, middle].sum(axis=(1, 2))
         share = float(((images[:, 0, middle] * (everything - core)).sum(axis=(1, 2)) / whole).max())

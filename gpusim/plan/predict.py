@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.kernels import (
     BAND_EDGE,
     FieldKernels,
@@ -25,14 +27,24 @@ def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:
     return float(2 * np.trapezoid(np.abs(spectrum) / (2 * np.pi * frequency), frequency))
 
 
-def alias_error(bank: Bank, oversampling: float, sensor: Sensor, sigma: float) -> float:
+def alias_error(bank: FieldBank, oversampling: float, sensor: Sensor, sigma: float) -> float:
     """Predict the error of an edge response that the sim grid causes.
 
-    Along one axis, at the axis and the reference wavelength: what the grid folds into the band, and
-    what lies above it. Frequencies in cycles per sim sample.
+    At the axis and the reference wavelength, of x and y the worse: what the grid folds into the
+    band, and what lies above it. Frequencies in cycles per sim sample.
     """
+    middle = bank.field(bank.probes[0]).psf[bank.reference]
+    return max(
+        _alias(bank, middle.sum(axis=axis, dtype=np.float64), oversampling, sensor, sigma)
+        for axis in (0, 1)
+    )
+
+
+def _alias(
+    bank: FieldBank, psf: np.ndarray, oversampling: float, sensor: Sensor, sigma: float
+) -> float:
+    """Predict the same of one line-spread function (n,) on the bank's grid."""
     pitch_um = sensor.pixel_pitch_um / oversampling
-    psf = bank.psf[0, bank.reference].sum(axis=0, dtype=np.float64)
     positions_um = (np.arange(len(psf)) - len(psf) // 2) * bank.pitch_um
     f = np.linspace(0.5, 1.0, 100)
 
@@ -55,7 +67,7 @@ def cut_error(
     """Predict the error of an edge response when the PSF's tail beyond a cut goes to a coarse grid.
 
     What the coarse grid loses of the tail: its spectrum along both axes from the end of the coarse
-    band on, through the pixel aperture, for the first plane on the axis and at the last field.
+    band on, through the pixel aperture, for the first plane of the fields given.
     """
     n = images.shape[-1]
     tail = 1 - core_window(distances_um(n, bank_pitch_um), cut_um)
@@ -63,7 +75,7 @@ def cut_error(
     lost = frequency > BAND_EDGE * 0.5 / coarse_pitch_um
     aperture = np.sinc(frequency * sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor))
     worst = 0.0
-    for image in images[[0, -1], 0].reshape(-1, n, n):
+    for image in images[:, 0].reshape(-1, n, n):
         for axis in (0, 1):
             spectrum = np.fft.rfft(np.fft.ifftshift((image * tail).sum(axis=axis))) * aperture
             worst = max(worst, edge_integral(frequency[lost], spectrum[lost]) / abs(image.sum()))
@@ -80,13 +92,16 @@ def node_error(
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
-    half field and in the corner of the sensor, as far as `reach_um`; the root of the mean square
-    over these, relative to what the kernel holds.
+    half field and in the corner of the sensor (in each of the quadrants that differ), as far as
+    `reach_um`; the root of the mean square over these, relative to what the kernel holds.
     """
     half_size = int(np.ceil(reach_um / pitch_um))
     squares = []
-    for fraction in (0.0, 0.5, 1.0):
-        x, y = (max(fraction * half - spacing_um / 2, 0.0) for half in half_um)
+    for fraction, signs in product((0.0, 0.5, 1.0), kernels.places.quadrants):
+        x, y = (
+            sign * max(fraction * half - spacing_um / 2, 0.0)
+            for sign, half in zip(signs, half_um, strict=True)
+        )
         shifts = (-spacing_um / 2, spacing_um / 2)
         corners = [
             sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0]

@@ -13,18 +13,20 @@
 // Output planes (J, BY, BX). Dispatch: one workgroup of 16 x 4 a tile, four samples an invocation, which
 // share the loads of the primitives; tiles with edges and tiles without apart.
 #include "normal"
-#include "distortion"
+#include "chief_ray"
 
 override BX: u32 = 336u;       // block width, samples
 override BY: u32 = 336u;       // block height, samples
 override J: u32 = 3u;          // coefficient planes, 1 to 8
 override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
+override DEGREE: u32 = 0u;     // of the chief-ray map of a lens without an axis; 0: it has one
 
 const DISC = 1u;               // kind of primitive; 0 is a rectangle
 
 struct Params {
-    g_low: vec4f,             // chief-ray map, see common/distortion
+    g_low: vec4f,             // chief-ray map, see common/chief_ray
     g_high: vec4f,
+    circle: vec2f,            // centre of the image circle
     origin: vec2f,            // sample (0, 0) of the block
     inverse_radius2: f32,
     sigma: f32,
@@ -51,27 +53,28 @@ struct Tile {
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
 @group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two per material: up to 8 coefficients
 @group(0) @binding(4) var<storage, read> tiles: array<Tile>;
-@group(0) @binding(5) var<storage, read_write> planes: array<f32>;
+@group(0) @binding(5) var<storage, read> terms: array<vec2f>;       // of the chief-ray map, see common/chief_ray
+@group(0) @binding(6) var<storage, read_write> planes: array<f32>;
 
 // sigma along the unit vector e of the ideal plane: sigma |M^T e|
-fn width_along(e: vec2f, x: vec2f, p: IdealPoint) -> f32 {
-    return params.sigma * length(p.g * e + p.dg * dot(x, e) * x);
+fn width_along(e: vec2f, p: IdealPoint) -> f32 {
+    return params.sigma * length(e * p.jacobian);
 }
 
 fn slab(distance: f32, half_width: f32, width: f32) -> f32 {
     return normal_cdf((half_width - distance) / width) - normal_cdf((-half_width - distance) / width);
 }
 
-fn coverage(shape: Primitive, x: vec2f, p: IdealPoint) -> f32 {
+fn coverage(shape: Primitive, p: IdealPoint) -> f32 {
     let d = p.u - shape.centre;
     if (shape.kind == DISC) {
         // At the very centre any direction does.
-        let width = width_along(normalize(select(d, shape.axis, all(d == vec2f(0.0)))), x, p);
+        let width = width_along(normalize(select(d, shape.axis, all(d == vec2f(0.0)))), p);
         return normal_cdf((shape.half_size.x - length(d)) / width - 0.5 * width / shape.half_size.x);
     }
     let across = vec2f(-shape.axis.y, shape.axis.x);
-    return slab(dot(d, shape.axis), shape.half_size.x, width_along(shape.axis, x, p))
-        * slab(dot(d, across), shape.half_size.y, width_along(across, x, p));
+    return slab(dot(d, shape.axis), shape.half_size.x, width_along(shape.axis, p))
+        * slab(dot(d, across), shape.half_size.y, width_along(across, p));
 }
 
 struct Sample {
@@ -84,18 +87,17 @@ struct Sample {
 
 fn begin(at: vec2u, low: vec4f, high: vec4f) -> Sample {
     let x = params.origin + vec2f(at);
-    let ideal = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
-    return Sample(at, x, ideal, low, high);
+    return Sample(at, x, chief_ray(x), low, high);
 }
 
 fn painted(s: Sample, shape: Primitive, low: vec4f, high: vec4f) -> Sample {
-    let w = coverage(shape, s.x, s.ideal);
+    let w = coverage(shape, s.ideal);
     return Sample(s.at, s.x, s.ideal, s.low + w * (low - s.low), s.high + w * (high - s.high));
 }
 
-// Beyond the image circle, rho2 = 1, no light arrives.
+// Beyond the image circle no light arrives.
 fn lit(s: Sample) -> Sample {
-    let rim = inverseSqrt(params.inverse_radius2) - length(s.x);
+    let rim = inverseSqrt(params.inverse_radius2) - length(s.x - params.circle);
     let share = normal_cdf(rim / params.sigma);
     return Sample(s.at, s.x, s.ideal, share * s.low, share * s.high);
 }

@@ -4,18 +4,20 @@
 //   a(u) = sum_k c_k beta3(u_x - k_x) beta3(u_y - k_y),   u(x) by the chief-ray map
 // with the spline coefficients c computed on the host in float64. Beyond the raster its border value goes on.
 // The raster is never finer than the sim grid, so its spline needs no further low-pass here.
-// Beyond the image circle, rho2 = 1, the plane is black.
+// Beyond the image circle the plane is black.
 // Radiance is preserved: the value is carried, not spread.
 // Units: x in sim samples from the optical axis; u in raster samples; output planes (J, BY, BX), plane `plane`.
 // Dispatch: ceil(BX/16) x ceil(BY/16) workgroups of 16 x 16, one sample each.
-#include "distortion"
+#include "chief_ray"
 
 override BX: u32 = 336u;  // block width, samples
 override BY: u32 = 336u;  // block height, samples
+override DEGREE: u32 = 0u;  // of the chief-ray map of a lens without an axis; 0: it has one
 
 struct Params {
-    g_low: vec4f,             // chief-ray map, see common/distortion
+    g_low: vec4f,             // chief-ray map, see common/chief_ray
     g_high: vec4f,
+    circle: vec2f,            // centre of the image circle
     origin: vec2f,            // sample (0, 0) of the block
     centre: vec2f,            // the optical axis in raster samples (sample 0 at 0)
     size: vec2i,              // raster columns, rows
@@ -28,7 +30,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> coefficients: array<f32>;   // (rows, cols): of the raster what the block sees
-@group(0) @binding(2) var<storage, read_write> planes: array<f32>;
+@group(0) @binding(2) var<storage, read> terms: array<vec2f>;        // of the chief-ray map, see common/chief_ray
+@group(0) @binding(3) var<storage, read_write> planes: array<f32>;
 
 // beta3 at f + 1, f, f - 1, f - 2 for 0 <= f < 1
 fn cubic_weights(f: f32) -> vec4f {
@@ -62,9 +65,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let x = params.origin + vec2f(id.xy);
-    let ideal = ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
-    let lit = select(0.0, 1.0, dot(x, x) * params.inverse_radius2 <= 1.0);
-    let u = clamp(params.centre + params.scale * ideal.u, vec2f(0.0), vec2f(params.size - 1));
+    let off = x - params.circle;
+    let lit = select(0.0, 1.0, dot(off, off) * params.inverse_radius2 <= 1.0);
+    let u = clamp(params.centre + params.scale * chief_ray(x).u, vec2f(0.0), vec2f(params.size - 1));
     let cell = floor(u);
     let wx = cubic_weights(u.x - cell.x);
     let wy = cubic_weights(u.y - cell.y);

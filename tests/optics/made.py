@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusim.gpu import Device
 from gpusim.lens.bank import Bank
+from gpusim.lens.places import Heights
 from gpusim.optics.convolve import Convolve, Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
@@ -167,7 +168,9 @@ def convolve_for(
     device: Device, grid: SimGrid, site_channels: list[int], channels: int
 ) -> Convolve:
     """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
-    nothing = FieldKernels(np.zeros((2, 1, channels, 4, 4), np.float32), np.array([0.0, 1.0]), 0.5)
+    nothing = FieldKernels(
+        np.zeros((2, 1, channels, 4, 4), np.float32), Heights(np.array([0.0, 1.0])), 0.5
+    )
     return Convolve(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, site_channels)
 
 

@@ -58,8 +58,8 @@ def camera(grid: SimGrid, sigma: float) -> tuple[Scale, list[int]]:
     """Return a scale of kernels, and the channel of each site."""
     pitch_um = PITCH_UM / grid.oversampling
     lens = LENS if grid.oversampling > 1 else BLURRED
-    images, radius_um = field_images(lens, WEIGHTS, 1e9)
-    kernels = field_kernels(images, radius_um, 0.5, pitch_um, np.ones(images.shape[-2:]))
+    images, places = field_images(lens, WEIGHTS, 1e9)
+    kernels = field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
     return Scale("test", grid, pitch_um, sigma, kernels), [2, 1, 1, 0, 1, 2, 0, 1] * 2
 
 

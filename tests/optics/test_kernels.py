@@ -28,8 +28,8 @@ F32_SPLINE = 9 * 2.0**-24
 
 def everything(lens=LENS, weights=WEIGHTS, pitch_um=0.5, reach_um=1e9):
     """Return kernels with the whole PSF, up to the band of a sim grid."""
-    images, radius_um = field_images(lens, weights, reach_um)
-    return field_kernels(images, radius_um, 0.5, pitch_um, np.ones(images.shape[-2:]))
+    images, places = field_images(lens, weights, reach_um)
+    return field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
 
 
 def centroid(kernel: np.ndarray) -> np.ndarray:
@@ -47,11 +47,11 @@ def test_the_band_ends_at_nyquist():
 def test_core_and_tail_make_the_whole():
     r = np.array([0.0, CUT_EDGE, (1 + CUT_EDGE) / 2, 1.0, 2.0]) * 6.0
     assert_close(core_window(r, 6.0), np.array([1, 1, 0.5, 0, 0]), atol=1e-12)
-    images, radius_um = field_images(LENS, WEIGHTS, 1e9)
+    images, places = field_images(LENS, WEIGHTS, 1e9)
     core = core_window(distances_um(images.shape[-1], 0.5), 4.0)
     assert core[64, 64] == 1 and core[64, 64 + 8] == core[64 - 8, 64] == 0  # 8 x 0.5 um, centred
     assert core[64, 64 + 6] == pytest.approx(0.5)
-    parts = [field_kernels(images, radius_um, 0.5, 0.775, part) for part in (core, 1 - core)]
+    parts = [field_kernels(images, places, 0.5, 0.775, part) for part in (core, 1 - core)]
     together = parts[0].splines.astype(float) + parts[1].splines
     whole = everything(pitch_um=0.775).splines
     assert_close(together, whole, atol=4 * 2.0**-24 * np.abs(whole).max())
@@ -59,16 +59,16 @@ def test_core_and_tail_make_the_whole():
 
 
 def test_images_hold_the_energy_of_their_weights():
-    images, radius_um = field_images(LENS, WEIGHTS, 1e9)
+    images, places = field_images(LENS, WEIGHTS, 1e9)
     expected = np.einsum("jcl,fl->fjc", WEIGHTS, LENS.relative_illumination)
     assert_close(images.sum(axis=(3, 4)), expected, rtol=1e-6)  # PSFs sum to 1 in f32
-    assert_close(radius_um, LENS.real_height_um[:, 1].copy(), atol=0)
+    assert_close(places.radius_um, LENS.real_height_um[:, 1].copy(), atol=0)
 
 
 def test_images_stop_at_the_first_field_beyond_the_reach():
     radius_um = LENS.real_height_um[:, 1]
     for reach, fields in ((1.0, 2), (radius_um[1] + 1, 3), (radius_um[1] - 1, 2), (1e9, 4)):
-        found = field_images(LENS, WEIGHTS[:1, :1], reach)[1]
+        found = field_images(LENS, WEIGHTS[:1, :1], reach)[1].radius_um
         assert len(found) == fields and (found[-1] >= reach or fields == 4)
 
 
@@ -103,7 +103,7 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
     """X right, y down: radial is away from the axis, tangential 90 deg clockwise of it."""
     kernels = everything(weights=np.array([[[1.0, 2.0, 0.5]]]), pitch_um=0.6)
     angle = np.radians(azimuth_deg)
-    height = kernels.radius_um[field]
+    height = kernels.places.radius_um[field]
     outward = np.array([np.cos(angle), np.sin(angle)])
     found = sampled_kernels(kernels, *(height * outward), 0.6, 24, 1)[0, 0]
     if height == 0:
@@ -128,7 +128,7 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
 
 def test_a_quarter_turn_is_exact():
     kernels = everything(pitch_um=0.6)
-    height = float(kernels.radius_um[2])
+    height = float(kernels.places.radius_um[2])
     right, down, left = (
         sampled_kernels(kernels, height * x, height * y, 0.6, 20, 2)
         for x, y in ((1, 0), (0, 1), (-1, 0))
@@ -146,7 +146,7 @@ def test_a_quarter_turn_is_exact():
 
 def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay():
     kernels = everything(pitch_um=0.6)
-    radius = kernels.radius_um
+    radius = kernels.places.radius_um
 
     def at(height: float) -> np.ndarray:
         return sampled_kernels(kernels, height, 0.0, 0.6, 20, 2)
@@ -161,7 +161,7 @@ def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay()
 def test_sampled_kernels_hold_the_energy():
     kernels = everything(pitch_um=0.6)
     expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[2])
-    height = kernels.radius_um[2]
+    height = kernels.places.radius_um[2]
     found = sampled_kernels(kernels, 0.6 * height, -0.8 * height, 0.6, 24, 2)
     # Sums over samples of a band-limited kernel are its integral, but for what lies in its band
     # above 1/0.6 - 0.83 cycles/um: exp(-2 pi^2 (0.95 * 0.83)^2) = 5e-6; f32 of PSF and splines.
@@ -226,7 +226,7 @@ def test_spectra_give_each_output_at_its_pixel():
 
 def test_the_constant_term_is_the_energy():
     kernels = everything(pitch_um=0.775)
-    height = kernels.radius_um[1]
+    height = kernels.places.radius_um[1]
     sampled = sampled_kernels(kernels, height, 0.0, 0.775, 32, 2)
     spectra = kernel_spectra(sampled, 256, 2.0, 0.8, [(c, 0.5, 0.5) for c in range(3)])
     found = unpacked(spectra, 256)[:, 0, :, 0] * 256**2

@@ -16,6 +16,7 @@ from optics.made import DEFAULT_GRID, bank, scene, shapes
 from scipy.special import ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
+from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -28,7 +29,7 @@ F32 = np.float32
 WEIGHT = 5e-4
 IDENTITY = np.eye(8)[0]
 BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
-NO_KERNELS = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), np.array([0.0, 1.0]), 0.5)
+NO_KERNELS = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 
 
 def materials(count: int, planes: int) -> np.ndarray:
@@ -79,6 +80,7 @@ def on_device(
         {
             "g_low": distortion[:4],
             "g_high": distortion[4:],
+            "circle": (0.0, 0.0),
             "origin": origin,
             "inverse_radius2": radius**-2,
             "sigma": sigma,
@@ -89,6 +91,7 @@ def on_device(
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
             "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
+            "terms": np.full((1, 2), np.nan, F32),
         },
         {"planes": (planes * shape[0] * shape[1] + 400, F32)},
         BX=shape[1],

@@ -13,6 +13,7 @@ from optics.made import DEFAULT_GRID, ULP, bank
 from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.gpu import Device, Kernel, Recording
+from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import FIT_ERROR_UM, chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -22,7 +23,7 @@ from gpusim.reference.warp import warp
 from gpusim.scene.raster import Raster
 
 F32 = np.float32
-NO_KERNELS = FieldKernels(np.zeros((2, 2, 1, 4, 4), F32), np.array([0.0, 1.0]), 0.5)
+NO_KERNELS = FieldKernels(np.zeros((2, 2, 1, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 IDENTITY = np.eye(8)[0]
 BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
 
@@ -35,6 +36,7 @@ def on_device(samples, origin, shape, centre, scale, distortion, radius, plane=0
     params = {
         "g_low": distortion[:4],
         "g_high": distortion[4:],
+        "circle": (0.0, 0.0),
         "origin": origin,
         "centre": centre,
         "size": samples.shape[::-1],
@@ -48,7 +50,10 @@ def on_device(samples, origin, shape, centre, scale, distortion, radius, plane=0
         "optics/warp",
         (-(-shape[1] // 16), -(-shape[0] // 16), 1),
         params,
-        {"coefficients": spline_filter(samples, order=3, mode="mirror").astype(F32)},
+        {
+            "coefficients": spline_filter(samples, order=3, mode="mirror").astype(F32),
+            "terms": np.full((1, 2), np.nan, F32),
+        },
         {"planes": ((count, *shape), F32)},
         BX=shape[1],
         BY=shape[0],

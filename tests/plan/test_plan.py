@@ -225,8 +225,8 @@ def test_what_the_coarse_grid_loses_falls_with_the_cut():
 
 
 def first_kernels(lens):
-    images, radius_um = field_images(lens, np.ones((1, 1, 3)), 1e9)
-    return field_kernels(images, radius_um, 0.5, 0.775, np.ones(images.shape[-2:]))
+    images, places = field_images(lens, np.ones((1, 1, 3)), 1e9)
+    return field_kernels(images, places, 0.5, 0.775, np.ones(images.shape[-2:]))
 
 
 def test_nodes_err_by_the_square_of_their_spacing():
@@ -256,17 +256,17 @@ def test_cells_keep_the_error_that_they_are_allowed():
 
 
 def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
-    images, radius_um = field_images(bank(fields=24), np.ones((1, 1, 3)), 1e9)
+    images, places = field_images(bank(fields=24), np.ones((1, 1, 3)), 1e9)
     n = images.shape[-1]
     tail = 1 - core_window(distances_um(n, 0.5), 8.0)
     # A ring 15 um off, as bright everywhere or growing with the field.
     halo = np.abs(distances_um(n, 0.5) - 15.0) < 1.0
     halo = halo / halo.sum()
-    grows = (radius_um / radius_um[-1])[:, None, None, None, None] ** 2
+    grows = (places.radius_um / places.radius_um[-1])[:, None, None, None, None] ** 2
     energy = images.sum(axis=(3, 4), keepdims=True)
     found = [
         cells_within(
-            field_kernels(images + part * energy * halo, radius_um, 0.5, 3.1, tail),
+            field_kernels(images + part * energy * halo, places, 0.5, 3.1, tail),
             3.1,
             40.0,
             (99.2, 74.4),

@@ -1,0 +1,85 @@
+"""Where the fields of a bank lie on the image plane, and how the PSFs between them are made.
+
+Of a lens that is symmetric about its axis: heights, between which PSFs are linear in height and
+turned to their azimuth. Of any other: a grid, between whose corners they are bilinear, as they lie.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+
+class FieldPsfs(NamedTuple):
+    """One field of a bank, in the frame of its PSFs: x is their columns.
+
+    Attributes
+    ----------
+    psf : ndarray (L, n, n)
+        Each centred on the chief ray of its own wavelength.
+    shift_um : ndarray (L, 2)
+        x, y of those chief rays from that of the reference wavelength: lateral colour.
+    relative_illumination : ndarray (L,)
+    """
+
+    psf: np.ndarray
+    shift_um: np.ndarray
+    relative_illumination: np.ndarray
+
+
+class Blend(NamedTuple):
+    """How the PSF at a point is made: the sum of weighted fields, turned by an angle.
+
+    Attributes
+    ----------
+    fields : tuple of int
+        Indices into the list that the places go with.
+    weights : tuple of float
+        Sum 1.
+    cos, sin : float
+        Of the direction that the PSFs' x axis has at the point.
+    """
+
+    fields: tuple[int, ...]
+    weights: tuple[float, ...]
+    cos: float
+    sin: float
+
+
+class Places(Protocol):
+    """Where a list of fields lies.
+
+    Attributes
+    ----------
+    probes : tuple of int
+        Fields that stand for all where errors are predicted: the middle and the rim.
+    quadrants : tuple of (int, int)
+        Signs of x and y of the quadrants that differ.
+    """
+
+    probes: tuple[int, ...]
+    quadrants: tuple[tuple[int, int], ...]
+
+    def at(self, x_um: float, y_um: float) -> Blend:
+        """Return how the PSF at a real image point is made."""
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Fields at image heights, rising from 0; beyond the last it is the last field's PSF."""
+
+    radius_um: np.ndarray
+    probes = (0, -1)
+    quadrants = ((1, 1),)
+
+    def at(self, x_um: float, y_um: float) -> Blend:
+        """Return how the PSF at a real image point is made."""
+        radius = float(np.hypot(x_um, y_um))
+        upper = int(np.clip(np.searchsorted(self.radius_um, radius), 1, len(self.radius_um) - 1))
+        lower = upper - 1
+        span = self.radius_um[upper] - self.radius_um[lower]
+        t = min((radius - self.radius_um[lower]) / span, 1.0)
+        cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
+        return Blend((lower, upper), (1 - t, t), cos, sin)
