@@ -6,6 +6,7 @@ somebody else computed, or a table of its MTF (`gpusim.lens.ready`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
@@ -18,7 +19,7 @@ from gpusim.errors import UserError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from gpusim.lens.bank import Bank
+    from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
 
 PRESETS = Path(__file__).parent / "data" / "cameras"
@@ -38,7 +39,7 @@ class Lens(Protocol):
     def history(self) -> tuple[str, ...]:
         """What was done since the file was read: one sentence for each step."""
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
         """Return its PSFs with everything else that the chain needs of it."""
 
     def model_dump(self) -> dict[str, object]:
@@ -107,7 +108,7 @@ class Camera:
     lens: Lens
     sensor: Sensor
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
         """Return the lens's PSF bank.
 
         Raises
@@ -116,9 +117,9 @@ class Camera:
             When the image circle does not reach the corners of the sensor.
         """
         bank = self.lens.bank(progress)
-        corner_um = (
-            self.sensor.pixel_pitch_um * (self.sensor.rows**2 + self.sensor.cols**2) ** 0.5 / 2
-        )
+        # The corner that is farthest from the image circle's centre.
+        sides = zip((self.sensor.cols, self.sensor.rows), bank.centre_um, strict=True)
+        corner_um = math.hypot(*(n * self.sensor.pixel_pitch_um / 2 + abs(c) for n, c in sides))
         if bank.image_circle_um < corner_um:
             raise UserError(
                 f"The image circle of {self.lens.title} misses the corners of the sensor.",
@@ -128,13 +129,14 @@ class Camera:
                 "lens, or a larger focal_length_mm of a prescription",
             )
         if bank.rectilinear_circle_um < corner_um:
+            from gpusim.lens.bank import RECTILINEAR_DEG
+
             # Scenes lie on the ideal plane, which has no place for light from the side.
-            corner_deg = float(bank.angle_from_height(corner_um)[0])
             raise UserError(
-                f"The corners of the sensor see {corner_deg:.4g} deg through {self.lens.title}: "
-                "no scene reaches so far, for scenes are flat.",
+                f"The corners of the sensor see more than {RECTILINEAR_DEG:g} deg off the axis of "
+                f"{self.lens.title}: no scene reaches so far, for scenes are flat.",
                 field="sensor",
-                value=f"half diagonal {corner_um / 1e3:.3f} mm",
+                value=f"corner at {corner_um / 1e3:.3f} mm",
                 allowed=f"at most {bank.rectilinear_circle_um / 1e3:.3f} mm: a longer focal "
                 "length or fewer pixels",
             )

@@ -161,14 +161,17 @@ def test_a_lens_without_axis_shows_its_first_order_and_writes_its_plane_bank(
     tilted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     def small(lens, *, progress):
-        return compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32, progress=progress)
+        return compute_plane_bank(
+            lens, [550.0], [0.0, 1.0], [0.0, 10.0], size=32, progress=progress
+        )
 
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # not for a bank like this
     monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
     ran = gpusim("lens", tilted, "--out", tmp_path / "bank.nc")
     assert ran.code == 0, ran.err
     assert "50.0000 mm" in ran.out
     assert "distortion" not in ran.out
-    assert plane_bank.PlaneBank.load(tmp_path / "bank.nc").psf.shape == (2, 1, 1, 32, 32)
+    assert plane_bank.PlaneBank.load(tmp_path / "bank.nc").psf.shape == (2, 2, 1, 32, 32)
 
 
 @pytest.mark.parametrize("suffix", ["png", "html"])

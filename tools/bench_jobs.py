@@ -27,7 +27,7 @@ from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.psf import intensity
 from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
-from gpusim.optics.chief_ray import ChiefRayMap
+from gpusim.optics.chief_ray import RadialMap
 from gpusim.optics.convolve import Convolve, Scale, Scratch
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
@@ -53,7 +53,7 @@ from gpusim.sensor.sensor import Sensor, load_sensor
 
 EXPOSURE_S = 1 / 60
 PITCH_UM, SIM_PITCH_UM, SIGMA = 1.55, 0.775, 0.8
-CHIEF_RAY = ChiefRayMap(np.array([1.0, 0.03, 0, 0, 0, 0, 0, 0]), 5000.0)  # barrel, some per cent
+CHIEF_RAY = RadialMap(np.array([1.0, 0.03, 0, 0, 0, 0, 0, 0]), 5000.0)  # barrel, some per cent
 RADIUS = CHIEF_RAY.radius_um / SIM_PITCH_UM
 SITES = [0, 1, 1, 2]  # channels of a Bayer pattern
 # The frame jobs: PSFs of 63 x 63 samples (two a pixel), of a lens whose corners are those of the

@@ -138,11 +138,11 @@ def plane_work(
 
     The bank takes a while: without a file to write, first-order data are all that is shown.
     """
-    from gpusim.lens.plane_bank import compute_plane_bank
+    from gpusim.lens.plane_bank import cached_plane_bank
 
     if file is None:
         return first_order_facts(system)
-    bank = compute_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
+    bank = cached_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
     write_plane(bank, system, account, file)
     return plane_facts(bank, system)
 

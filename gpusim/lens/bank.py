@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -27,11 +27,14 @@ from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.places import FieldPsfs, Heights
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import build, first_order, transmission
+from gpusim.lens.system import System, build, first_order, transmission
 
 if TYPE_CHECKING:
     import xarray
 
+    from gpusim.lens.plane_bank import PlaneBank
+
+AnyBank = TypeVar("AnyBank", "Bank", "PlaneBank")
 WAVELENGTHS_NM = tuple(range(400, 701, 25))
 REFERENCE_NM = 550.0
 FIELDS = 15
@@ -590,7 +593,7 @@ def bank_of(
             value=f"{angles[-1]:g}",
             allowed=f"up to {np.degrees(min(folds)):.4g} deg",
         )
-    provenance = _provenance(system)
+    provenance = provenance_of(system)
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
     return Bank(
@@ -665,7 +668,7 @@ def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> No
         )
 
 
-def _provenance(system) -> dict[str, str]:
+def provenance_of(system: System) -> dict[str, str]:
     """Say in words what the bank is of and how it was made."""
     prescription = system.prescription
     last = system.image_z_mm - system.geometry.vertex_z[-1]
@@ -716,6 +719,26 @@ def cached_bank(prescription: Prescription, **settings: object) -> Bank:
     prescription : Prescription
     **settings
         As for ``compute_bank``.
+    """
+    return from_cache(Bank, compute_bank, prescription, settings)
+
+
+def from_cache(
+    kind: type[AnyBank],
+    compute: Callable[..., AnyBank],
+    prescription: Prescription,
+    settings: dict[str, object],
+) -> AnyBank:
+    """Return a bank from the disk cache, or compute and store it.
+
+    Parameters
+    ----------
+    kind : type
+        ``Bank`` or ``PlaneBank``.
+    compute : callable
+        Takes the prescription and the settings.
+    prescription : Prescription
+    settings : dict
 
     Notes
     -----
@@ -724,15 +747,16 @@ def cached_bank(prescription: Prescription, **settings: object) -> Bank:
     nothing stale is ever found. A file that cannot be read is computed again; where the cache
     cannot be written the bank says so in its provenance.
     """
+    settings = dict(settings)
     progress = settings.pop("progress", None)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "banks"
-    path = folder / f"{_key(prescription, settings)}.nc"
+    path = folder / f"{_key(kind.__name__, prescription, settings)}.nc"
     if path.exists():
         try:
-            return Bank.load(path)
+            return kind.load(path)
         except (OSError, ValueError, KeyError):
             pass  # a corrupt file is computed again and replaced
-    bank = compute_bank(prescription, progress=progress, **settings)
+    bank = compute(prescription, progress=progress, **settings)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         bank.save(path)
@@ -741,9 +765,10 @@ def cached_bank(prescription: Prescription, **settings: object) -> Bank:
     return bank
 
 
-def _key(prescription: Prescription, settings: dict[str, object]) -> str:
+def _key(kind: str, prescription: Prescription, settings: dict[str, object]) -> str:
     """Hash of everything that determines a bank."""
     content = {
+        "kind": kind,
         "prescription": prescription.model_dump(mode="json"),
         "history": prescription.history,
         "settings": {name: np.asarray(value).tolist() for name, value in sorted(settings.items())},

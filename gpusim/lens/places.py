@@ -6,7 +6,9 @@ turned to their azimuth. Of any other: a grid, between whose corners they are bi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -83,3 +85,43 @@ class Heights:
         t = min((radius - self.radius_um[lower]) / span, 1.0)
         cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
         return Blend((lower, upper), (1 - t, t), cos, sin)
+
+
+@dataclass(frozen=True)
+class FieldGrid:
+    """Fields on a grid of field angles, row after row; beyond it they are those of its border.
+
+    Attributes
+    ----------
+    x_deg, y_deg : ndarray (X,), (Y,)
+        Rising.
+    field_deg : callable
+        Returns the field angles x, y at real image points.
+    """
+
+    x_deg: np.ndarray
+    y_deg: np.ndarray
+    field_deg: Callable[[float, float], tuple[float, float]]
+    quadrants = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+
+    @cached_property
+    def probes(self) -> tuple[int, ...]:
+        """The field nearest to the axis, and the corners."""
+        across, down = len(self.x_deg), len(self.y_deg)
+        middle = int(np.abs(self.y_deg).argmin() * across + np.abs(self.x_deg).argmin())
+        return (middle, 0, across - 1, (down - 1) * across, down * across - 1)
+
+    def at(self, x_um: float, y_um: float) -> Blend:
+        """Return how the PSF at a real image point is made."""
+        parts = []
+        for angle, axis in zip(self.field_deg(x_um, y_um), (self.x_deg, self.y_deg), strict=True):
+            place = float(np.interp(angle, axis, np.arange(len(axis))))
+            first = min(int(place), len(axis) - 2)
+            parts.append(((first, 1 - (place - first)), (first + 1, place - first)))
+        corners = [
+            (row * len(self.x_deg) + col, down * across)
+            for row, down in parts[1]
+            for col, across in parts[0]
+        ]
+        fields, weights = zip(*corners, strict=True)
+        return Blend(fields, weights, 1.0, 0.0)

@@ -1,11 +1,14 @@
 """A bank over both directions of the field, for lenses that are not symmetric about an axis.
 
 Elements may be decentred and tilted. Computed in float64 from the whole pupil, stored as NetCDF-4.
-The chain renders with banks that are symmetric (``bank.py``); this one shows what tolerances do.
+The chain renders with it as with a symmetric one (``bank.py``): PSFs are bilinear between the
+fields of the grid, as they lie, and nothing is turned. x and y are those of the prescription; on
+the sensor x points right and y down.
 """
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,30 +17,41 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import (
-    PITCH_UM,
+    RECTILINEAR_DEG,
     REFERENCE_NM,
     WAVELENGTHS_NM,
+    default_pitch_um,
+    from_cache,
     load_dataset,
+    provenance_of,
     pupil_amplitude,
     save_dataset,
 )
+from gpusim.lens.places import FieldGrid, FieldPsfs
+from gpusim.lens.plane_map import PlaneMap
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import System, build, first_order, transmission
-from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field
+from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field, sample_rays
 
 if TYPE_CHECKING:
     import xarray
 
-SIDE = 7  # fields each way
+SIDE = 9  # fields each way
 SIZE = 128
+# Chief rays of the map: on circles of field angle, denser towards the rim, where polynomials are
+# least sure: 2.5 and more for each coefficient of the highest degree.
+RINGS = 10
+SPOKES = 20
 # Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
 # 1.9e-3 of the PSF's peak with 256 nodes.
 PUPIL_NODES = 256
+NO_POINTS = np.zeros(0)  # of the stop: the chief ray goes with any
 
 _FIELD = ("field_y", "field_x")
 _LINES = (*_FIELD, "wavelength")
@@ -77,9 +91,13 @@ _VARIABLES = {
         "RMS difference of the fitted wavefront from the traced rays, in waves",
     ),
     "failed_rays": (_LINES, "1", "rays aimed within the stop that did not reach the image"),
+    "ray_x_deg": (("ray",), "degree", "field angle along x of the chief rays of the map"),
+    "ray_y_deg": (("ray",), "degree", "field angle along y of the chief rays of the map"),
+    "ray_x_um": (("ray",), "um", "where they land at the reference wavelength, x"),
+    "ray_y_um": (("ray",), "um", "where they land at the reference wavelength, y"),
 }
 _SCALARS = {
-    "reference_nm": ("nm", "reference wavelength"),
+    "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length of the centred lens at the reference wavelength"),
     "f_number": ("1", "focal length over entrance pupil diameter, of the centred lens"),
     "pitch_um": ("um", "spacing of the PSF samples"),
@@ -91,7 +109,11 @@ class PlaneBank:
     """PSFs and chief rays of a lens over its field: Y by X fields, L wavelengths, n x n samples.
 
     A field (x, y) in degrees lies hypot(x, y) off the axis of the lens, in the direction of
-    (x, y): that holds beyond 90 deg too.
+    (x, y): that holds beyond 90 deg too. In the corners of the grid, beyond the lens's largest
+    field, is what the largest field in the same direction shows.
+
+    Light lands within a circle about the chief ray of field (0, 0), the largest that the fields
+    fill; beyond it the image is black.
 
     Attributes
     ----------
@@ -100,12 +122,16 @@ class PlaneBank:
         Rising; each holds 0.
     chief_x_um, chief_y_um : ndarray, shape (Y, X, L)
     psf : ndarray of float32, shape (Y, X, L, n, n)
-        Sum 1; rows y, columns x, sample j at (j - n / 2) pitch from its own chief ray.
+        Sum 1; rows y, columns x, sample j at (j - n / 2) pitch from its own chief ray; 0 outside
+        the circle in the window.
     relative_illumination : ndarray, shape (Y, X, L)
         Projected solid angle over that of field (0, 0).
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
         At field (0, 0), and on the axis.
     outside_energy, folded_energy, fit_residual_waves, failed_rays : ndarray, shape (Y, X, L)
+    ray_x_deg, ray_y_deg, ray_x_um, ray_y_um : ndarray, shape (M,)
+        Chief rays of the map from field to image; the first is that of field (0, 0), the last
+        lie on the rim of the field.
     reference_nm, efl_mm, f_number, pitch_um : float
     provenance : dict of str to str
     """
@@ -123,6 +149,10 @@ class PlaneBank:
     folded_energy: np.ndarray
     fit_residual_waves: np.ndarray
     failed_rays: np.ndarray
+    ray_x_deg: np.ndarray
+    ray_y_deg: np.ndarray
+    ray_x_um: np.ndarray
+    ray_y_um: np.ndarray
     reference_nm: float
     efl_mm: float
     f_number: float
@@ -131,13 +161,126 @@ class PlaneBank:
 
     @property
     def reference(self) -> int:
-        """Index of the wavelength nearest to the reference."""
-        return int(np.abs(self.wavelengths_nm - self.reference_nm).argmin())
+        """Index of the reference wavelength."""
+        return int(np.flatnonzero(self.wavelengths_nm == self.reference_nm)[0])
 
     @property
     def middle(self) -> tuple[int, int]:
         """Row and column of the field on the axis."""
         return int(np.abs(self.field_y_deg).argmin()), int(np.abs(self.field_x_deg).argmin())
+
+    # What the chain asks of a bank: see gpusim.lens.field_bank.
+
+    @property
+    def centre_um(self) -> tuple[float, float]:
+        """x, y of the image circle's centre: the chief ray of field (0, 0)."""
+        return float(self.ray_x_um[0]), float(self.ray_y_um[0])
+
+    @property
+    def image_circle_um(self) -> float:
+        """Radius of the largest circle about ``centre_um`` that the fields fill."""
+        field = np.hypot(self.ray_x_deg, self.ray_y_deg)
+        rim = field >= field.max() * (1 - 1e-9)
+        x, y = self.centre_um
+        return float(np.hypot(self.ray_x_um[rim] - x, self.ray_y_um[rim] - y).min())
+
+    @property
+    def rectilinear_circle_um(self) -> float:
+        """The same: the map's rays end where the ideal plane does."""
+        return self.image_circle_um
+
+    @property
+    def lateral_um(self) -> float:
+        """Largest distance between the chief rays of two wavelengths at a field, x and y apart."""
+        return float(np.hypot(np.ptp(self.chief_x_um, axis=-1), np.ptp(self.chief_y_um, -1)).max())
+
+    @property
+    def probes(self) -> tuple[int, ...]:
+        """Fields that stand for all: the axis, the ends of the axes and, half-way, the corners."""
+        across = len(self.field_x_deg)
+        x0, y0 = (int(np.flatnonzero(a == 0)[0]) for a in (self.field_x_deg, self.field_y_deg))
+        x1, y1 = across - 1, len(self.field_y_deg) - 1
+        ends = [(x0, y0), (0, y0), (x1, y0), (x0, 0), (x0, y1)]
+        half_x, half_y = ((a // 2, (a + b + 1) // 2) for a, b in ((x0, x1), (y0, y1)))
+        half = [(x, y) for y in half_y for x in half_x]
+        return tuple(y * across + x for x, y in ends + half)
+
+    def field(self, number: int) -> FieldPsfs:
+        """Return the PSFs of a field, counted row after row."""
+        at = divmod(number, len(self.field_x_deg))
+        chief = np.stack([self.chief_x_um[at], self.chief_y_um[at]], axis=-1)
+        return FieldPsfs(
+            self.psf[at], chief - chief[self.reference], self.relative_illumination[at]
+        )
+
+    def places(self, reach_um: float) -> tuple[tuple[int, ...], FieldGrid]:
+        """Return the fields as far as image points up to `reach_um` from the middle need them.
+
+        And a PSF's half width farther, as light from there still reaches them.
+        """
+        turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+        reach_um += self.psf.shape[-1] / 2 * self.pitch_um
+        rim = self.field_deg(reach_um * np.cos(turn), reach_um * np.sin(turn))
+        x, y = (
+            np.arange(
+                max(int(np.searchsorted(axis, angle.min(), "right")) - 1, 0),
+                min(int(np.searchsorted(axis, angle.max())), len(axis) - 1) + 1,
+            )
+            for axis, angle in zip((self.field_x_deg, self.field_y_deg), rim, strict=True)
+        )
+        numbers = (y[:, None] * len(self.field_x_deg) + x).ravel()
+        grid = FieldGrid(self.field_x_deg[x], self.field_y_deg[y], self.field_deg)
+        return tuple(int(number) for number in numbers), grid
+
+    @functools.cached_property
+    def plane_map(self) -> PlaneMap:
+        """The map from the real to the ideal plane at the reference wavelength.
+
+        Raises
+        ------
+        UserError
+            Where the chief rays follow no polynomial.
+        """
+        theta = np.radians(np.hypot(self.ray_x_deg, self.ray_y_deg))
+        # f tan(theta) in the direction of the field; both vanish on the axis.
+        scale = 1e3 * self.efl_mm * np.tan(theta) / np.maximum(np.degrees(theta), 1e-9)
+        return PlaneMap(
+            np.stack([self.ray_x_um, self.ray_y_um], axis=1),
+            scale[:, None] * np.stack([self.ray_x_deg, self.ray_y_deg], axis=1),
+            self.centre_um,
+            self.image_circle_um,
+        )
+
+    def ideal_points(
+        self, x_um: np.ndarray, y_um: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x and y on the ideal plane of real image points, and which are in the circle.
+
+        Beyond the circle they are those of the nearest point of its rim.
+        """
+        return self.plane_map.ideal_points(x_um, y_um)
+
+    def field_deg(self, x_um: np.ndarray, y_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the field angles x and y of real image points; beyond the circle its rim's."""
+        u, v, _ = self.plane_map.ideal_points(x_um, y_um)
+        height = np.hypot(u, v)
+        scale = np.degrees(np.arctan(height / (1e3 * self.efl_mm))) / np.maximum(height, 1e-9)
+        return u * scale, v * scale
+
+    def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
+        """Return the relative illumination at real image points, by wavelength first."""
+        indices = [
+            np.interp(angle, axis, np.arange(len(axis)))
+            for angle, axis in zip(
+                self.field_deg(x_um, y_um), (self.field_x_deg, self.field_y_deg), strict=True
+            )
+        ]
+        return np.stack(
+            [
+                map_coordinates(share, indices[::-1], order=1)
+                for share in np.moveaxis(self.relative_illumination, -1, 0)
+            ]
+        )
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
@@ -205,8 +348,8 @@ def load_plane_bank(path: Path) -> PlaneBank:
 
 
 def default_sides_deg(prescription: Prescription, count: int = SIDE) -> np.ndarray:
-    """Return an odd number of angles, evenly spaced, so that the corners see the largest field."""
-    half = np.linspace(0, prescription.max_field_deg / np.sqrt(2), (count + 1) // 2)
+    """Return an odd number of angles, evenly spaced, from the largest field to the other."""
+    half = np.linspace(0, prescription.max_field_deg, (count + 1) // 2)
     return np.concatenate([-half[:0:-1], half])
 
 
@@ -217,7 +360,7 @@ def compute_plane_bank(
     field_y_deg: np.ndarray | None = None,
     *,
     reference_nm: float = REFERENCE_NM,
-    pitch_um: float = PITCH_UM,
+    pitch_um: float | None = None,
     size: int = SIZE,
     progress: Callable[[int, int], None] | None = None,
 ) -> PlaneBank:
@@ -229,27 +372,33 @@ def compute_plane_bank(
     wavelengths_nm : array_like, shape (L,), optional
         400 to 700 nm in steps of 25.
     field_x_deg, field_y_deg : array_like, optional
-        Rising and holding 0; 7 each way within the lens's largest field.
+        Rising and holding 0; 9 each way, from the lens's largest field to the other.
     reference_nm : float
-        Of the paraxial data.
-    pitch_um, size : float, int
-        PSF sampling: spacing, and samples across (even).
+        One of the wavelengths.
+    pitch_um : float, optional
+        Spacing of the PSF's samples (``bank.default_pitch_um``).
+    size : int
+        Samples across, even.
     progress : callable, optional
         Called with (fields done, fields in all).
 
     Raises
     ------
     UserError
-        Where a glass has no data at a wavelength, a field lies beyond the lens or the pitch does
-        not sample the PSF.
+        Where a glass has no data at a wavelength, a field lies beyond the lens or does not pass
+        it, the pitch does not sample the PSF, or distortion folds the image over.
     """
     wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
     x_deg, y_deg = (
         default_sides_deg(prescription) if one is None else np.array(one, float)
         for one in (field_x_deg, field_y_deg)
     )
-    _check(prescription, x_deg, y_deg, size)
+    _check(prescription, wavelengths, x_deg, y_deg, reference_nm, size)
+    if pitch_um is None:
+        pitch_um = default_pitch_um(prescription, wavelengths)
     system = build(prescription)
+    reach_deg = min(RECTILINEAR_DEG, -x_deg[0], x_deg[-1], -y_deg[0], y_deg[-1])
+    rays = _chief_rays(system, reference_nm, min(reach_deg, prescription.max_field_deg))
     fields = [(x, y) for y in y_deg for x in x_deg]
     rows = []
     # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
@@ -264,6 +413,8 @@ def compute_plane_bank(
     solid_angle = stacked.pop("solid_angle")
     centre = solid_angle[np.flatnonzero(y_deg == 0)[0], np.flatnonzero(x_deg == 0)[0]]
     order = first_order(system.prescription, reference_nm)
+    provenance = provenance_of(system)
+    provenance["focus"] += ", found with every surface on the axis"
     return PlaneBank(
         wavelengths_nm=wavelengths,
         field_x_deg=x_deg,
@@ -275,6 +426,7 @@ def compute_plane_bank(
         efl_mm=order.efl_mm,
         f_number=order.f_number,
         pitch_um=float(pitch_um),
+<<<<<<< HEAD
         provenance={
             "title": prescription.title,
             "source": prescription.source,
@@ -283,8 +435,63 @@ def compute_plane_bank(
             "behind the last vertex, found with every surface on the axis",
             "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
         },
+=======
+        provenance=provenance,
+        **rays,
+>>>>>>> d1a81b2 (Banks over both directions of the field go through the chain)
         **stacked,
     )
+
+
+def cached_plane_bank(prescription: Prescription, **settings: object) -> PlaneBank:
+    """Return the plane bank of a lens from the disk cache, or compute and store it.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    **settings
+        As for ``compute_plane_bank``.
+    """
+    return from_cache(PlaneBank, compute_plane_bank, prescription, settings)
+
+
+def _chief_rays(system: System, reference_nm: float, largest_deg: float) -> dict[str, np.ndarray]:
+    """Trace the chief rays of the map, by the names of the bank's variables."""
+    index = system.index(np.array([reference_nm]))
+    rings_deg = largest_deg * np.sin(np.pi / 2 * np.arange(1, RINGS + 1) / RINGS)
+    spokes = 2 * np.pi * np.arange(SPOKES) / SPOKES
+
+    def land(field: tuple[float, float]) -> tuple[float, float]:
+        found = sample_rays(system, index, np.radians(field[0]), NO_POINTS, NO_POINTS, field[1])
+        return 1e3 * found.chief_x_mm[0], 1e3 * found.chief_y_mm[0]
+
+    fields = [(0.0, 0.0)]
+    if largest_deg > 0:
+        fields += [(ring, spoke) for ring in rings_deg for spoke in spokes]
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+        landed = np.array(list(pool.map(land, fields)))
+    if largest_deg > 0:
+        grid = landed[1:].reshape(RINGS, SPOKES, 2)
+        inner = np.concatenate([np.broadcast_to(landed[0], (1, SPOKES, 2)), grid[:-1]])
+        outwards, around = grid - inner, np.roll(grid, -1, axis=1) - grid
+        # Azimuth runs from y towards x: outwards and around, in that order, turn clockwise.
+        turns = outwards[..., 1] * around[..., 0] - outwards[..., 0] * around[..., 1]
+        if turns.min() <= 0:
+            ring = int(np.flatnonzero((turns <= 0).any(axis=1))[0])
+            raise UserError(
+                "distortion folds the image over: image height does not rise with field angle",
+                file=system.prescription.file,
+                field="max_field_deg",
+                value=f"{largest_deg:g}",
+                allowed=f"up to {rings_deg[ring - 1] if ring else 0:.4g} deg",
+            )
+    theta, azimuth = np.transpose(fields)
+    return {
+        "ray_x_deg": theta * np.sin(azimuth),
+        "ray_y_deg": theta * np.cos(azimuth),
+        "ray_x_um": landed[:, 0],
+        "ray_y_um": landed[:, 1],
+    }
 
 
 def _one_field(
@@ -295,11 +502,14 @@ def _one_field(
     pitch_um: float,
 ) -> dict[str, np.ndarray]:
     """All wavelengths of one field, by the names of the bank's variables."""
-    theta, azimuth = np.radians(np.hypot(*field_deg)), np.arctan2(*field_deg)
+    largest_deg = system.prescription.max_field_deg
+    theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
     samples = sample_field(system, system.index(wavelengths), theta, azimuth)
     grids = pupils(samples, wavelengths, size * pitch_um, PUPIL_NODES)
     psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
     outside, folded = np.zeros((2, len(wavelengths)))
+    # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
+    inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
     for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
         width = max((2 if pupil.half else 1) * np.ptp(pupil.alpha), np.ptp(pupil.beta))
         if pitch_um > wavelength * 1e-3 / (2 * width) * OVERSIZE:
@@ -310,7 +520,8 @@ def _one_field(
                 value=pitch_um,
                 allowed=f"<= {wavelength * 1e-3 / (2 * width) * OVERSIZE:.3g}",
             )
-        window, outside[w] = intensity(pupil, wavelength, size, pitch_um)
+        window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+        outside[w] = 1 - window.sum()
         folded[w] = folded_share(pupil, wavelength, size, pitch_um)
         psf[w] = window.T / window.sum()
     in_stop = samples.margin[-1] < 0
@@ -326,24 +537,38 @@ def _one_field(
     }
 
 
-def _check(prescription: Prescription, x_deg: np.ndarray, y_deg: np.ndarray, size: int) -> None:
+def _check(
+    prescription: Prescription,
+    wavelengths: np.ndarray,
+    x_deg: np.ndarray,
+    y_deg: np.ndarray,
+    reference_nm: float,
+    size: int,
+) -> None:
     """Refuse settings that make no bank."""
+    if reference_nm not in wavelengths:
+        raise UserError(
+            "the reference wavelength is not one of the bank's",
+            field="reference_nm",
+            value=reference_nm,
+            allowed=", ".join(f"{w:g}" for w in wavelengths),
+        )
     for name, angles in (("field_x_deg", x_deg), ("field_y_deg", y_deg)):
-        if not (0 in angles and (np.diff(angles) > 0).all()):
+        if len(angles) < 2 or not (0 in angles and (np.diff(angles) > 0).all()):
             raise UserError(
                 "field angles must rise and hold 0",
                 field=name,
                 value=str(angles),
-                allowed="rising, with 0",
+                allowed="at least two, rising, with 0",
             )
-    farthest = max(np.hypot(x, y) for x in x_deg[[0, -1]] for y in y_deg[[0, -1]])
-    if farthest > prescription.max_field_deg * (1 + 1e-12):
-        raise UserError(
-            "the field lies beyond the lens",
-            file=prescription.file,
-            field="field_x_deg, field_y_deg",
-            value=f"{farthest:g}",
-            allowed=f"0 to {prescription.max_field_deg:g} from the axis",
-        )
+        farthest = np.abs(angles).max()
+        if farthest > prescription.max_field_deg * (1 + 1e-12):
+            raise UserError(
+                "the field lies beyond the lens",
+                file=prescription.file,
+                field=name,
+                value=f"{farthest:g}",
+                allowed=f"0 to {prescription.max_field_deg:g} from the axis",
+            )
     if size % 2:
         raise UserError("the PSF window must be even", field="size", value=size, allowed="even")

@@ -31,7 +31,7 @@ from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
 
 if TYPE_CHECKING:
-    from gpusim.lens.bank import Bank
+    from gpusim.lens.field_bank import FieldBank
 
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
@@ -268,11 +268,21 @@ class Prescription(_Strict):
         """What was done since the file was read: one sentence for each step."""
         return self._history
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
-        """Return its PSF bank, from the cache on disk where it is there."""
-        from gpusim.lens.bank import cached_bank
+    @property
+    def is_centred(self) -> bool:
+        """Whether no surface is decentred or tilted."""
+        return all(surface.is_centred for surface in self.surfaces)
 
-        return cached_bank(self, progress=progress)
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
+        """Return its PSF bank, from the cache on disk where it is there.
+
+        Over both directions of the field where a surface is decentred or tilted.
+        """
+        from gpusim.lens.bank import cached_bank
+        from gpusim.lens.plane_bank import cached_plane_bank
+
+        cached = cached_bank if self.is_centred else cached_plane_bank
+        return cached(self, progress=progress)
 
     def derived(self, step: str, **changes: object) -> Prescription:
         """Return a changed copy that remembers the step."""

@@ -8,13 +8,15 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.plane_map import PlaneMap
 
 # Error of the fit that the design allows at any image height (a thousandth of a pixel of 1 um).
 FIT_ERROR_UM = 1e-3
 
 
 @dataclass(frozen=True)
-class ChiefRayMap:
+class RadialMap:
     """u = x g(|x|^2 / R^2) with R the image circle, as far as the ideal plane has a place for it.
 
     Attributes
@@ -60,6 +62,55 @@ class ChiefRayMap:
         return float(np.maximum(np.abs(g(rho2)), np.abs(along)).max())
 
 
+@dataclass(frozen=True)
+class GeneralMap:
+    """A map without symmetry, see `PlaneMap`."""
+
+    plane: PlaneMap
+
+    @property
+    def radius_um(self) -> float:
+        """Radius of the image circle."""
+        return self.plane.radius_um
+
+    @property
+    def centre_um(self) -> tuple[float, float]:
+        """x, y of the image circle's centre."""
+        return self.plane.centre_um
+
+    @property
+    def degree(self) -> int:
+        """Of the polynomial."""
+        return self.plane.degree
+
+    def params(self, sim_pitch_um: float) -> dict:
+        """Return the fields of the shaders' `Params` that describe the map, in sim samples."""
+        return {
+            "g_low": np.zeros(4),
+            "g_high": np.zeros(4),
+            "circle": np.array(self.centre_um) / sim_pitch_um,
+            "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
+        }
+
+    def terms(self, sim_pitch_um: float) -> np.ndarray:
+        """Return the shaders' `terms` in sim samples: see shaders/common/chief_ray."""
+        degree = self.degree
+        order = [(i, degree - row) for row in range(degree + 1) for i in range(row, -1, -1)]
+        return (self.plane.ideal[tuple(np.transpose(order))] / sim_pitch_um).astype(np.float32)
+
+    def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
+        """Return ideal points (..., 2) of real ones; beyond the image circle those of the rim."""
+        return np.stack(self.plane.ideal_points(real_um[..., 0], real_um[..., 1])[:2], axis=-1)
+
+    @property
+    def stretch(self) -> float:
+        """Largest factor by which the map stretches."""
+        return float(np.linalg.norm(self.plane.jacobian(), ord=2, axis=(1, 2)).max())
+
+
+ChiefRayMap = RadialMap | GeneralMap
+
+
 def outline(
     chief_ray: ChiefRayMap, corner: np.ndarray, size: tuple[float, float], sim_pitch_um: float
 ) -> np.ndarray:
@@ -89,15 +140,19 @@ def outline(
     return chief_ray.ideal_um(real * sim_pitch_um) / sim_pitch_um
 
 
-def chief_ray_map(bank: Bank) -> ChiefRayMap:
-    """Fit the bank's chief-ray map at the reference wavelength.
+def chief_ray_map(bank: FieldBank) -> ChiefRayMap:
+    """Return the bank's chief-ray map at the reference wavelength, as polynomials.
 
     Raises
     ------
     UserError
-        When a polynomial of degree 15 in image height does not follow the map to a thousandth of a
-        micrometre.
+        When polynomials do not follow the map to a thousandth of a micrometre: of degree 15 in
+        image height where the lens has an axis, or see `PlaneMap`.
     """
+    return _radial(bank) if isinstance(bank, Bank) else GeneralMap(bank.plane_map)
+
+
+def _radial(bank: Bank) -> RadialMap:
     radius = np.linspace(0, bank.rectilinear_circle_um, 401)[1:]
     ratio = bank.ideal_from_real(radius)[0] / radius
     fit = np.polynomial.Polynomial.fit(
@@ -115,4 +170,4 @@ def chief_ray_map(bank: Bank) -> ChiefRayMap:
             value=f"{error_um.max():.3g} um off at {radius[error_um.argmax()]:.0f} um height",
             allowed=f"at most {FIT_ERROR_UM} um",
         )
-    return ChiefRayMap(coefficients, float(radius[-1]))
+    return RadialMap(coefficients, float(radius[-1]))

@@ -7,16 +7,19 @@ with A_m(s) the area of spectrum m inside a pixel aperture placed at s (exact fo
     H_cm(t; s) = sum_l W[c, m, l] K(s, l) h_l(t - (x_l(s) - x_ref(s)); s),
 
 the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
-azimuth of each source point. No sim grid, no PSF nodes, no reduced basis, no transform of the
-image: nothing that the engine chooses.
+azimuth of each source point; of a lens without an axis it is bilinear between the fields of a grid,
+and not rotated. No sim grid, no PSF nodes, no reduced basis, no transform of the image: nothing
+that the engine chooses.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import scipy.fft
+from numpy.polynomial import chebyshev
 from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.reference.coverage import area, disc_area, rectangle_area
@@ -29,8 +32,115 @@ C_M_S = 299792458.0
 # h^2/24 times the PSF's slope there (Euler and Maclaurin); a step of 0.5 um right outside 6 um
 # changes even a flat field by 3e-5.
 ZONES_UM = ((6.0, 0.0625), (16.0, 0.125), (np.inf, 0.5))
+MAP_ERROR_UM = 1e-5
 PAD = 32  # samples around the bank's PSFs, room for their shifts
+MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
 KEPT_KERNELS = 200  # of 0.8 MiB each
+
+
+class _Heights:
+    """Fields at image heights, between which PSFs are linear in height and turned."""
+
+    def __init__(self, bank: Any) -> None:
+        self.bank = bank
+        reference = list(bank.wavelengths_nm).index(bank.reference_nm)
+        self.radius_um = np.asarray(bank.real_height_um[:, reference], np.float64)
+
+    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
+        """Return PSF, illumination and lateral colour (x, y, um) of a field and wavelength."""
+        shift = self.bank.real_height_um[field, place] - self.radius_um[field]
+        illumination = self.bank.relative_illumination[field, place]
+        return self.bank.psf[field, place], illumination, (shift, 0.0)
+
+    def axes(self, source: np.ndarray) -> np.ndarray:
+        """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
+        radius = np.hypot(*source.T)[:, None]
+        return np.where(radius > 0, source / np.maximum(radius, 1e-9), [1.0, 0.0])
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
+        radius = np.hypot(*source.T)
+        position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
+        lit = radius <= self.radius_um[-1]
+        for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
+            yield field, np.maximum(1 - np.abs(position - field), 0) * lit
+
+    def ideal(self, real: np.ndarray) -> np.ndarray:
+        """Return the ideal-plane positions (..., 2) of real ones, um."""
+        radius = np.hypot(real[..., 0], real[..., 1])
+        scale = self.bank.ideal_from_real(radius)[0] / np.maximum(radius, 1e-9)
+        return real * np.where(radius > 0, scale, 1.0)[..., None]
+
+
+class _Grid:
+    """Fields on a grid of field angles, between which PSFs are bilinear.
+
+    The map from the image to the field is a fit of its own to the bank's chief rays: Chebyshev
+    products, of total degrees until the largest error is ``MAP_ERROR_UM``.
+    """
+
+    def __init__(self, bank: Any) -> None:
+        self.bank = bank
+        self.centre = np.array([bank.ray_x_um[0], bank.ray_y_um[0]])
+        field = np.stack([bank.ray_x_deg, bank.ray_y_deg], axis=1)
+        landed = np.stack([bank.ray_x_um, bank.ray_y_um], axis=1) - self.centre
+        off = np.hypot(*field.T)
+        self.circle = np.hypot(*landed[off > 0.999999 * off.max()].T).min()
+        self.span = 1.2 * np.abs(landed).max()
+        tangent = np.tan(np.radians(off)) / np.where(off > 0, off, 1.0)
+        wanted = 1e3 * bank.efl_mm * tangent[:, None] * field
+        for degree in range(3, 15, 2):
+            basis = self._basis(landed, degree)
+            self.terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
+            if np.abs(basis @ self.terms - wanted).max() < MAP_ERROR_UM:
+                break
+        self.degree = degree
+
+    def _basis(self, off_centre: np.ndarray, degree: int) -> np.ndarray:
+        x, y = (chebyshev.chebvander(one / self.span, degree) for one in off_centre.T)
+        return np.stack(
+            [x[:, i] * y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1
+        )
+
+    def ideal(self, real: np.ndarray) -> np.ndarray:
+        """Return the ideal-plane positions (..., 2) of real ones, um."""
+        flat = np.reshape(real, (-1, 2)) - self.centre
+        coefficients = np.zeros((self.degree + 1, self.degree + 1, 2))
+        places = [(i, j) for i in range(self.degree + 1) for j in range(self.degree + 1 - i)]
+        for place, term in zip(places, self.terms, strict=True):
+            coefficients[place] = term
+        x, y = flat.T / self.span
+        return np.moveaxis(chebyshev.chebval2d(x, y, coefficients), 0, -1).reshape(np.shape(real))
+
+    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
+        """Return PSF, illumination and lateral colour (x, y, um) of a field and wavelength."""
+        bank = self.bank
+        row, col = divmod(field, len(bank.field_x_deg))
+        reference = list(bank.wavelengths_nm).index(bank.reference_nm)
+        x, y = bank.chief_x_um[row, col], bank.chief_y_um[row, col]
+        shift = (x[place] - x[reference], y[place] - y[reference])
+        return bank.psf[row, col, place], bank.relative_illumination[row, col, place], shift
+
+    def axes(self, source: np.ndarray) -> np.ndarray:
+        """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
+        return np.broadcast_to([1.0, 0.0], source.shape)
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
+        bank = self.bank
+        ideal = self.ideal(source)
+        height = np.hypot(*ideal.T)
+        angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
+        x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
+        lit = np.hypot(*(source - self.centre).T) <= self.circle
+        tents = []
+        for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg)):
+            place = np.interp(at, axis, np.arange(len(axis)))
+            used = range(int(place.min()), int(np.ceil(place.max())) + 1)
+            tents.append([(k, np.maximum(1 - np.abs(place - k), 0)) for k in used])
+        for col, across in tents[0]:
+            for row, down in tents[1]:
+                yield row * len(bank.field_x_deg) + col, across * down * lit
 
 
 class Truth:
@@ -38,7 +148,7 @@ class Truth:
 
     Parameters
     ----------
-    bank : gpusim.lens.bank.Bank
+    bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
     spectra : ndarray (M, 61)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
@@ -51,8 +161,7 @@ class Truth:
     ) -> None:
         self.bank = bank
         self.sensor = sensor
-        self.reference = list(bank.wavelengths_nm).index(bank.reference_nm)
-        self.radius_um = np.asarray(bank.real_height_um[:, self.reference], np.float64)
+        self.fields = _Grid(bank) if hasattr(bank, "field_x_deg") else _Heights(bank)
         self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.weights = self._weights(spectra, wavelengths_nm)
         # Spectra that are multiples of one share its kernels: that spectrum, and the factor.
@@ -95,19 +204,20 @@ class Truth:
             frequency = scipy.fft.fftfreq(n + 2 * PAD, bank.pitch_um)
             images = np.empty((len(bank.wavelengths_nm), n + 2 * PAD, n + 2 * PAD))
             for place, image in enumerate(images):
-                shift = bank.real_height_um[field, place] - self.radius_um[field]
-                lines = scipy.fft.fft(
-                    np.pad(bank.psf[field, place].astype(np.float64), PAD), axis=1
-                )
-                image[:] = scipy.fft.ifft(
-                    lines * np.exp(-2j * np.pi * frequency * shift), axis=1
-                ).real
-                image *= bank.relative_illumination[field, place] / bank.pitch_um**2
+                psf, illumination, shift = self.fields.light(field, place)
+                image[:] = np.pad(psf.astype(np.float64), PAD)
+                for axis, along in ((1, shift[0]), (0, shift[1])):
+                    if along:
+                        turns = np.exp(-2j * np.pi * frequency * along)
+                        turns = turns if axis else turns[:, None]
+                        lines = scipy.fft.fft(image, axis=axis) * turns
+                        image[:] = scipy.fft.ifft(lines, axis=axis).real
+                image *= illumination / bank.pitch_um**2
             self.shifted[field] = images
         return self.shifted[field]
 
     def _kernel(self, channel: int, spectrum: int, field: int) -> np.ndarray:
-        """Return spline coefficients of H at one bank field, in the meridional frame."""
+        """Return spline coefficients of H at one bank field, in the frame of its PSFs."""
         key = (channel, spectrum, field)
         kernel = self.kernels.get(key)
         if kernel is None:
@@ -120,24 +230,18 @@ class Truth:
 
     def _spread(self, channel: int, spectrum: int, t: np.ndarray, source: np.ndarray) -> np.ndarray:
         """Return H (P,) at distances t (P, 2) from source points (P, 2), per um^2."""
-        radius = np.hypot(*source.T)
-        outward = np.where(
-            radius[:, None] > 0, source / np.maximum(radius, 1e-9)[:, None], [1.0, 0.0]
-        )
+        along = self.fields.axes(source)
         half = self.bank.psf.shape[-1] // 2 + PAD
-        radial = np.sum(t * outward, axis=1) / self.bank.pitch_um + half
-        tangential = (t[:, 1] * outward[:, 0] - t[:, 0] * outward[:, 1]) / self.bank.pitch_um + half
-        position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
-        lit = radius <= self.radius_um[-1]
+        x = np.sum(t * along, axis=1) / self.bank.pitch_um + half
+        y = (t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]) / self.bank.pitch_um + half
         result = np.zeros(len(t))
-        for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
-            share = np.maximum(1 - np.abs(position - field), 0) * lit
+        for field, share in self.fields.shares(source):
             used = share > 0
             if used.any():
                 kernel = self._kernel(channel, spectrum, field)
                 result[used] += share[used] * map_coordinates(
                     kernel,
-                    [tangential[used], radial[used]],
+                    [y[used], x[used]],
                     order=3,
                     prefilter=False,
                     mode="constant",
@@ -146,10 +250,7 @@ class Truth:
 
     def _grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Return midpoints (P, 2) and areas (P,) of the cells of the integral over t."""
-        reach = (
-            self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + 4.0
-        )  # lateral colour is below 4 um
-
+        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + MARGIN_UM
         points, areas, inner = [], [], 0.0
         for half, step in ZONES_UM:
             half = min(half, reach)
@@ -161,16 +262,10 @@ class Truth:
             inner = half
         return np.concatenate(points), np.concatenate(areas)
 
-    def _ideal(self, real: np.ndarray) -> np.ndarray:
-        """Return the ideal-plane positions (..., 2) of real ones, um."""
-        radius = np.hypot(real[..., 0], real[..., 1])
-        scale = self.bank.ideal_from_real(radius)[0] / np.maximum(radius, 1e-9)
-        return real * np.where(radius > 0, scale, 1.0)[..., None]
-
     def _aperture(self, source: np.ndarray) -> np.ndarray:
         """Return the corners (P, 4, 2) on the ideal plane of apertures at real points (P, 2)."""
         corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.aperture_um / 2
-        return self._ideal(source[:, None] + corners)
+        return self.fields.ideal(source[:, None] + corners)
 
     def chart(self, chart: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a chart.
@@ -203,7 +298,7 @@ class Truth:
 
     def _chart_shares(self, chart: Any, source: np.ndarray) -> dict[int, np.ndarray]:
         """Return each spectrum's area inside the aperture at each source point, um^2."""
-        ideal = self._ideal(source)
+        ideal = self.fields.ideal(source)
         low, high = ideal.min(axis=0), ideal.max(axis=0)
         # An aperture's corners lie within its diagonal of its centre, also where the map stretches
         # by a third.
@@ -265,7 +360,7 @@ class Truth:
             for dx, wx in zip(nodes, weights, strict=True):
                 for dy, wy in zip(nodes, weights, strict=True):
                     point = source + self.aperture_um / 2 * np.array([dx, dy])
-                    ideal = self._ideal(point)
+                    ideal = self.fields.ideal(point)
                     x = np.clip(
                         (ideal[:, 0] - corner_um[0]) / raster.pitch_um - 0.5,
                         0,

@@ -141,9 +141,9 @@ def test_the_psf_lies_where_the_spot_diagram_says(bank):
 
 def test_default_sides_hold_the_axis_and_reach_the_largest_field():
     sides = default_sides_deg(coma_lens())
-    assert len(sides) == 7
-    assert sides[3] == 0
-    assert np.hypot(sides[-1], sides[-1]) == pytest.approx(6.0, rel=1e-14)
+    assert len(sides) == 9
+    assert sides[4] == 0
+    assert sides[-1] == -sides[0] == 6.0
     np.testing.assert_allclose(np.diff(sides, 2), 0, atol=1e-14)
 
 
@@ -169,7 +169,9 @@ def test_a_plane_bank_survives_its_file(bank, tmp_path):
     [
         ({"field_x_deg": [1.0, 3.0]}, ["field_x_deg", "hold 0"]),
         ({"field_y_deg": [3.0, 0.0]}, ["field_y_deg", "rise"]),
-        ({"field_y_deg": [0.0, 5.5], "field_x_deg": [-3.0, 0.0]}, ["beyond the lens", "0 to 6"]),
+        ({"field_y_deg": [0.0]}, ["field_y_deg", "at least two"]),
+        ({"field_y_deg": [-6.5, 0.0, 3.0]}, ["beyond the lens", "field_y_deg", "6.5", "0 to 6"]),
+        ({"reference_nm": 555.0}, ["reference_nm", "500, 550"]),
         ({"size": 33}, ["even", "33"]),
         ({"pitch_um": 3.0}, ["too coarse"]),
     ],

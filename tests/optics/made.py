@@ -9,7 +9,9 @@ import numpy as np
 
 from gpusim.gpu import Device
 from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Heights
+from gpusim.lens.plane_bank import PlaneBank
 from gpusim.optics.convolve import Convolve, Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
@@ -107,6 +109,102 @@ def bank(
     )
 
 
+def plane_bank(
+    side: int = 9,
+    size: int = 64,
+    circle_um: float = 165.0,
+    sigma_um: tuple[float, ...] = (0.95, 1.0, 1.15),
+    coma_um: float = 3.0,
+    halo: float = 0.0,
+    distortion: float = -0.02,
+    lateral: tuple[float, ...] = (-0.004, 0.0, 0.003),
+    falloff: float = 0.3,
+    axial_coma_um: tuple[float, float] = (0.0, 0.0),
+    keystone: tuple[float, float] = (0.0, 0.0),
+    boresight_um: tuple[float, float] = (0.0, 0.0),
+    prism_um: tuple[float, float] = (0.0, 0.0),
+) -> PlaneBank:
+    """Return the lens of `bank` over both directions of the field, and what moved elements do.
+
+    Parameters
+    ----------
+    side : int
+        Fields each way.
+    size, circle_um, sigma_um, coma_um, halo, distortion, lateral, falloff
+        As for `bank`.
+    axial_coma_um : (float, float)
+        x, y by which the quarter of the light is displaced on the axis, and as much more elsewhere.
+    keystone : (float, float)
+        Real over ideal height grows by so much over the circle's radius, along x and along y.
+    boresight_um : (float, float)
+        Where the axis of the lens meets the image.
+    prism_um : (float, float)
+        By how much 700 nm lands farther than 400 nm on the axis.
+    """
+    wavelengths = np.linspace(400.0, 700.0, len(sigma_um))
+    steps = np.linspace(-0.5, 0.5, len(sigma_um))
+
+    def landed(x_deg: np.ndarray, y_deg: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return ideal and real points (..., 2)."""
+        angle = np.hypot(x_deg, y_deg)
+        ideal = (
+            np.stack([x_deg, y_deg], -1)
+            * (1000.0 * np.tan(np.radians(angle)) / np.maximum(angle, 1e-12))[..., None]
+        )
+        share2 = np.sum(ideal**2, axis=-1, keepdims=True) / circle_um**2
+        grown = 1 + distortion * share2 + (ideal @ keystone)[..., None] / circle_um
+        return ideal, ideal * grown + boresight_um
+
+    edge_deg = float(np.degrees(np.arctan(circle_um / 1000.0)))
+    axis_deg = np.linspace(-edge_deg, edge_deg, side)
+    axis_deg[side // 2] = 0.0
+    x_deg, y_deg = np.meshgrid(axis_deg, axis_deg)
+    within = np.minimum(1.0, edge_deg / np.maximum(np.hypot(x_deg, y_deg), 1e-12))
+    ideal, real = landed(x_deg * within, y_deg * within)
+    off = real - boresight_um
+    chief = real[:, :, None] + off[:, :, None] * np.array(lateral)[:, None]
+    chief += steps[:, None] * np.array(prism_um)
+    at = (np.arange(size) - size // 2) * 0.5
+    psf = np.empty((side, side, len(sigma_um), size, size))
+    for index in np.ndindex(side, side):
+        flare = coma_um * ideal[index] / circle_um + axial_coma_um
+        for place, sigma in enumerate(sigma_um):
+            y, x = (gaussian(at - one, 1.2 * sigma) for one in flare[::-1])
+            middle, wide = gaussian(at, sigma), gaussian(at, 4 * sigma)
+            one = 0.75 * np.outer(middle, middle) + 0.25 * np.outer(y, x)
+            psf[(*index, place)] = (1 - halo) * one + halo * np.outer(wide, wide)
+    psf /= psf.sum(axis=(3, 4), keepdims=True)
+    share2 = np.sum(ideal**2, axis=-1)[..., None] / circle_um**2
+    spokes, rings = np.meshgrid(np.arange(16) * np.pi / 8, np.sin(np.pi / 16 * np.arange(1, 9)))
+    rays = [np.append(0.0, edge_deg * (rings * turn(spokes)).ravel()) for turn in (np.cos, np.sin)]
+    nothing = np.zeros((side, side, len(sigma_um)))
+    ray_um = landed(*rays)[1]
+    return PlaneBank(
+        wavelengths_nm=wavelengths,
+        field_x_deg=axis_deg,
+        field_y_deg=axis_deg,
+        chief_x_um=chief[..., 0],
+        chief_y_um=chief[..., 1],
+        psf=psf.astype(np.float32),
+        relative_illumination=1 - falloff * share2 * np.linspace(1.0, 1.1, len(sigma_um)),
+        projected_solid_angle_sr=np.linspace(0.10, 0.102, len(sigma_um)),
+        transmission=np.linspace(0.58, 0.60, len(sigma_um)),
+        outside_energy=nothing,
+        folded_energy=nothing,
+        fit_residual_waves=nothing,
+        failed_rays=nothing,
+        ray_x_deg=rays[0],
+        ray_y_deg=rays[1],
+        ray_x_um=ray_um[:, 0],
+        ray_y_um=ray_um[:, 1],
+        reference_nm=float(wavelengths[len(sigma_um) // 2]),
+        efl_mm=1.0,
+        f_number=2.8,
+        pitch_um=0.5,
+        provenance={"title": "Gaussians in a grid", "history": "made up"},
+    )
+
+
 def sensor(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
     """Return the middle of the demonstration sensor, without veiling glare."""
     return (
@@ -128,12 +226,12 @@ def monochrome(rows: int = 96, cols: int = 128, **changes: object) -> Sensor:
 class StubCamera:
     """What the chain asks of a camera."""
 
-    lens_bank: Bank
+    lens_bank: FieldBank
     sensor: Sensor
     title: str = "a small camera"
     lens: object = field(default_factory=lambda: SimpleNamespace(title="Gaussians"))
 
-    def bank(self, progress: object = None) -> Bank:
+    def bank(self, progress: object = None) -> FieldBank:
         """Return the bank."""
         return self.lens_bank
 
