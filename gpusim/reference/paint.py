@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import i0e, ndtr
 
+from gpusim.reference.chief_ray import chief_ray
+
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(200)
 
 
@@ -55,6 +57,7 @@ def paint(
     sigma: float,
     distortion: np.ndarray,
     radius: float,
+    circle: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """Paint primitives over a background on the real image plane.
 
@@ -74,10 +77,8 @@ def paint(
         Rows and columns of the block.
     sigma : float
         Standard deviation of the Gaussian on the real plane, samples.
-    distortion : ndarray (8,)
-        Coefficients of g, low to high: u = x g(|x|^2 / radius^2).
-    radius : float
-        Radius of the image circle, samples; beyond it the result is black.
+    distortion, radius, circle
+        As of `gpusim.reference.chief_ray`; beyond the image circle the result is black.
 
     Returns
     -------
@@ -86,17 +87,13 @@ def paint(
     x = np.stack(
         np.meshgrid(origin_xy[0] + np.arange(shape[1]), origin_xy[1] + np.arange(shape[0])), axis=-1
     )
-    g = np.polynomial.Polynomial(distortion)
-    rho2 = np.sum(x**2, axis=-1) / radius**2
-    u = x * g(rho2)[..., None]
-    slope = g.deriv()(rho2) * 2 / radius**2
+    u, jacobian = chief_ray(x, distortion, radius, circle)
     result = np.broadcast_to(materials[background], (*shape, materials.shape[1])).copy()
     for primitive in primitives:
         d = u - np.asarray(primitive["centre"])
         cover = np.empty(shape)
         for index in np.ndindex(shape):
-            jacobian = g(rho2[index]) * np.eye(2) + slope[index] * np.outer(x[index], x[index])
-            covariance = sigma**2 * jacobian @ jacobian.T
+            covariance = sigma**2 * jacobian[index] @ jacobian[index].T
             if primitive["kind"] == "disc":
                 r = np.hypot(*d[index])
                 e = d[index] / r if r > 0 else np.array([1.0, 0.0])
@@ -108,5 +105,5 @@ def paint(
                     d[index], primitive["half_size"], primitive["angle"], covariance
                 )
         result += cover[..., None] * (materials[primitive["material"]] - result)
-    lit = ndtr((radius - np.hypot(x[..., 0], x[..., 1])) / sigma)
+    lit = ndtr((radius - np.hypot(x[..., 0] - circle[0], x[..., 1] - circle[1])) / sigma)
     return np.moveaxis(result * lit[..., None], -1, 0)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import map_coordinates
 
+from gpusim.reference.chief_ray import chief_ray
+
 
 def warp(
     raster: np.ndarray,
@@ -14,6 +16,7 @@ def warp(
     scale: float,
     distortion: np.ndarray,
     radius: float,
+    circle: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """Sample the cubic spline through a raster on the real image plane.
 
@@ -29,9 +32,9 @@ def warp(
         The optical axis in raster samples, sample 0 at 0.
     scale : float
         Raster samples per sim sample.
-    distortion, radius
-        Chief-ray map: u = x g(|x|^2 / radius^2), coefficients of g low to high; radius of the image
-        circle in sim samples; beyond it the result is black.
+    distortion, radius, circle
+        As of `gpusim.reference.chief_ray`, in sim samples; beyond the image circle the result is
+        black.
 
     Returns
     -------
@@ -40,12 +43,11 @@ def warp(
     x = np.stack(
         np.meshgrid(origin_xy[0] + np.arange(shape[1]), origin_xy[1] + np.arange(shape[0])), axis=-1
     )
-    g = np.polynomial.Polynomial(distortion)
-    rho2 = np.sum(x**2, axis=-1) / radius**2
-    u = x * g(rho2)[..., None]
+    u, _ = chief_ray(x, distortion, radius, circle)
     columns = np.clip(centre_xy[0] + scale * u[..., 0], 0, raster.shape[1] - 1)
     rows = np.clip(centre_xy[1] + scale * u[..., 1], 0, raster.shape[0] - 1)
     radiance = map_coordinates(
         np.asarray(raster, np.float64), [rows, columns], order=3, mode="mirror"
     )
-    return np.where(rho2 <= 1, radiance, 0.0)
+    inside = np.sum((x - np.array(circle)) ** 2, axis=-1) <= radius**2
+    return np.where(inside, radiance, 0.0)

@@ -272,6 +272,27 @@ def convolve_for(
     return Convolve(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, site_channels)
 
 
+def bent(seed: int, degree: int, radius: float, bend: float = 0.1) -> np.ndarray:
+    """Return a map (D + 1, D + 1, 2) as of `gpusim.reference.chief_ray`, in samples, near u = x.
+
+    `bend` is the sum of what all terms beyond the first degree change, over the radius.
+    """
+    rng = np.random.default_rng(seed)
+    terms = rng.uniform(-1, 1, (degree + 1, degree + 1, 2))
+    terms[np.add.outer(range(degree + 1), range(degree + 1)) > degree] = 0.0
+    terms *= bend * radius / np.abs(terms).sum(axis=(0, 1))
+    terms[1, 0, 0] += radius
+    terms[0, 1, 1] += radius
+    return terms
+
+
+def shader_terms(terms: np.ndarray) -> np.ndarray:
+    """Return coefficients in the order of shaders/common/chief_ray."""
+    degree = len(terms) - 1
+    rows = [terms[row::-1, degree - row] for row in range(degree + 1)]
+    return np.concatenate(rows).astype(np.float32)
+
+
 def twiddles(length: int) -> np.ndarray:
     """Return exp(-2 pi i n / T), rounded to complex64."""
     return np.exp(-2j * np.pi * np.arange(length) / length).astype(np.complex64)

@@ -12,7 +12,7 @@ Weights act on differences of materials, and at most two shapes have an edge at 
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import DEFAULT_GRID, bank, scene, shapes
+from optics.made import DEFAULT_GRID, bank, bent, scene, shader_terms, shapes
 from scipy.special import ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
@@ -46,6 +46,7 @@ def on_device(
     sigma: float = 0.8,
     distortion: np.ndarray = IDENTITY,
     radius: float = 1e4,
+    circle: tuple[float, float] = (0.0, 0.0),
     needed: int | None = None,
 ) -> np.ndarray:
     """Paint shapes in the order given; in the table they lie in another order, among others.
@@ -69,6 +70,7 @@ def on_device(
     eight = np.full((len(table), 8), np.nan, F32)
     eight[:, : table.shape[1]] = table
     planes = table.shape[1]
+    general = distortion.ndim == 3
     tiles = [
         (x + 65536 * y, 5, len(shapes), background + 65536 * (needed or planes))
         for y in range(0, shape[0], 16)
@@ -78,9 +80,9 @@ def on_device(
         "optics/paint",
         (len(tiles), 1, 1),
         {
-            "g_low": distortion[:4],
-            "g_high": distortion[4:],
-            "circle": (0.0, 0.0),
+            "g_low": np.full(4, 9.0) if general else distortion[:4],
+            "g_high": np.full(4, 9.0) if general else distortion[4:],
+            "circle": circle,
             "origin": origin,
             "inverse_radius2": radius**-2,
             "sigma": sigma,
@@ -91,19 +93,28 @@ def on_device(
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
             "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
-            "terms": np.full((1, 2), np.nan, F32),
+            "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
         },
         {"planes": (planes * shape[0] * shape[1] + 400, F32)},
         BX=shape[1],
         BY=shape[0],
         J=planes,
+        DEGREE=len(distortion) - 1 if general else 0,
     )["planes"]
     assert unwritten(result[-400:]).all()
     return result[:-400].reshape(-1, *shape)
 
 
 def reference(
-    shapes, table, origin, shape, background=0, sigma=0.8, distortion=IDENTITY, radius=1e4
+    shapes,
+    table,
+    origin,
+    shape,
+    background=0,
+    sigma=0.8,
+    distortion=IDENTITY,
+    radius=1e4,
+    circle=(0.0, 0.0),
 ):
     rows = [
         {
@@ -115,7 +126,7 @@ def reference(
         }
         for one in shapes
     ]
-    return paint(rows, table, background, origin, shape, sigma, distortion, radius)
+    return paint(rows, table, background, origin, shape, sigma, distortion, radius, circle)
 
 
 def check(shapes, table, *place, **more) -> np.ndarray:
@@ -212,6 +223,26 @@ def test_the_chart_is_warped_and_so_is_the_gaussian():
     round_blur = reference(stack, materials(3, 2), *place, distortion=BENT, radius=55.0, sigma=0.72)
     expected = reference(stack, materials(3, 2), *place, distortion=BENT, radius=55.0)
     assert np.abs(round_blur - expected).max() > 0.02
+
+
+@pytest.mark.parametrize("degree", [3, 8])
+def test_a_lens_without_an_axis_warps_the_gaussian_in_its_own_way(degree: int):
+    """Shear and anamorphic stretch; and the rim of the image circle, about its own centre."""
+    radius, circle = 50.0, (4.5, -2.5)
+    terms = bent(degree, degree, radius, 0.4).astype(F32).astype(float)
+    stack = [Rect(22, 14, 22, 14, 0.4, 1), Disc(21, 12, 11, 2)]
+    place = {"distortion": terms, "radius": radius, "circle": circle}
+    # Positions take (degree + 1) (degree + 2) roundings of at most 1.4 radii: WEIGHT has twice
+    # those 4e-4 samples.
+    check(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
+    expected = reference(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
+    for wrong in (
+        {"distortion": terms.swapaxes(0, 1)},
+        {"distortion": terms[..., ::-1]},
+        {"circle": circle[::-1]},
+    ):
+        off = reference(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place | wrong)
+        assert np.abs(off - expected).max() > 0.02
 
 
 def test_beyond_the_image_circle_it_is_black():

@@ -9,7 +9,7 @@ spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| 
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import DEFAULT_GRID, ULP, bank
+from optics.made import DEFAULT_GRID, ULP, bank, bent, shader_terms
 from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.gpu import Device, Kernel, Recording
@@ -32,11 +32,14 @@ def raster(rows: int, cols: int) -> np.ndarray:
     return np.random.default_rng(rows * 100 + cols).uniform(0, 1, (rows, cols))
 
 
-def on_device(samples, origin, shape, centre, scale, distortion, radius, plane=0, count=1):
+def on_device(
+    samples, origin, shape, centre, scale, distortion, radius, circle=(0.0, 0.0), plane=0, count=1
+):
+    general = distortion.ndim == 3
     params = {
-        "g_low": distortion[:4],
-        "g_high": distortion[4:],
-        "circle": (0.0, 0.0),
+        "g_low": np.full(4, 9.0) if general else distortion[:4],
+        "g_high": np.full(4, 9.0) if general else distortion[4:],
+        "circle": circle,
         "origin": origin,
         "centre": centre,
         "size": samples.shape[::-1],
@@ -52,11 +55,12 @@ def on_device(samples, origin, shape, centre, scale, distortion, radius, plane=0
         params,
         {
             "coefficients": spline_filter(samples, order=3, mode="mirror").astype(F32),
-            "terms": np.full((1, 2), np.nan, F32),
+            "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
         },
         {"planes": ((count, *shape), F32)},
         BX=shape[1],
         BY=shape[0],
+        DEGREE=len(distortion) - 1 if general else 0,
     )
     return result["planes"]
 
@@ -83,6 +87,25 @@ def test_samples_are_those_of_the_reference(case):
     samples = raster(*size)
     found = on_device(samples, *place)[0]
     assert_close(found, warp(samples, *place), atol=bound(samples, *place[:5]))
+
+
+@pytest.mark.parametrize("degree", [1, 2, 5, 11])
+def test_a_lens_without_an_axis_has_a_map_in_both_coordinates(degree: int):
+    """Its image circle has a centre of its own, and cuts the block."""
+    samples, radius, circle = raster(23, 31), 20.0, (3.3, -4.2)
+    terms = bent(degree, degree, radius).astype(F32).astype(float)
+    place = ((-20.5, -13.5), (37, 45), (14.3, 10.6), 0.37, terms, radius, circle)
+    found = on_device(samples, *place)[0]
+    expected = warp(samples, *place)
+    # Two roundings for each term on its way, of all terms together at most 1.1 radii; |z| <= 1.
+    steps = (degree + 1) * (degree + 2)
+    off = ULP * (steps * 1.1 * radius * 0.37 + 4 * 14.3)
+    largest = np.abs(spline_filter(samples, order=3, mode="mirror")).max()
+    assert_close(found, expected, atol=largest * (2 * 1.5 * off + 24 * ULP))
+    assert 0.2 < np.mean(expected == 0) < 0.9
+    # Controls: the terms of x and y, and what they give, told apart.
+    for wrong in (terms.swapaxes(0, 1), terms[..., ::-1]):
+        assert np.abs(warp(samples, *place[:4], wrong, *place[5:]) - expected).max() > 0.01
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 1), (1, 9), (7, 1), (2, 2), (3, 4)])
