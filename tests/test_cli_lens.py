@@ -166,7 +166,7 @@ def test_a_lens_without_axis_shows_its_first_order_and_writes_its_plane_bank(
         )
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # not for a bank like this
-    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    monkeypatch.setattr(plane_bank, "cached_plane_bank", small)
     ran = gpusim("lens", tilted, "--out", tmp_path / "bank.nc")
     assert ran.code == 0, ran.err
     assert "50.0000 mm" in ran.out
@@ -179,9 +179,11 @@ def test_a_lens_without_axis_has_a_page_over_both_directions(
     tilted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
 ):
     def small(lens, *, progress):
-        return compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32, progress=progress)
+        return compute_plane_bank(
+            lens, [550.0], [-10.0, 0.0, 10.0], [0.0, 10.0], size=32, progress=progress
+        )
 
-    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    monkeypatch.setattr(plane_bank, "cached_plane_bank", small)
     ran = gpusim("lens", tilted, "--out", tmp_path / f"lens.{suffix}")
     assert ran.code == 0, ran.err
     assert "image of the axis" in ran.out
@@ -195,7 +197,7 @@ def test_a_lens_without_axis_has_a_page_over_both_directions(
 
 def test_a_saved_bank_without_axis_is_shown_again(tilted: Path, tmp_path: Path):
     lens = load_prescription(tilted)
-    compute_plane_bank(lens, [550.0], [0.0], [0.0, 10.0], size=32).save(tmp_path / "bank.nc")
+    compute_plane_bank(lens, [550.0], [-10.0, 0.0], [0.0, 10.0], size=32).save(tmp_path / "bank.nc")
     ran = gpusim("lens", tmp_path / "bank.nc", "--out", tmp_path / "again.png")
     assert ran.code == 0, ran.err
     assert "image of the axis" in ran.out

@@ -29,7 +29,6 @@ from gpusim.lens.bank import (
     from_cache,
     load_dataset,
     provenance_of,
-    pupil_amplitude,
     save_dataset,
 )
 from gpusim.lens.places import FieldGrid, FieldPsfs
@@ -426,19 +425,8 @@ def compute_plane_bank(
         efl_mm=order.efl_mm,
         f_number=order.f_number,
         pitch_um=float(pitch_um),
-<<<<<<< HEAD
-        provenance={
-            "title": prescription.title,
-            "source": prescription.source,
-            "history": "; ".join(system.prescription.history) or "as published",
-            "focus": f"image plane {system.image_z_mm - system.geometry.vertex_z[-1]:.6f} mm "
-            "behind the last vertex, found with every surface on the axis",
-            "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
-        },
-=======
         provenance=provenance,
         **rays,
->>>>>>> d1a81b2 (Banks over both directions of the field go through the chain)
         **stacked,
     )
 
