@@ -9,8 +9,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import FLAT, RED, StubCamera, bank, monochrome, plane_bank, scene, sensor, shapes
-from scipy.special import ndtr
+from optics.made import (
+    FLAT,
+    MOVED,
+    RED,
+    StubCamera,
+    bank,
+    dots_image,
+    monochrome,
+    plane_bank,
+    scene,
+    sensor,
+    shapes,
+)
 
 from gpusim.chain import Capture, Renderer
 from gpusim.errors import UserError
@@ -29,13 +40,6 @@ EXPOSURE_S = 0.01
 PITCH = 1.55
 COARSE = Accuracy(tolerance=1e-2, probes=0)
 CERTIFIED = Accuracy(tolerance=1e-2, probes=8)
-# What moved elements do: coma on the axis, keystone, an image off the centre, lateral colour there.
-MOVED = {
-    "axial_coma_um": (1.6, -0.7),
-    "keystone": (0.06, 0.025),
-    "boresight_um": (6.0, -3.0),
-    "prism_um": (0.7, 0.4),
-}
 LENS = plane_bank(coma_um=0.6, falloff=0.1, **MOVED)
 
 
@@ -45,41 +49,6 @@ def shot(lens, camera, subject, accuracy=COARSE, **more) -> Capture:
         return renderer.capture(EXPOSURE_S, keep=("rate",), **more)
     finally:
         renderer.release()
-
-
-def dots_image(places, radius, shape, weights, flip=(1, 1), lateral=(-0.004, 0.0, 0.003)):
-    """Return what LENS makes of dots: sums over their points of Gaussians through apertures.
-
-    `flip` has the signs with which x and y of all that moved elements do are taken.
-    """
-    half_um, circle = shape[0] * PITCH / 2, 165.0
-    steps = (np.arange(30) + 0.5) / 30
-    r, phi = np.meshgrid(radius * half_um * np.sqrt(steps), 2 * np.pi * steps)  # equal areas
-    around = np.stack([r * np.cos(phi), r * np.sin(phi)], axis=-1).reshape(-1, 2)
-    coma, keystone, shift, prism = (np.array(one) * flip for one in MOVED.values())
-    image = np.zeros(shape)
-    for place in np.array(places):
-        ideal = place * half_um + around
-        share2 = np.sum(ideal**2, axis=1, keepdims=True) / circle**2
-        grown = 1 - 0.02 * share2 + (ideal @ keystone)[:, None] / circle
-        off = ideal * grown
-        # Radiance is preserved: light goes with the area in the image, det(g I + u v^T).
-        slope = np.sum(ideal * (-0.04 * ideal / circle**2 + keystone / circle), axis=1)
-        area = grown[:, 0] * (grown[:, 0] + slope)
-        flare = 0.6 * ideal / circle + coma
-        lines = zip(weights, (0.95, 1.0, 1.15), lateral, (-0.5, 0.0, 0.5), strict=True)
-        for weight, sigma, colour, step in lines:
-            real = off * (1 + colour) + shift + step * prism
-            for part, width, at in ((0.75, sigma, real), (0.25, 1.2 * sigma, real + flare)):
-                x, y = (
-                    np.diff(
-                        ndtr((PITCH * (np.arange(n + 1) - n / 2) - one[:, None]) / width), axis=1
-                    )
-                    for n, one in zip(shape[::-1], at.T, strict=True)
-                )
-                light = area * (1 - 0.1 * share2[:, 0] * (1 + 0.1 * (step + 0.5)))
-                image += weight * part * np.einsum("p,py,px->yx", light, y, x) / len(real)
-    return image
 
 
 @pytest.mark.parametrize("line", [0, 2])

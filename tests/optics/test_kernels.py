@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import bank, gaussian
+from optics.made import bank, gaussian, plane_bank
 from scipy.special import ndtr
 
 from gpusim.optics.kernels import (
@@ -63,6 +63,29 @@ def test_images_hold_the_energy_of_their_weights():
     expected = np.einsum("jcl,fl->fjc", WEIGHTS, LENS.relative_illumination)
     assert_close(images.sum(axis=(3, 4)), expected, rtol=1e-6)  # PSFs sum to 1 in f32
     assert_close(places.radius_um, LENS.real_height_um[:, 1].copy(), atol=0)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
+    """Their centres of gravity: a quarter of the light is displaced by coma, all by colour."""
+    coma, prism = (1.6, -0.7), (2.0, 1.0)
+    lens = plane_bank(17, coma_um=2.0, distortion=0.0, axial_coma_um=coma, prism_um=prism)
+    weights = np.zeros((1, 1, 3))
+    weights[..., place] = 1.0
+    images, places = field_images(lens, weights, 1e9)
+    kernels = field_kernels(images, places, 0.5, 0.5, np.ones(images.shape[-2:]))
+    steps, colours = (-0.5, 0.0, 0.5), (-0.004, 0.0, 0.003)
+    for x_um, y_um in ((0.0, 0.0), (70.0, 20.0), (-30.0, 61.0), (-80.0, -44.0)):
+        at = np.array([x_um, y_um])
+        kernel = sampled_kernels(kernels, x_um, y_um, 0.5, 40, 1)[0, 0]
+        expected = 0.25 * (2.0 * at / 165.0 + coma)
+        expected = expected + at * colours[place] + steps[place] * np.array(prism)
+        # Bilinear in angle, of what is linear in its tangent: (h / 2)^2 tan'' / 2 with h = 0.02 rad
+        # is 1e-5 of a focal length of 1000 um, of which colour and coma take a hundredth. The ends
+        # of splines and windows (16 um): 1e-3 um.
+        assert_close(0.5 * centroid(kernel), expected, atol=3e-3)
+        light = 1 - 0.3 * (at @ at) / 165.0**2 * (1, 1.05, 1.1)[place]
+        assert kernel.sum() == pytest.approx(light, abs=2e-3)
 
 
 def test_images_stop_at_the_first_field_beyond_the_reach():
