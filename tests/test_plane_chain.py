@@ -82,7 +82,8 @@ def test_a_symmetric_lens_renders_the_same_in_both_kinds_of_bank():
     turned = shot(bank(fields=24, **settings), camera, subject, accuracy).rate.astype(float)
     grid = shot(plane_bank(17, **settings), camera, subject, accuracy).rate.astype(float)
     # Two renders of that tolerance; light falls with the square of the height: between fields h
-    # apart linear interpolation errs by 0.1 h^2 / 8 / 165^2 = 5e-6 (h = 20 um).
+    # apart bilinear interpolation errs by 2 x 0.1 (h / 2)^2 / 165^2 = 8e-4 (h = 20.6 um), less on
+    # the mean.
     relative = found_over(grid, turned)
     assert np.sqrt(np.mean(relative**2)) < 2**0.5 * 2e-3
     assert np.abs(relative).max() < 10 * 2**0.5 * 2e-3
@@ -97,9 +98,10 @@ def found_over(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def test_the_certificate_is_met_and_tiles_change_not_one_bit():
-    whole = shot(LENS, sensor(), scene(shapes()), CERTIFIED, seed=5)
+    camera = sensor(64, 96)
+    whole = shot(LENS, camera, scene(shapes()), CERTIFIED, seed=5)
     assert whole.certificate.met and 1e-6 < whole.certificate.rms_relative < 1e-2
-    tiled = shot(LENS, sensor(), scene(shapes()), COARSE, seed=5, tile_px=52)
+    tiled = shot(LENS, camera, scene(shapes()), COARSE, seed=5, tile_px=34)
     assert_close(tiled.rate, whole.rate, atol=0)
     assert_close(tiled.raw, whole.raw, atol=0)
 
@@ -131,7 +133,7 @@ def test_a_photograph_meets_the_certificate():
     rng = np.random.default_rng(6)
     planes = rng.uniform(0.2, 1, (2, 24, 32)).astype(np.float32)
     photograph = Scene("photograph", np.stack([FLAT, RED]), Raster(planes), "D65", FLAT)
-    found = shot(LENS, sensor(), photograph, Accuracy(tolerance=1e-2, probes=6))
+    found = shot(LENS, sensor(48, 64), photograph, Accuracy(tolerance=1e-2, probes=4))
     assert found.certificate.met and 1e-6 < found.certificate.rms_relative
 
 
