@@ -46,25 +46,87 @@ def test_a_finer_raster_is_reduced_to_the_grid_or_just_above(rows, cols, min_pit
     assert "low-passed" in placed.note
 
 
-def test_reduction_is_the_integral_with_a_triangle_two_samples_wide():
-    source = raster(30, 40)
-    placed = source.placed(400.0, 300.0, 47.0)
-    old, new = 20.0, placed.pitch_um
-    # The midpoint rule on n = 4000 points over the triangle: cells cut through at most 2 n / 94
-    # steps, each misplaced by half a step, of samples below 1.5 and weights below 2 / n.
-    n = 4000
-    t = (np.arange(n) + 0.5) / n * 2 - 1
-    weight = (1 - np.abs(t)) * 2 / n
-    for row, col in [(0, 0), (5, 3), (12, 16), (6, 9)]:
-        x = placed.x0_um + (col + 0.5) * new + t * new
-        y = placed.y0_um + (row + 0.5) * new + t * new
-        columns = np.clip(np.floor((x + 400) / old).astype(int), 0, 39)
-        rows = np.clip(np.floor((y + 300) / old).astype(int), 0, 29)
-        expected = np.einsum(
-            "i,j,mij->m", weight, weight, source.planes[:, rows][:, :, columns], optimize=True
-        )
-        allowed = 2 * 6 * 1.5 * 2 / n  # 6 cell borders in each direction
-        assert_close(placed.planes[:, row, col], expected, atol=allowed)
+def waves(cols: int, pitch_um: float, cycles_um: float, down: bool = False) -> Raster:
+    """Return samples of 1 + cos / 2 at the middles of their cells, about the middle."""
+    at = (np.arange(cols) + 0.5 - cols / 2) * pitch_um
+    wave = 1 + 0.5 * np.cos(2 * np.pi * cycles_um * at + 0.3)
+    plane = np.broadcast_to(wave, (96, cols))
+    return Raster((plane.T if down else plane)[None].astype(np.float32))
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.25, 0.5, 0.8, 1.0])
+def test_new_samples_are_integrals_with_a_cubic_spline(frequency):
+    # In cycles per new sample: its transform is sinc^4. 8 old samples to a new one.
+    placed = waves(1600, 1.0, frequency / 8).placed(800.0, 1.0, 8.0)
+    assert placed.pitch_um == 8
+    n = np.arange(200)[20:-20] - 99.5
+    expected = 1 + 0.5 * np.sinc(frequency) ** 4 * np.cos(2 * np.pi * frequency * n + 0.3)
+    # The cells' images lie at 8 k +- f: sinc^4 of 7 or more, 4e-6.
+    assert_close(placed.planes[0, 1, 20:-20], expected, atol=1e-5)
+
+
+# The grid has two samples in a pixel: half its Nyquist frequency is that of the pixels.
+@pytest.mark.parametrize("down", [False, True], ids=["across", "down"])
+@pytest.mark.parametrize("step", [1.02, 1.3, 2.0, 3.7, 8.0])
+def test_reduction_loses_no_contrast_that_pixels_see(step, down):
+    width, grid = 160.0, 0.5
+    cols = round(width / grid * step)
+    for part in (0.2, 0.5, 0.8, 0.95):
+        cycles_um = part * 0.5
+        source = waves(cols, width / cols, cycles_um, down)
+        half = (0.5, width / 2) if down else (width / 2, 0.5)
+        placed = source.placed(*half, grid)
+        assert placed.pitch_um == pytest.approx(grid, rel=0.04)
+        assert placed.integrals
+        contrast = []
+        for shift in (0.0, 0.125, 0.25, 0.375):
+            at = (np.arange(200) - 100) * grid + shift
+            along = (at - (placed.y0_um if down else placed.x0_um)) / placed.pitch_um - 0.5
+            across = np.full(at.shape, placed.planes.shape[2 if down else 1] // 2, float)
+            found = spline(placed, *((across, along) if down else (along, across)))[0]
+            turn = 2 * np.pi * cycles_um * at
+            design = np.column_stack([np.cos(turn), np.sin(turn), np.ones(len(at))])
+            fit = np.linalg.lstsq(design, found, rcond=None)[0]
+            contrast.append(2 * (fit[0] - 1j * fit[1]) * np.exp(-0.3j))
+        assert abs(np.mean(contrast) - 1) < 2e-3
+        # An image of the wave lies 1 / pitch away. On the grid it meets the wave, with a phase that
+        # goes round with where the samples lie: B(1 - f) B(f) over the sum of squares, B = sinc^4.
+        assert np.abs(np.array(contrast) - 1).max() < 0.012
+    # Samples taken for values of the spline lose a tenth and more.
+    plain = PlacedRaster(
+        placed.planes, placed.pitch_um, placed.x0_um, placed.y0_um, "", integrals=False
+    )
+    wrong = spline(plain, *((across, along) if down else (along, across)))[0]
+    assert np.ptp(wrong) < 0.7 * np.ptp(found)
+
+
+@pytest.mark.parametrize("frequency", [0.75, 0.8, 1.0, 1.3, 2.2])
+def test_what_is_finer_than_the_grid_does_not_come_back(frequency):
+    # In cycles per new sample; below 0.75 it comes back above what pixels see.
+    placed = waves(3200, 1.0, frequency / 8).placed(1600.0, 1.0, 8.0)
+    n = np.arange(400.0)[40:-40]
+    found = spline(placed, n, np.ones_like(n))[0]
+    # B(f) B(f - k) over the sum of squares, B = sinc^4, and the other images.
+    assert np.abs(found - 1).max() < 0.5 * 0.02
+
+
+def test_a_highlight_in_a_finer_raster_stays_one():
+    planes = np.ones((1, 200, 200), np.float32)
+    planes[0, 101, 99] = 1e6
+    placed = Raster(planes).placed(50.0, 50.0, 1.7)
+    coefficients = placed.spline_coefficients()
+    assert coefficients.min() >= 0
+    rows, cols = placed.planes.shape[1:]
+    y, x = np.mgrid[2 : rows - 3 : 0.5, 2 : cols - 3 : 0.5]
+    light = spline(placed, x, y)[0]
+    assert light.min() >= 0
+    middle = np.array([100.0, 100.0]) * 0.5 / placed.pitch_um
+    away = np.maximum(np.abs(x - middle[0]), np.abs(y - middle[1]))
+    assert np.abs(light[away >= 8] - 1).max() < 0.5
+    scale = (placed.pitch_um / 0.5) ** 2
+    # Rows that hang over repeat the border.
+    total = rows * cols + (1e6 - 1) / scale
+    assert coefficients.sum(dtype=np.float64) == pytest.approx(total, rel=1e-5)
 
 
 def test_reduction_leaves_uniform_light_uniform():
@@ -82,22 +144,6 @@ def test_reduction_keeps_the_light_of_a_small_source():
     assert after.planes.sum() * after.pitch_um**2 == pytest.approx(
         1000 * before.pitch_um**2, rel=1e-6
     )  # float32 sums of some ten samples
-
-
-@pytest.mark.parametrize("frequency", [0.25, 0.5, 0.8, 1.0])
-def test_reduction_passes_a_wave_as_sinc_squared(frequency):
-    # In cycles per new sample; what is above 0.5 would alias. The triangle's sinc^2 comes on top of
-    # the sinc of the old samples' cells.
-    cols, step = 4096, 8
-    phase = 2 * np.pi * frequency * (np.arange(cols) + 0.5) / step + 0.3
-    source = Raster(np.broadcast_to(1 + np.cos(phase), (1, 64, cols)).astype(np.float32))
-    placed = source.placed(cols / 2, 1.0, step)
-    n = np.arange(512)[8:-8]
-    amplitude = np.sinc(frequency) ** 2 * np.sinc(frequency / step)
-    expected = 1 + amplitude * np.cos(2 * np.pi * frequency * (n + 0.5) + 0.3)
-    # The cells' images lie at 8 k +- f: sinc^2 times sinc of that is at most 3e-4 + 1.5e-4 for
-    # k = 1, 3e-5 + 2e-5 for k = 2, and falls as k^-3.
-    assert_close(placed.planes[0, 4, 8:-8], expected, atol=6e-4)
 
 
 def calm(rows: int, cols: int) -> PlacedRaster:
@@ -172,12 +218,13 @@ def test_small_rasters_have_a_spline(shape):
     assert coefficients.min() >= 0
 
 
-def test_bands_do_not_show():
+@pytest.mark.parametrize("integrals", [False, True])
+def test_bands_do_not_show(integrals: bool):
     """Rows are fitted in bands: they are those of one band, to the rounding of f32."""
     rng = np.random.default_rng(4)
     rows = 2 * BAND_ROWS + 3
     planes = (rng.uniform(0, 1, (2, rows, 9)) ** 8).astype(np.float32)  # it would ring below zero
-    found = Raster(planes).placed(4.5, rows / 2, 1.0).spline_coefficients()
-    expected = np.stack([_fitted(plane.astype(float)) for plane in planes])
+    found = PlacedRaster(planes, 1.0, 0, 0, "", integrals).spline_coefficients()
+    expected = np.stack([_fitted(plane.astype(float), integrals) for plane in planes])
     assert found.min() >= 0
     assert_close(found, expected, rtol=2**-23, atol=1e-18)
