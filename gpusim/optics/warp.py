@@ -15,6 +15,66 @@ from gpusim.scene.raster import PlacedRaster
 # Raster samples around what a block's outline sees: the spline's reach (2), rounding to f32, and
 # what the map bulges between the points of the outline.
 MARGIN = 4
+# Raster samples per sim sample from which detail comes back where pixels see it: a raster's highest
+# frequency is then 3/4 of a cycle per sim sample, that of the pixels 1/4 with two samples a pixel.
+SQUEEZED = 1.5
+# Reach of the low-pass, sim samples, and what its passband counts more than its stopband: within
+# 2e-3 of 1 up to 1/4 of a cycle per sim sample, below 0.065 from 3/4.
+REACH, PASSBAND = 2.5, 5000
+MISS = 1e-4  # of a sample: what an identity may be off
+TRIED = 17  # points along each side at which a map is tried
+
+
+def _lattice(corner: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return points (P, 2) all over a rectangle."""
+    sides = (c + np.linspace(0, s, TRIED) for c, s in zip(corner, size, strict=True))
+    return np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+
+
+def is_identity(raster: PlacedRaster, scale: Scale, chief_ray: ChiefRayMap) -> bool:
+    """Whether every sample of the sim grid falls on one of the raster, to MISS of a sample."""
+    centre = np.array(scale.grid.centre, float)
+    real_um = scale.pitch_um * _lattice(-centre, 2 * centre)
+    real_um = real_um[_seen(chief_ray, real_um)]
+    moved_um = np.abs(chief_ray.ideal_um(real_um) - real_um).max(initial=0)
+    middle = -np.array([raster.x0_um, raster.y0_um]) / raster.pitch_um - centre
+    across = max(raster.planes.shape)
+    return bool(
+        moved_um <= MISS * scale.pitch_um
+        and abs(scale.pitch_um / raster.pitch_um - 1) * across <= MISS
+        and np.abs(middle - np.round(middle)).max() <= MISS
+    )
+
+
+def _seen(chief_ray: ChiefRayMap, real_um: np.ndarray) -> np.ndarray:
+    """Return which points lie in the image circle."""
+    return np.linalg.norm(real_um - np.array(chief_ray.centre_um), axis=-1) < chief_ray.radius_um
+
+
+def stretch(chief_ray: ChiefRayMap, real_um: np.ndarray, step_um: float) -> np.ndarray:
+    """Return how far points (P, 2) move on the ideal plane per step in x and in y; (P, 2).
+
+    0 where a step of `step_um` to either side leaves the image circle.
+    """
+    found = np.zeros(real_um.shape)
+    for axis in (0, 1):
+        ends = [real_um + side * step_um * np.eye(2)[axis] for side in (-1, 1)]
+        low, high = (chief_ray.ideal_um(end) for end in ends)
+        inside = _seen(chief_ray, ends[0]) & _seen(chief_ray, ends[1])
+        found[:, axis] = inside * np.linalg.norm(high - low, axis=-1) / (2 * step_um)
+    return found
+
+
+def low_pass(points: int) -> np.ndarray:
+    """Return the weights of points 1/`points` of a sim sample apart; one alone where it is 1."""
+    from scipy.signal import firls
+
+    if points == 1:
+        return np.ones(1)
+    taps = 2 * int(REACH * points) + 1
+    bands = (0, 0.25, 0.75, points / 2)
+    weights = firls(taps, bands, (1, 1, 0, 0), weight=(PASSBAND, 1), fs=points)
+    return weights / weights.sum()
 
 
 class Warp:
@@ -41,7 +101,10 @@ class Warp:
     ) -> None:
         self.grid, self.pitch_um, self.chief_ray = scale.grid, scale.pitch_um, chief_ray
         self.device = device
+        self.identity = is_identity(raster, scale, chief_ray)
         of_spectra = raster.spline_coefficients()
+        if self.identity:
+            of_spectra = raster.values(of_spectra)
         shape = (coefficients.shape[1], *of_spectra.shape[1:])
         self.splines = np.empty(shape, np.float32)
         for row in range(shape[1]):  # in float64 all together are twice as large as the rest
@@ -54,20 +117,49 @@ class Warp:
         self.scale = scale.pitch_um / raster.pitch_um
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)
         self.terms = device.resident("warp terms", chief_ray.terms(scale.pitch_um))
-        self.kernel = Kernel(
-            "optics/warp", BX=self.grid.block[0], BY=self.grid.block[1], DEGREE=chief_ray.degree
-        )
+        self.kernels = {
+            squeezed: Kernel(
+                "optics/warp",
+                BX=self.grid.block[0],
+                BY=self.grid.block[1],
+                DEGREE=chief_ray.degree,
+                SPLINE=not self.identity,
+                SQUEEZED=squeezed,
+            )
+            for squeezed in (False, True)
+        }
+        self.points = {block: self._points(block) for block in self.needed}
+        self.weights = {
+            points: device.resident(f"warp {points}", low_pass(points).astype(np.float32))
+            for points in set(self.points.values())
+        }
         self.planes: list[Resident] = []
         self.loaded = (range(0), range(0))
+
+    def _points(self, block: tuple[int, int]) -> int:
+        """Return how many points a sim sample of a block needs, each way.
+
+        Where the raster has s samples in a sim sample, its finest detail of s / 2 cycles comes back
+        as p - s / 2 from p points: beyond what the low-pass lets through, 3/4.
+        """
+        if self.scale * self.chief_ray.stretch <= SQUEEZED:
+            return 1
+        corner = np.array(self.grid.block_origin(block)) - np.array(self.grid.centre)
+        real_um = self.pitch_um * _lattice(corner, np.array(self.grid.block))
+        squeezed = self.scale * float(stretch(self.chief_ray, real_um, self.pitch_um / 2).max())
+        return 1 if squeezed <= SQUEEZED else int(np.ceil(0.75 + squeezed / 2))
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:
         """Do nothing: a raster has no lists by block."""
 
     def seen(self, blocks: Sequence[tuple[int, int]]) -> tuple[range, range]:
         """Return the columns and rows of the raster that blocks see."""
+        # Around a block that is squeezed, the low-pass reaches.
+        around = REACH if any(self.points[block] > 1 for block in blocks) else 0.0
         corners = [np.array(self.grid.block_origin(block)) - self.grid.centre for block in blocks]
+        size = np.array(self.grid.block) + 2 * around
         outlines = [
-            outline(self.chief_ray, corner, self.grid.block, self.pitch_um) for corner in corners
+            outline(self.chief_ray, corner - around, size, self.pitch_um) for corner in corners
         ]
         at = np.array(self.centre) + self.scale * np.concatenate(outlines)
         low, high = (np.clip(end, 0, np.array(self.size) - 1) for end in (at.min(0), at.max(0)))
@@ -95,7 +187,8 @@ class Warp:
     def release(self) -> None:
         """Give the device's memory back."""
         self._drop()
-        self.terms.destroy()
+        for resident in (self.terms, *self.weights.values()):
+            resident.destroy()
 
     def _drop(self) -> None:
         for resident in self.planes:
@@ -107,8 +200,10 @@ class Warp:
         grid = self.grid
         cols, rows = self.loaded
         corner = np.array(grid.block_origin(block)) + 0.5
+        points = self.points[block]
+        weights = self.weights[points]
         for number, coefficients in enumerate(self.planes):
-            self.kernel.record(
+            self.kernels[points > 1].record(
                 rec,
                 groups=(-(-grid.block[0] // 16), -(-grid.block[1] // 16), 1),
                 params={
@@ -120,8 +215,11 @@ class Warp:
                     "cols": len(cols),
                     "scale": self.scale,
                     "plane": number,
+                    "reach": weights.shape[0] // 2,
+                    "step": 1 / points,
                 },
                 coefficients=coefficients,
                 terms=self.terms,
+                weights=weights,
                 planes=planes,
             )

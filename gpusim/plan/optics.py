@@ -18,6 +18,7 @@ from gpusim.optics.kernels import (
     field_kernels,
 )
 from gpusim.optics.paint import SIGMA, primitives_by_block
+from gpusim.optics.warp import is_identity
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.layout import cheapest_grid
 from gpusim.plan.predict import alias_error, cells_within, cut_error
@@ -144,7 +145,14 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
         )
         scales.append(Scale("tail", coarse, coarse_pitch_um, sigma, tail))
     predicted = {"planes": basis.residual, "alias": alias, "nodes": nodes, "cut": lost}
-    return Plan(basis, tuple(scales), describe(scales, basis, sensor, scene, predicted))
+    # A raster of another pitch is never identical, and placing a finer one takes a while.
+    identity = (
+        not is_chart
+        and bool(np.isclose(scene.source.pitch_um(*half_um), pitch_um, rtol=1e-9))
+        and is_identity(scene.source.placed(*half_um, pitch_um), scales[0], chief_ray_map(bank))
+    )
+    described = describe(scales, basis, sensor, scene, predicted, identity)
+    return Plan(basis, tuple(scales), described)
 
 
 def _commonest_first(scene: Scene) -> np.ndarray:

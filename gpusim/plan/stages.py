@@ -67,9 +67,14 @@ class Plan:
 
 
 def describe(
-    scales: list[Scale], basis: Basis, sensor: Sensor, scene: Scene, predicted: dict[str, float]
+    scales: list[Scale],
+    basis: Basis,
+    sensor: Sensor,
+    scene: Scene,
+    predicted: dict[str, float],
+    identity: bool,
 ) -> tuple[PlanStage, ...]:
-    """Describe the chain, stage by stage."""
+    """Describe the chain, stage by stage; ``identity``: of the warp onto the first grid."""
     planes = basis.coefficients.shape[1]
     is_chart = isinstance(scene.source, Chart)
     pixels = sensor.rows * sensor.cols
@@ -101,12 +106,14 @@ def describe(
         ),
         PlanStage(
             "warp",
-            not is_chart,
+            not is_chart and not identity,
             "the scene is a chart: painted where it lands"
             if is_chart
+            else f"identity: no distortion, and the grid is the raster's own; {source}"
+            if identity
             else f"cubic spline; {source}",
-            None if is_chart else predicted["planes"],
-            None if is_chart else cost("warp", areas * planes),
+            None if is_chart or identity else predicted["planes"],
+            None if is_chart or identity else cost("warp", areas * planes),
         ),
         PlanStage(
             "rows",

@@ -17,6 +17,8 @@ def warp(
     distortion: np.ndarray,
     radius: float,
     circle: tuple[float, float] = (0.0, 0.0),
+    weights: np.ndarray | None = None,
+    step: float = 1.0,
 ) -> np.ndarray:
     """Sample the cubic spline through a raster on the real image plane.
 
@@ -35,11 +37,32 @@ def warp(
     distortion, radius, circle
         As of `gpusim.reference.chief_ray`, in sim samples; beyond the image circle the result is
         black.
+    weights, step : ndarray (2 K + 1,), float
+        Each sample is the weighted sum of points `step` apart, in x and in y; one point where left
+        out.
 
     Returns
     -------
     ndarray (rows, cols), float64
     """
+    if weights is not None:
+        reach = len(weights) // 2
+        return sum(
+            weights[j + reach]
+            * weights[i + reach]
+            * warp(
+                raster,
+                (origin_xy[0] + i * step, origin_xy[1] + j * step),
+                shape,
+                centre_xy,
+                scale,
+                distortion,
+                radius,
+                circle,
+            )
+            for j in range(-reach, reach + 1)
+            for i in range(-reach, reach + 1)
+        )
     x = np.stack(
         np.meshgrid(origin_xy[0] + np.arange(shape[1]), origin_xy[1] + np.arange(shape[0])), axis=-1
     )

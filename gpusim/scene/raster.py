@@ -89,6 +89,23 @@ class PlacedRaster:
             list(pool.map(band, *zip(*bands, strict=True)))
         return result
 
+    def values(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return the spline's values at its samples, float32; its planes where they are its values.
+
+        Parameters
+        ----------
+        coefficients : ndarray (M, rows, cols)
+            As `spline_coefficients` returned them.
+        """
+        from scipy.ndimage import correlate1d
+
+        found = coefficients.astype(np.float64)
+        for axis in (1, 2):
+            found = correlate1d(found, VALUES, axis=axis, mode="mirror")
+        # They differ by the coefficients' rounding, unless a highlight kept the spline from them.
+        same = np.isclose(found, self.planes, rtol=1e-5, atol=0)
+        return np.where(same, self.planes, found).astype(np.float32)
+
 
 def _fitted(samples: np.ndarray, integrals: bool) -> np.ndarray:
     """Return the non-negative spline coefficients of one plane, in float64."""
@@ -115,6 +132,11 @@ class Raster:
 
     planes: np.ndarray
 
+    def pitch_um(self, half_width_um: float, half_height_um: float) -> float:
+        """Return the distance between samples where the raster covers the sensor."""
+        _, rows, cols = self.planes.shape
+        return 2 * max(half_width_um / cols, half_height_um / rows)
+
     def placed(
         self, half_width_um: float, half_height_um: float, min_pitch_um: float
     ) -> PlacedRaster:
@@ -131,7 +153,7 @@ class Raster:
             sensor's width.
         """
         _, rows, cols = self.planes.shape
-        pitch = 2 * max(half_width_um / cols, half_height_um / rows)
+        pitch = self.pitch_um(half_width_um, half_height_um)
         width, height = cols * pitch, rows * pitch
         planes = self.planes
         note = f"{cols} x {rows} samples at {pitch:.4g} um"

@@ -6,6 +6,8 @@ spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| 
 1.5). Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
@@ -14,11 +16,12 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.lens.places import Heights
-from gpusim.optics.chief_ray import FIT_ERROR_UM, chief_ray_map
+from gpusim.optics.chief_ray import FIT_ERROR_UM, RadialMap, chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
-from gpusim.optics.warp import Warp
+from gpusim.optics.warp import Warp, is_identity, low_pass, stretch
+from gpusim.reference.chief_ray import chief_ray
 from gpusim.reference.warp import warp
 from gpusim.scene.raster import Raster
 
@@ -28,13 +31,17 @@ IDENTITY = np.eye(8)[0]
 BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
 
 
+ONE_POINT = np.ones(1)
+
+
 def raster(rows: int, cols: int) -> np.ndarray:
     return np.random.default_rng(rows * 100 + cols).uniform(0, 1, (rows, cols))
 
 
 def on_device(
-    samples, origin, shape, centre, scale, distortion, radius, circle=(0.0, 0.0), plane=0, count=1
-):
+    samples, origin, shape, centre, scale, distortion, radius, circle=(0.0, 0.0), plane=0, count=1,
+    weights=ONE_POINT, step=1.0,
+):  # fmt: skip
     general = distortion.ndim == 3
     params = {
         "g_low": np.full(4, 9.0) if general else distortion[:4],
@@ -48,6 +55,8 @@ def on_device(
         "inverse_radius2": radius**-2,
         "scale": scale,
         "plane": plane,
+        "reach": len(weights) // 2,
+        "step": step,
     }
     result = run_stage(
         "optics/warp",
@@ -56,11 +65,13 @@ def on_device(
         {
             "coefficients": spline_filter(samples, order=3, mode="mirror").astype(F32),
             "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
+            "weights": weights.astype(F32),
         },
         {"planes": ((count, *shape), F32)},
         BX=shape[1],
         BY=shape[0],
         DEGREE=len(distortion) - 1 if general else 0,
+        SQUEEZED=len(weights) > 1,
     )
     return result["planes"]
 
@@ -216,10 +227,222 @@ def test_a_block_sees_the_same_whatever_else_is_loaded(device: Device):
     stage.release()
 
 
+def test_a_sum_over_points_is_that_of_the_reference():
+    samples = raster(23, 31)
+    place = ((-20.5, -13.5), (21, 25), (14.3, 10.6), 0.37, BENT, 40.0)
+    weights = np.array([-0.25, 0.5, 0.75, 0.375, -0.375])  # lopsided: none is taken for another
+    found = on_device(samples, *place, weights=weights, step=0.625)[0]
+    expected = warp(samples, *place, weights=weights, step=0.625)
+    # One more step of 4 roundings each way, and 25 weighted sums.
+    allowed = bound(samples, *place[:5]) * np.abs(weights).sum() ** 2
+    assert_close(found, expected, atol=1.3 * allowed + 25 * ULP * np.abs(expected).max())
+    turned = on_device(samples, *place, weights=weights[::-1].copy(), step=0.625)[0]
+    assert np.abs(turned - expected).max() > 0.05
+
+
+# An equidistant fisheye of 57 deg, R = f = 400 sim samples: real r = f theta against f tan(theta),
+# 36 % of barrel. At its edge a step in r is 1 / cos^2 = 3.4 ideal steps, one along the rim 1.56.
+THETA = np.linspace(0, 1, 401)[1:]
+BARREL = np.polynomial.Polynomial.fit(THETA**2, np.tan(THETA) / THETA, 7, domain=[0, 1]).convert()
+BARREL_MAP = RadialMap(BARREL.coef, 400.0)
+
+
+def squeezed_wave(cycles: float, weights: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a wave of the ideal plane as warped near the right edge, and as it is there."""
+    x = np.arange(356.0, 390.0)
+    k = np.arange(1261) - 630
+    wave = 1 + 0.5 * np.cos(2 * np.pi * cycles * k + 0.4)
+    samples = np.broadcast_to(wave, (9, 1261)).copy()
+    place = ((x[0], -1.0), (3, len(x)), (630.0, 4.0), 1.0, BARREL_MAP.coefficients, 400.0)
+    found = on_device(samples, *place, weights=weights, step=1 / points)[0, 1]
+    u = 400 * np.tan(x / 400)
+    return found - 1, 0.5 * np.cos(2 * np.pi * cycles * u + 0.4)
+
+
+@pytest.mark.parametrize("real_cycles", [0.05, 0.15, 0.22])
+def test_where_the_raster_is_squeezed_what_pixels_see_keeps_its_contrast(real_cycles: float):
+    # Near x = 373 a step is sec(373 / 400)^2 = 2.8 of the raster's; over the block 2.5 to 3.2, and
+    # the frequency varies with it: up to 0.25 at the far end.
+    found, exact = squeezed_wave(real_cycles / 2.8, low_pass(3), 3)
+    # 1.7e-3 of the passband, 1e-4 of the spline, and what the frequency changes over 5 samples.
+    assert np.abs(found - exact).max() < 0.5 * 4e-3
+    # With no low-pass it is as good: contrast is not what it is for.
+    assert np.abs(squeezed_wave(real_cycles / 2.8, np.ones(1), 1)[0] - exact).max() < 0.5 * 2e-3
+
+
+@pytest.mark.parametrize("cycles", [0.33, 0.36, 0.4, 0.45])
+def test_where_the_raster_is_squeezed_finer_detail_does_not_come_back(cycles: float):
+    # 0.92 to 1.26 cycles per sim sample in the middle, 0.82 at least.
+    found, _ = squeezed_wave(cycles, low_pass(3), 3)
+    assert np.abs(found).max() < 0.5 * 0.06
+    aliased, _ = squeezed_wave(cycles, np.ones(1), 1)
+    assert np.abs(aliased).max() > 0.5 * 0.6
+
+
+@pytest.mark.parametrize("points", [2, 3, 4, 6])
+def test_the_low_pass_passes_and_stops_what_it_must(points: int):
+    weights = low_pass(points)
+    at = (np.arange(len(weights)) - len(weights) // 2) / points
+    np.testing.assert_array_equal(weights, weights[::-1])
+    f = np.linspace(0, points / 2, 2001)
+    gain = np.cos(2 * np.pi * np.outer(f, at)) @ weights
+    assert np.abs(gain[f <= 0.25] - 1).max() < 2e-3
+    assert np.abs(gain[f >= 0.75]).max() < 0.065
+    assert gain[0] == pytest.approx(1, abs=1e-12)
+
+
+def test_only_blocks_that_are_squeezed_have_a_low_pass(device: Device):
+    grid = SimGrid(192, 256, 4, 2, 128, 20, (1, 2))
+    placed = Raster(np.ones((1, 384, 512), F32)).placed(256.0, 192.0, 1.0)
+    scale = Scale("test", grid, 1.0, 0.0, NO_KERNELS)
+    straight = Warp(device, placed, np.ones((1, 1)), scale, RadialMap(IDENTITY, 400.0))
+    assert set(straight.points.values()) == {1}
+    barrel = Warp(device, placed, np.ones((1, 1)), scale, BARREL_MAP)
+    across = [barrel.points[x, grid.blocks[1] // 2] for x in range(grid.blocks[0])]
+    assert min(across[0], across[-1]) >= 2
+    assert across[len(across) // 2] == 1
+    assert barrel.points[0, 0] >= across[0]  # the corner is farther out
+    # A raster of half as many samples is not fine enough to need any.
+    coarse = Raster(np.ones((1, 192, 256), F32)).placed(256.0, 192.0, 1.0)
+    relaxed = Warp(device, coarse, np.ones((1, 1)), scale, BARREL_MAP)
+    assert relaxed.points[grid.blocks[0] // 2, grid.blocks[1] // 2] == 1
+    for stage in (straight, barrel, relaxed):
+        stage.release()
+
+
+def test_stretch_is_the_maps_derivative():
+    at = np.array([[3.0, -8.0], [25.0, 20.0], [0.0, 0.0], [40.0, 1.0]])
+    found = stretch(RadialMap(BENT, 40.0), at, 1e-3)
+    jacobian = chief_ray(at, BENT, 40.0)[1]
+    # Columns: how far u moves with x and with y.
+    np.testing.assert_allclose(found[:3], np.linalg.norm(jacobian, axis=-2)[:3], rtol=1e-6)
+    np.testing.assert_array_equal(found[3], 0)  # beyond the circle
+
+
+def test_coordinates_are_good_to_a_thousandth_of_a_pixel():
+    # The far corner of 12 MP with two samples a pixel, 5070 samples off the axis, and a distortion
+    # of 5 %. Coefficients that rise by 1 from sample to sample make u itself, but for the spline's
+    # own rounding; around the block alone, so that what is rounded is small.
+    radius = 5100.0
+    distortion = np.array([1.0, 0.04, 0.01, 0, 0, 0, 0, 0])
+    cols = 9000
+    for origin in ((4040.5, 3024.5), (-4056.5, 3024.5)):
+        shape = (16, 16)
+        x = origin[0] + np.arange(16)[None]
+        y = origin[1] + np.arange(16)[:, None]
+        lit = x**2 + y**2 <= radius**2
+        g = np.polynomial.Polynomial(distortion)((x**2 + y**2) / radius**2)
+        u = cols / 2 - 0.5 + x * g
+        near = round(float(u.mean()))
+        # Along columns of a raster of one row.
+        ramp = (np.arange(cols) - near).clip(-400, 400).astype(float)[None]
+        found = run_stage(
+            "optics/warp",
+            (1, 1, 1),
+            {
+                "g_low": distortion[:4],
+                "g_high": distortion[4:],
+                "circle": (0.0, 0.0),
+                "origin": origin,
+                "centre": (cols / 2 - 0.5, 0.0),
+                "size": (cols, 1),
+                "first": (0, 0),
+                "cols": cols,
+                "inverse_radius2": radius**-2,
+                "scale": 1.0,
+                "plane": 0,
+                "reach": 0,
+                "step": 1.0,
+            },
+            {
+                "coefficients": ramp.astype(F32),
+                "terms": np.full((1, 2), np.nan, F32),
+                "weights": np.ones(1, F32),
+            },
+            {"planes": ((1, *shape), F32)},
+            BX=16,
+            BY=16,
+        )["planes"][0]
+        off_samples = np.abs(found.astype(float) - (u - near))[lit]
+        assert lit.sum() > 100
+        # Two samples are a pixel.
+        assert off_samples.max() / 2 < 1e-3
+        assert off_samples.max() > 0  # it is rounded: the test can tell
+
+
+def test_an_identity_is_exact_and_has_no_spline(device: Device):
+    grid = SimGrid(24, 32, 4, 2, 256, 20, (1, 2))
+    # Calm enough that the spline through the samples is nowhere negative.
+    planes = np.random.default_rng(8).uniform(0.9, 1.1, (1, 48, 64)).astype(F32)
+    placed = Raster(planes).placed(32 * 0.775, 24 * 0.775, 0.775)
+    scale = Scale("test", grid, 0.775, 0.0, NO_KERNELS)
+    straight = RadialMap(IDENTITY, 1000.0)
+    stage = Warp(device, placed, np.ones((1, 1)), scale, straight)
+    assert stage.identity
+    stage.load([(0, 0)])
+    rec = Recording(device)
+    out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
+    rec.clear(out)
+    stage.record(rec, (0, 0), out)
+    label = rec.download(out)
+    found = rec.run()[label][0]
+    stage.release()
+    # The sensor lies `origin` inside the block; around it the raster's border goes on.
+    left, top = (-int(a) for a in grid.block_origin((0, 0)))
+    rows, cols = min(48, found.shape[0] - top), min(64, found.shape[1] - left)
+    np.testing.assert_array_equal(
+        found[top : top + rows, left : left + cols], planes[0, :rows, :cols]
+    )
+    assert rows > 20 and cols > 30
+    # Half a sample off, another pitch, or any distortion to speak of is none.
+    shifted = replace(placed, x0_um=placed.x0_um + 0.39)
+    bent = RadialMap(np.array([1.00001, 0, 0, 0, 0, 0, 0, 0]), 1000.0)
+    assert not is_identity(shifted, scale, straight)
+    assert not is_identity(replace(placed, pitch_um=0.776), scale, straight)
+    assert not is_identity(placed, scale, bent)
+
+
+def test_what_a_squeezed_block_sees_is_all_there(device: Device):
+    """To the bit, whatever else is loaded: the low-pass reaches beyond the block."""
+    planes = np.random.default_rng(9).uniform(0.4, 1, (1, 384, 512)).astype(F32)
+    grid = SimGrid(192, 256, 4, 2, 128, 20, (1, 2))
+    placed = Raster(planes).placed(256.0, 192.0, 1.0)
+    scale = Scale("test", grid, 1.0, 0.0, NO_KERNELS)
+    stage = Warp(device, placed, np.ones((1, 1)), scale, BARREL_MAP)
+    blocks = [(0, grid.blocks[1] // 2), (1, 1), (0, 0)]
+    found = []
+    for loaded in (list(np.ndindex(grid.blocks)), None):
+        for block in blocks:
+            stage.load(loaded or [block])
+            rec = Recording(device)
+            out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
+            stage.record(rec, block, out)
+            label = rec.download(out)
+            found.append(rec.run()[label])
+    stage.release()
+    assert stage.points[blocks[0]] > 1
+    for whole, part in zip(found[:3], found[3:], strict=True):
+        np.testing.assert_array_equal(part, whole)
+
+
+def test_an_identity_keeps_what_the_spline_makes_of_a_highlight():
+    planes = np.ones((1, 21, 21), F32)
+    planes[0, 10, 10] = 1e5
+    placed = Raster(planes).placed(10.5, 10.5, 1.0)
+    coefficients = placed.spline_coefficients()
+    found = placed.values(coefficients)[0]
+    y, x = np.mgrid[:21, :21].astype(float)
+    spline = map_coordinates(
+        coefficients[0].astype(float), [y, x], order=3, prefilter=False, mode="mirror"
+    )
+    assert_close(found, spline, rtol=2e-5)
+    assert abs(found[10, 10] / 1e5 - 1) > 0.1  # not the sample
+
+
 def test_the_defaults_are_of_the_default_grid(device: Device):
     placed = Raster(np.ones((1, 4, 4), F32)).placed(100.0, 100.0, 1.0)
     scale = Scale("test", DEFAULT_GRID, 1.0, 0.0, NO_KERNELS)
     stage = Warp(device, placed, np.ones((1, 1)), scale, chief_ray_map(bank()))
     stage.release()
-    assert Kernel("optics/warp").overrides == stage.kernel.overrides
-    assert stage.kernel.workgroup_size == (16, 16, 1)
+    assert Kernel("optics/warp").overrides == stage.kernels[False].overrides
+    assert stage.kernels[True].workgroup_size == (16, 16, 1)

@@ -24,8 +24,8 @@ HALO = bank(coma_um=0.5, falloff=0.1, halo=0.02)
 COLOURED = scene(shapes())
 
 
-def photograph(count: int = 2) -> Scene:
-    planes = np.ones((count, 12, 16), np.float32)
+def photograph(count: int = 2, size: tuple[int, int] = (12, 16)) -> Scene:
+    planes = np.ones((count, *size), np.float32)
     spectra = np.stack([FLAT, RED, BLUE])[:count]
     return Scene("photograph", spectra, Raster(planes), "D65", FLAT)
 
@@ -65,6 +65,21 @@ def test_a_chart_is_painted_and_a_photograph_warped():
     assert painted["paint"] and not painted["warp"]
     warped = stages(plan_optics(LENS, sensor(), photograph(), Accuracy(1e-2)))
     assert warped["warp"] and not warped["paint"]
+
+
+def test_a_photograph_on_the_grids_own_samples_is_not_warped():
+    # The bank's image heights are ideal; the sensor has 96 x 128 pixels, two samples each.
+    straight = bank(distortion=0.0)
+    plan = plan_optics(straight, sensor(), photograph(size=(192, 256)), Accuracy(1e-2))
+    assert plan.scales[0].grid.oversampling == 2
+    assert not stages(plan)["warp"]
+    assert "identity" in plan.text()
+    warp = next(stage for stage in plan.stages if stage.name == "warp")
+    assert warp.predicted_cost_s is None and warp.predicted_error is None
+    for lens, size in ((LENS, (192, 256)), (straight, (96, 128))):
+        other = plan_optics(lens, sensor(), photograph(size=size), Accuracy(1e-2))
+        assert stages(other)["warp"]
+        assert "identity" not in other.text()
 
 
 def test_a_photograph_is_not_low_passed_again():
