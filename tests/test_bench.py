@@ -148,32 +148,29 @@ def test_a_frame_is_certified_once_and_tells_what_it_took(jobs: ModuleType, own_
 
 
 def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyPatch):
-    """Four sizes of one lens: the first call, to warm up, renders the smallest alone."""
-    seen = []
+    """Four sizes of one lens: the first call, to warm up, renders a corner of each."""
+    seen, tiles = [], []
 
     class Render:
         def __init__(self, device: object, camera: object, scene: object, tolerance: float) -> None:
             self.error = {}
             seen.append((camera, scene.source.planes.shape))
 
-        def __call__(self) -> str:
+        def __call__(self, tile: tuple | None) -> str:
+            tiles.append(tile)
             return "a capture"
 
     monkeypatch.setattr(jobs, "FrameRender", Render)
     monkeypatch.setattr(jobs, "frame_facts", lambda capture: {"of": capture})
     job = jobs.JOBS["scaling"][1](None, (48, 64))
     job.run()
-    assert list(job.facts(None)["sizes"]) == ["0.000192 MP"]
     job.run()
+    assert tiles == [(0, 0, 16, 16)] * 4 + [None] * 4
     facts = job.facts(None)
     assert len(facts["sizes"]) == 4 and facts["largest_over_smallest"] >= 1
     assert all(size["of"] == "a capture" for size in facts["sizes"].values())
-    assert [(c.sensor.rows, c.sensor.cols) for c, _ in seen[1:]] == [
-        (12, 16),
-        (24, 32),
-        (48, 64),
-        (96, 128),
-    ]
-    assert [shape for _, shape in seen[1:]] == [(3, 6, 8), (3, 12, 16), (3, 24, 32), (3, 48, 64)]
+    sides = [(c.sensor.rows, c.sensor.cols) for c, _ in seen[4:]]
+    assert sides == [(14, 18), (28, 36), (48, 64), (96, 128)]
+    assert [shape for _, shape in seen[4:]] == [(3, 7, 9), (3, 14, 18), (3, 24, 32), (3, 48, 64)]
     assert len({camera.lens.max_field_deg for camera, _ in seen}) == 1
-    assert job.pixels == sum(c.sensor.rows * c.sensor.cols for c, _ in seen[1:])
+    assert job.pixels == sum(c.sensor.rows * c.sensor.cols for c, _ in seen[4:])
