@@ -178,9 +178,9 @@ class Warp:
         seen = self.seen(blocks)
         if seen != self.loaded:
             self._drop()
-            (left, *_, right), (top, *_, bottom) = seen
+            cols, rows = (slice(part.start, part.stop) for part in seen)
             for j, spline in enumerate(self.splines):
-                part = np.ascontiguousarray(spline[top : bottom + 1, left : right + 1])
+                part = np.ascontiguousarray(spline[rows, cols])
                 self.planes.append(self.device.resident(f"warp plane {j}", part))
             self.loaded = seen
 

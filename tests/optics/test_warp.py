@@ -196,6 +196,22 @@ def test_the_host_places_the_raster(device: Device):
     assert_close(found, expected, atol=2 * 1.5 * off * np.abs(splines).max())
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 1)])
+def test_a_raster_of_one_row_or_column_is_loaded_whole(device: Device, size: tuple[int, int]):
+    placed = Raster(np.full((1, *size), 0.5, F32)).placed(16 * 1.55, 16 * 1.55, 0.775)
+    grid = SimGrid(32, 32, 4, 2, 256, 40, (1, 1))
+    scale = Scale("test", grid, 0.775, 0.0, NO_KERNELS)
+    stage = Warp(device, placed, np.eye(1), scale, chief_ray_map(bank()))
+    stage.load([(0, 0)])
+    rec = Recording(device)
+    out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
+    stage.record(rec, (0, 0), out)
+    label = rec.download(out)
+    assert_close(rec.run()[label], np.full(out.shape, 0.5), atol=24 * ULP)
+    assert stage.loaded == (range(size[1]), range(size[0]))
+    stage.release()
+
+
 def test_a_block_sees_the_same_whatever_else_is_loaded(device: Device):
     """What is brought for one block holds all that it reads, to the bit, also at borders."""
     lens = bank(distortion=-0.1)
