@@ -471,7 +471,8 @@ def _chief_rays(system: System, reference_nm: float, largest_deg: float) -> dict
                 file=system.prescription.file,
                 field="max_field_deg",
                 value=f"{largest_deg:g}",
-                allowed=f"up to {rings_deg[ring - 1] if ring else 0:.4g} deg",
+                # The turn lies within the two rings before the one that has turned back.
+                allowed=f"up to {rings_deg[ring - 2] if ring > 1 else 0:.4g} deg",
             )
     theta, azimuth = np.transpose(fields)
     return {

@@ -40,8 +40,8 @@ class PlaneMap:
     Raises
     ------
     UserError
-        Where no polynomial up to ``MAX_DEGREE`` follows the rays to ``FIT_ERROR_UM``, or the map
-        folds over.
+        Where there is no circle, no polynomial up to ``MAX_DEGREE`` follows the rays to
+        ``FIT_ERROR_UM``, or the map folds over.
     """
 
     def __init__(
@@ -51,6 +51,12 @@ class PlaneMap:
         centre_um: tuple[float, float],
         radius_um: float,
     ) -> None:
+        if radius_um == 0:
+            raise UserError(
+                "the fields of the bank make no image: they must lie on both sides of the axis",
+                field="field_x_deg, field_y_deg",
+                allowed="from below 0 to above 0",
+            )
         self.centre_um, self.radius_um = centre_um, radius_um
         z = (real_um - centre_um) / radius_um
         for self.degree in range(1, MAX_DEGREE + 1):

@@ -5,14 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray
+from harness import assert_close
 from lens.made import lens, model
 
+from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens import plane_bank
 from gpusim.lens.plane_bank import PlaneBank, compute_plane_bank, default_sides_deg
+from gpusim.lens.plane_map import FIT_ERROR_UM
 from gpusim.lens.psf import intensity
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.optics.kernels import field_images, field_kernels, sampled_kernels
+from gpusim.sensor.sensor import load_sensor
 
 GREEN = np.array([550.0])
 SMALL = {"wavelengths_nm": [500.0, 550.0], "size": 64, "pitch_um": 0.7}
@@ -181,3 +186,137 @@ def test_settings_that_make_no_plane_bank_are_refused(settings, words):
         compute_plane_bank(moved(), **SMALL | SIDES | settings)
     for word in words:
         assert word in caught.value.screen()
+
+
+# What the chain asks of it, against rays
+
+
+def plate_lens(tilt_deg: float):
+    """Return a lens with a plate of glass behind it, tilted about x."""
+    rows = [
+        {"radius": np.inf, "thickness": 1.0},
+        {"radius": 20.0, "thickness": 2.0, **model(1.5)},
+        {"radius": -20.0, "thickness": 3.0},
+        {"radius": np.inf, "thickness": 5.0, **model(1.5)},
+        {"radius": np.inf, "thickness": 12.0},
+    ]
+    one = lens(rows, f_number=8.0, max_field_deg=6.0, focus="as-given")
+    return one.with_element_moved(4, 5, tilt_deg=(tilt_deg, 0.0)) if tilt_deg else one
+
+
+def test_a_tilted_plate_stretches_one_side_of_the_image_as_the_closed_form_says():
+    """A plate shifts a ray by t sin(i - i') / cos(i') across itself (Smith, Modern Optical Eng.).
+
+    The chief rays of the two sides meet it at different angles: the image is stretched on one side
+    and squeezed on the other.
+    """
+    tilt = 25.0
+    settings = {"wavelengths_nm": [550.0], "size": 32, "pitch_um": 0.7}
+    sides = {"field_x_deg": [-4.0, 0.0, 4.0], "field_y_deg": [-4.0, 0.0, 4.0]}
+    still, moved = (compute_plane_bank(plate_lens(t), **settings, **sides) for t in (0.0, tilt))
+    system = build(plate_lens(0.0))
+    n = float(system.index(GREEN)[4, 0])
+
+    def across_um(y_deg: float, angle: float) -> float:
+        """Return by how much the plate moves a chief ray of the y-z plane along y."""
+        none = np.zeros(1)
+        rays = sample_rays(system, system.index(GREEN), np.radians(y_deg), none, none)
+        slope = np.arcsin(float(rays.beta[0, 0]))
+        met = slope + angle  # ax > 0 turns the normal towards -y
+        inner = np.arcsin(np.sin(met) / n)
+        return -5e3 * np.sin(met - inner) / np.cos(inner) / np.cos(slope)
+
+    for row, y_deg in enumerate(sides["field_y_deg"]):
+        expected = across_um(y_deg, np.radians(tilt)) - across_um(y_deg, 0.0)
+        found = moved.chief_y_um[row, 1, 0] - still.chief_y_um[row, 1, 0]
+        assert found == pytest.approx(expected, abs=1e-3)  # the ray is aimed to 1e-9 of the stop
+    below, middle, above = moved.chief_y_um[:, 1, 0]
+    assert abs((above - middle) - (middle - below)) > 1.0
+    # And so does the map; its direction is that of the rays.
+    y = np.array([below, middle, above])
+    _, v, inside = moved.ideal_points(moved.chief_x_um[:, 1, 0], y)
+    f_um = 1e3 * moved.efl_mm
+    assert inside[1]
+    assert v[inside] == pytest.approx(f_um * np.tan(np.radians([-4.0, 0.0, 4.0]))[inside], abs=2e-3)
+
+
+def test_fields_on_one_side_only_make_no_map():
+    bank = compute_plane_bank(moved(), [550.0], [0.0, 3.0], [-3.0, 0.0], size=32, pitch_um=0.7)
+    assert bank.image_circle_um == 0
+    with pytest.raises(UserError, match="on both sides of the axis"):
+        _ = bank.plane_map
+
+
+def test_the_map_meets_chief_rays_that_took_no_part_in_the_fit(bank):
+    system = build(moved())
+    rng = np.random.default_rng(4)
+    none = np.zeros(1)
+    for _ in range(12):
+        theta, azimuth = np.radians(2.9 * np.sqrt(rng.uniform())), rng.uniform(0, 2 * np.pi)
+        rays = sample_rays(system, system.index(GREEN), theta, none, none, azimuth)
+        x, y = 1e3 * rays.chief_x_mm, 1e3 * rays.chief_y_mm
+        u, v, inside = bank.ideal_points(x, y)
+        assert inside.all()
+        height = 1e3 * bank.efl_mm * np.tan(theta)
+        assert u[0] == pytest.approx(height * np.sin(azimuth), abs=1.5 * FIT_ERROR_UM)
+        assert v[0] == pytest.approx(height * np.cos(azimuth), abs=1.5 * FIT_ERROR_UM)
+
+
+def test_a_decentred_lens_flares_where_its_rays_land(bank):
+    """The kernel of the chain on the axis: its centre of gravity is that of the spot diagram."""
+    images, places = field_images(bank, np.array([[[0.0, 1.0]]]), 1e9)
+    kernels = field_kernels(images, places, bank.pitch_um, 0.7, np.ones(images.shape[-2:]))
+    kernel = sampled_kernels(kernels, *bank.centre_um, 0.7, 32, 1)[0, 0]
+    y, x = (np.indices(kernel.shape) - 32) * 0.7
+    found = np.array([(x * kernel).sum(), (y * kernel).sum()]) / kernel.sum()
+    system = build(moved())
+    samples = sample_field(system, system.index(GREEN), 0.0)
+    (pupil,) = pupils(samples, GREEN, 128.0, 256)
+    slope = -np.array(np.gradient(1e3 * pupil.opd_mm, pupil.alpha, pupil.beta))
+    mean = np.average(slope.reshape(2, -1), axis=1, weights=pupil.coverage.ravel())
+    assert np.abs(mean).min() > 0.5
+    # Tails beyond the window's 22 um may be on one side: as above.
+    assert_close(found, mean, atol=11 * bank.outside_energy[1, 1, 1] + 0.02)
+
+
+def test_distortion_that_folds_the_image_is_refused(monkeypatch):
+    real = plane_bank.sample_rays
+
+    def folding(system, index, theta, x, y, azimuth):
+        found = real(system, index, theta, x, y, azimuth)
+        stretch = 1 - 0.5 * (np.degrees(theta) / 2.5) ** 2  # r (1 - r^2 / 2) turns back at 0.82
+        return dataclasses.replace(
+            found, chief_x_mm=found.chief_x_mm * stretch, chief_y_mm=found.chief_y_mm * stretch
+        )
+
+    monkeypatch.setattr(plane_bank, "sample_rays", folding)
+    with pytest.raises(UserError, match="folds the image over") as caught:
+        compute_plane_bank(coma_lens(), **SMALL, **SIDES)
+    assert float(caught.value.allowed.split()[2]) < 2.5 * 0.82
+
+
+def test_a_camera_takes_a_moved_lens_and_keeps_its_bank(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    computed = []
+
+    def small(prescription, *, progress):
+        computed.append(progress)
+        return compute_plane_bank(prescription, **SMALL, **SIDES, progress=progress)
+
+    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    seen = []
+    sensor = load_sensor("imx477").roi(640, 480)
+    camera = Camera("moved", moved(), sensor)
+    first = camera.bank(lambda *step: seen.append(step))
+    again = camera.bank()
+    assert isinstance(first, PlaneBank) and len(computed) == 1 and seen[-1] == (9, 9)
+    np.testing.assert_array_equal(again.psf, first.psf)
+    assert again.provenance == first.provenance
+    other = Camera("moved", moved().defocused(5.0), sensor)
+    other.bank()
+    assert len(computed) == 2
+    # The circle lies off the centre: a sensor that it would hold is missed by it.
+    half_um = first.image_circle_um / 2**0.5
+    side = int(2 * half_um / 1.55) - 2
+    with pytest.raises(UserError, match="misses the corners"):
+        Camera("moved", moved(), load_sensor("imx477").roi(side, side)).bank()
