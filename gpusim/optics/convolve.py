@@ -8,94 +8,157 @@ column spectra serve the four nodes.
 from __future__ import annotations
 
 import math
-import os
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from itertools import groupby
+from collections.abc import Sequence
 
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording, Resident
+from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, kernel_spectra, node_kernels, sampled_kernels
+from gpusim.optics.kernels import kernel_spectra
+from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
 
-Node = tuple[int, int]  # x, y of a PSF node
 # Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
 FIRST_RADIX = {32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
 
 
-@dataclass(frozen=True)
-class Scale:
-    """A part of the kernels, and the sim grid on which it is convolved.
+class Scratch:
+    """What one block needs on the device; the next block of the same scale uses it again.
 
-    Attributes
-    ----------
-    name : str
-    grid : SimGrid
-    pitch_um : float
-        Of the sim grid.
-    sigma : float
-        Gaussian low-pass of the sampled scene, sim samples.
-    kernels : FieldKernels
+    `lines` of spectra for each row of the source: as many as planes, unless given.
     """
 
-    name: str
-    grid: SimGrid
-    pitch_um: float
-    sigma: float
-    kernels: FieldKernels
-
-
-class Scratch:
-    """What one block needs on the device; the next block of the same scale uses it again."""
-
-    def __init__(self, rec: Recording, name: str, grid: SimGrid, planes: int) -> None:
+    def __init__(
+        self, rec: Recording, name: str, grid: SimGrid, planes: int, lines: int | None = None
+    ) -> None:
         self.planes, self.spectra, self.folded = (
             rec.buffer(f"{label} {name}", shape, np.float32)
-            for label, shape in self.shapes(grid, planes).items()
+            for label, shape in self.shapes(grid, planes, lines).items()
         )
 
     @staticmethod
-    def shapes(grid: SimGrid, planes: int) -> dict[str, tuple[int, ...]]:
+    def shapes(grid: SimGrid, planes: int, lines: int | None = None) -> dict[str, tuple[int, ...]]:
         """Return the shape of each array, of floats."""
         pairs = -(-grid.sites // 2)
         return {
             "planes": (planes, grid.block[1], grid.block[0]),
-            "spectra": (planes, grid.block[1], grid.length, 2),
+            "spectra": (lines or planes, grid.block[1], grid.length, 2),
             "folded": (pairs, grid.window // 2 + 1, grid.window, 2, 2),
         }
 
     @classmethod
-    def nbytes(cls, grid: SimGrid, planes: int) -> int:
+    def nbytes(cls, grid: SimGrid, planes: int, lines: int | None = None) -> int:
         """Return the device memory that the arrays take."""
-        return sum(size_class(4 * math.prod(s)) for s in cls.shapes(grid, planes).values())
+        return sum(size_class(4 * math.prod(s)) for s in cls.shapes(grid, planes, lines).values())
 
 
-class Convolve:
-    """Channel kernels of one scale, and the passes that use them.
+def packed_channels(of_site: list[int]) -> list[int]:
+    """Return the kernel of each site, four bits a site, as shaders/optics/columns reads them."""
+    words = [0, 0, 0, 0]
+    for site, kernel in enumerate(of_site):
+        words[site // 8] |= kernel << (4 * (site % 8))
+    return words
 
-    Kernels come onto the device with `load`, and stay there until `shed` or `release`.
+
+def spectra_bytes(grid: SimGrid, outputs: Outputs) -> int:
+    """Return the bytes of the spectra of one plane's kernels."""
+    return len(outputs.places) * (grid.length // 2 + 1) * grid.length * 8
+
+
+def block_transform(grid: SimGrid) -> dict[str, int]:
+    """Return the overrides of a transform of a block's rows."""
+    return {
+        "T": grid.length,
+        "LANES": grid.length // 8,
+        "FIRST_RADIX": FIRST_RADIX[grid.length],
+        "BX": grid.block[0],
+        "BY": grid.block[1],
+    }
+
+
+class Transforms:
+    """What the methods with transforms share: column products and the inverse, block by block.
+
+    Parameters
+    ----------
+    device : Device
+    scale : Scale
+    outputs : Outputs
+    nodes : int
+        Four PSF nodes, or one or two lines of modes: see shaders/optics/columns.
+    """
+
+    def __init__(self, device: Device, scale: Scale, outputs: Outputs, nodes: int) -> None:
+        self.grid = grid = scale.grid
+        line = {"T": grid.length, "LANES": grid.length // 8}
+        lattice = {"D": grid.stride, "M": grid.window, "SITE_RADIX": FIRST_RADIX[grid.window]}
+        self.columns = Kernel(
+            "optics/columns",
+            **line,
+            FIRST_RADIX=FIRST_RADIX[grid.length],
+            BY=grid.block[1],
+            C=len(outputs.places),
+            **lattice,
+            PERIOD=grid.period,
+            STEP=outputs.step,
+            PAIRS=-(-grid.sites // 2),
+            NODES=nodes,
+        )
+        self.lattice = Kernel("optics/lattice", **line, **lattice, S=grid.sites)
+        turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
+        self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
+        self.site_channels = packed_channels(outputs.of_site)
+
+    def record_inverse(
+        self,
+        rec: Recording,
+        block: tuple[int, int],
+        columns: dict[str, object],
+        kernels: Sequence[Array],
+        scratch: Scratch,
+        rates: Array,
+        rect: tuple[int, int, int, int],
+    ) -> None:
+        """Multiply the spectra in the scratch with four kernels, and add the block to the rates.
+
+        `columns` are the params of shaders/optics/columns, but for the sites.
+        """
+        grid = self.grid
+        names = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
+        self.columns.record(
+            rec,
+            groups=(grid.window // 2 + 1, 1, 1),
+            params={**columns, "site_channels": self.site_channels},
+            twiddle=self.twiddle,
+            spectra=scratch.spectra,
+            **dict(zip(names, kernels, strict=True)),
+            folded=scratch.folded,
+        )
+        row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
+        origin = grid.window_origin(block)
+        self.lattice.record(
+            rec,
+            groups=(grid.window // grid.stride, -(-grid.sites // 4), 1),
+            params={"origin": (origin[0] - col0, origin[1] - row0), "size": (cols, rows)},
+            twiddle=self.twiddle,
+            folded=scratch.folded,
+            rates=rates,
+        )
+
+
+class Convolve(NodeStore, Transforms):
+    """Channel kernels of one scale, and the passes that use them: see `KernelStore`.
 
     Parameters
     ----------
     device : Device
     scale : Scale
     needed : dict
-        Coefficient planes that each block needs; where none of the blocks around a node needs a
-        plane, its kernels have no such plane.
+        Coefficient planes that each block needs.
     aperture_um : float
         Side of the pixel aperture.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
-
-    Attributes
-    ----------
-    nodes : dict of Resident
-        Kernels on the device by PSF node, the last used last.
-    made : int
-        Kernels of how many nodes were made so far.
     """
 
     def __init__(
@@ -106,171 +169,32 @@ class Convolve:
         aperture_um: float,
         site_channels: list[int],
     ) -> None:
-        self.device, self.scale, self.needed = device, scale, needed
-        self.grid = grid = scale.grid
-        self.outputs, step = self._outputs(site_channels, scale.kernels.splines.shape[2])
+        NodeStore.__init__(self, device, scale, needed)
+        grid = scale.grid
+        self.outputs = outputs_of(grid, site_channels, scale.kernels.splines.shape[2])
+        Transforms.__init__(self, device, scale, self.outputs, 4)
+        self.rows = Kernel("optics/rows", **block_transform(grid))
         self.aperture = aperture_um / scale.pitch_um  # sim samples
-        line = {"T": grid.length, "LANES": grid.length // 8}
-        radix = FIRST_RADIX[grid.length]
-        lattice = {"D": grid.stride, "M": grid.window, "SITE_RADIX": FIRST_RADIX[grid.window]}
-        self.rows = Kernel(
-            "optics/rows", **line, FIRST_RADIX=radix, BX=grid.block[0], BY=grid.block[1]
-        )
-        self.columns = Kernel(
-            "optics/columns",
-            **line,
-            FIRST_RADIX=radix,
-            BY=grid.block[1],
-            C=len(self.outputs),
-            **lattice,
-            PERIOD=grid.period,
-            STEP=step,
-            PAIRS=-(-grid.sites // 2),
-        )
-        self.lattice = Kernel("optics/lattice", **line, **lattice, S=grid.sites)
-        turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
-        self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
-        self.nodes: dict[Node, Resident] = {}
-        self.made = 0
-        self._points: dict[Node, np.ndarray] = {}  # kernels at nodes, to make others of them
+        self.half_size = grid.half_size
+        self.plane_bytes = spectra_bytes(grid, self.outputs)
 
-    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
-        """Return the PSF nodes around blocks."""
-        cells = {self.grid.cell_of(block) for block in blocks}
-        return {(x + dx, y + dy) for x, y in cells for dx in (0, 1) for dy in (0, 1)}
+    def made_of(self, kernels: np.ndarray) -> np.ndarray:
+        """Return the spectra of a node's kernels."""
+        length, sigma = self.grid.length, self.scale.sigma
+        return kernel_spectra(kernels, length, self.aperture, sigma, self.outputs.places)
 
-    def node_bytes(self, node: Node) -> int:
-        """Return the device memory that the kernels of a node take."""
-        length, planes = self.grid.length, self.grid.planes_at(node, self.needed)
-        return size_class(planes * len(self.outputs) * (length // 2 + 1) * length * 8)
+    def scratch(self, rec: Recording, planes: int) -> Scratch:
+        """Declare what one block needs on the device."""
+        return Scratch(rec, self.scale.name, self.grid, planes)
 
-    def load_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
-        """Return the device memory that the kernels of blocks take together."""
-        return sum(map(self.node_bytes, self.nodes_of(blocks)))
-
-    def missing_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
-        """Return the device memory that `load` takes in addition."""
-        return sum(map(self.node_bytes, self.nodes_of(blocks) - self.nodes.keys()))
-
-    def block_bytes(self, planes: int) -> int:
-        """Return the device memory that the kernels of one block of so many planes take."""
-        length = self.grid.length
-        return 4 * size_class(planes * len(self.outputs) * (length // 2 + 1) * length * 8)
-
-    @property
-    def held_bytes(self) -> int:
-        """Device memory that kernels take now."""
-        return sum(size_class(kernels.nbytes) for kernels in self.nodes.values())
-
-    def load(
-        self,
-        blocks: Iterable[tuple[int, int]],
-        progress: Callable[[], None] | None = None,
-    ) -> None:
-        """Make those kernels of blocks that are not on the device.
-
-        Parameters
-        ----------
-        blocks : iterable of (int, int)
-            Each of them needs a plane.
-        progress : callable, optional
-            Called after each PSF node.
-        """
-        wanted = sorted(self.nodes_of(blocks), key=lambda node: node[::-1])
-        for node, spectra in self._spectra([node for node in wanted if node not in self.nodes]):
-            label = f"node {node[0]},{node[1]}"
-            self.nodes[node] = self.device.resident(label, spectra.view(np.float32))
-            self.made += 1
-            if progress is not None:
-                progress()
-        for node in wanted:
-            self.nodes[node] = self.nodes.pop(node)
-
-    def shed(self, nbytes: int, blocks: Iterable[tuple[int, int]] = ()) -> int:
-        """Drop kernels that blocks do not use, until so many bytes are free; return how many are.
-
-        The last used first: frames are worked through in the same order again and again, and what
-        was used just now is what will be wanted last.
-        """
-        wanted, freed = self.nodes_of(blocks), 0
-        for node in [node for node in reversed(self.nodes) if node not in wanted]:
-            if freed >= nbytes:
-                break
-            freed += self.node_bytes(node)
-            self.nodes.pop(node).destroy()
-        return freed
-
-    def _spectra(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
-        """Yield nodes, given row by row, with their kernels' spectra."""
-        grid, scale = self.grid, self.scale
-        cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
-        points = self._points
-
-        def sample(index: tuple[int, int], planes: int) -> np.ndarray:
-            x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
-            size = grid.half_size
-            return sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
-
-        def transform(node: Node, planes: int) -> np.ndarray:
-            x, y = node
-            kernels = node_kernels(lambda dx, dy: points[x + dx, y + dy][:planes])
-            return kernel_spectra(kernels, grid.length, self.aperture, scale.sigma, self.outputs)
-
-        # SciPy and NumPy let go of the interpreter in their loops.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            for y, of_row in groupby(nodes, key=lambda node: node[1]):
-                # A node needs its neighbours' kernels: those of three rows are at hand at a time.
-                for index in [index for index in points if abs(index[1] - y) > 1]:
-                    del points[index]
-                row = {node: grid.planes_at(node, self.needed) for node in of_row}
-                wanted: dict[Node, int] = {}
-                for (x, _), planes in row.items():
-                    for dx, dy in cross:
-                        index = (x + dx, y + dy)
-                        wanted[index] = max(wanted.get(index, 0), planes)
-                lacking = {i: n for i, n in wanted.items() if len(points.get(i, ())) < n}
-                found = pool.map(sample, lacking.keys(), lacking.values())
-                points.update(zip(lacking, found, strict=True))
-                # A few at a time: the spectra of a whole row may be gigabytes.
-                step = 2 * (os.cpu_count() or 1)
-                for first in range(0, len(row), step):
-                    part = dict(list(row.items())[first : first + step])
-                    yield from zip(part, pool.map(transform, part, part.values()), strict=True)
-
-    def _outputs(
-        self, site_channels: list[int], channels: int
-    ) -> tuple[list[tuple[int, float, float]], int]:
-        """Choose what the kernels are made for, and the samples from a site to the next.
-
-        Where a site lies whole samples from the next, the shader shifts one kernel per channel;
-        else each site has a kernel of its own.
-        """
-        grid = self.grid
-        first = (
-            grid.oversampling - 1
-        ) / 2  # a pixel's centre, in samples from the centre of its first sample
-        words = [0, 0, 0, 0]
-        whole = grid.stride % grid.period == 0
-        for site, channel in enumerate(site_channels):
-            words[site // 8] |= (channel if whole else site) << (4 * (site % 8))
-        self.site_channels = words
-        if whole:
-            return [(c, first, first) for c in range(channels)], grid.stride // grid.period
-        places = [
-            (
-                channel,
-                *(first + grid.oversampling * k for k in (site % grid.period, site // grid.period)),
-            )
-            for site, channel in enumerate(site_channels)
-        ]
-        return places, 0
+    def scratch_bytes(self, planes: int) -> int:
+        """Return the device memory that `scratch` takes."""
+        return Scratch.nbytes(self.grid, planes)
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.twiddle, *self.nodes.values()):
-            resident.destroy()
-        self.nodes.clear()
-        self._points.clear()
+        super().release()
+        self.twiddle.destroy()
 
     def record(
         self,
@@ -307,30 +231,12 @@ class Convolve:
             spectra=scratch.spectra,
         )
         x, y = grid.cell_of(block)
-        self.columns.record(
+        self.record_inverse(
             rec,
-            groups=(grid.window // 2 + 1, 1, 1),
-            params={
-                "first_s": first_y,
-                "step_s": step_y,
-                "planes": needed,
-                "site_channels": self.site_channels,
-            },
-            twiddle=self.twiddle,
-            spectra=scratch.spectra,
-            kernels_00=self.nodes[x, y],
-            kernels_10=self.nodes[x + 1, y],
-            kernels_01=self.nodes[x, y + 1],
-            kernels_11=self.nodes[x + 1, y + 1],
-            folded=scratch.folded,
-        )
-        row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
-        origin = grid.window_origin(block)
-        self.lattice.record(
-            rec,
-            groups=(grid.window // grid.stride, -(-grid.sites // 4), 1),
-            params={"origin": (origin[0] - col0, origin[1] - row0), "size": (cols, rows)},
-            twiddle=self.twiddle,
-            folded=scratch.folded,
-            rates=rates,
+            block,
+            {"first_s": first_y, "step_s": step_y, "planes": needed},
+            [self.nodes[x + dx, y + dy] for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1))],
+            scratch,
+            rates,
+            rect,
         )

@@ -61,6 +61,11 @@ class SimGrid:
         return self.length // self.stride
 
     @property
+    def alignment(self) -> int:
+        """Samples of which blocks hold whole numbers: photosites, and vec4f of the direct sum."""
+        return max(self.stride, 4)
+
+    @property
     def extent(self) -> tuple[int, int]:
         """Width and height of the source region."""
         return tuple(
@@ -71,7 +76,7 @@ class SimGrid:
     @property
     def blocks_per_cell(self) -> tuple[int, int]:
         """Blocks across and down one cell."""
-        largest = (self.length - 2 * self.half_size) // self.stride * self.stride
+        largest = (self.length - 2 * self.half_size) // self.alignment * self.alignment
         return tuple(
             math.ceil(extent / cells / largest)
             for extent, cells in zip(self.extent, self.cells, strict=True)
@@ -79,9 +84,9 @@ class SimGrid:
 
     @property
     def block(self) -> tuple[int, int]:
-        """Width and height of a block: a multiple of `stride`."""
+        """Width and height of a block: a multiple of `alignment`."""
         return tuple(
-            math.ceil(extent / (cells * blocks) / self.stride) * self.stride
+            math.ceil(extent / (cells * blocks) / self.alignment) * self.alignment
             for extent, cells, blocks in zip(
                 self.extent, self.cells, self.blocks_per_cell, strict=True
             )

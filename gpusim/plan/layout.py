@@ -39,7 +39,8 @@ def cheapest_grid(
     outputs = len(sensor.channels) if stride % period == 0 else period**2
     best = None
     for length in TRANSFORMS:
-        largest = (length - 2 * half_size) // stride * stride
+        step = max(stride, 4)  # see SimGrid.alignment
+        largest = (length - 2 * half_size) // step * step
         if largest < 8 * stride:
             continue
         node_bytes = outputs * (length // 2 + 1) * length * 8  # a plane

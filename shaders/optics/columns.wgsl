@@ -7,6 +7,8 @@
 //   r_0 = 1 - s(y), r_1 = s(y), s(y) = first_s + y step_s
 //   F_site[p, q] = sum over kx = q, ky = p (mod M) of X_c(site)[ky, kx] exp(2 pi i (ky o_y + kx o_x) / T),  M = T/D
 //   folded[site, q, m] = sum_p F_site[p, q] exp(2 pi i p m / M)
+// Where the PSFs are sums of modes (shaders/optics/modes), NODES = 2: there are no weights in y and no lower nodes, `planes`
+// are pairs of lines, and the left and right node's kernels are those of a pair's two lines. NODES = 1: of a single line.
 // Columns kx > T/2 are mirrored: X[ky, kx] = conj X[T-ky, T-kx], because the result is real.
 // Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D
 // (for D = 8 of an even STEP).
@@ -27,6 +29,7 @@ override SITE_RADIX: u32 = 2u;    // 2, 4 or 8: M = SITE_RADIX 8^k
 override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
 override STEP: u32 = 2u;          // samples from a site to the next; 0 where every site has kernels of its own
 override PAIRS: u32 = 2u;         // ceil(PERIOD^2 / 2)
+override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes
 
 struct Params {
     first_s: f32,
@@ -58,12 +61,18 @@ fn sides(j: u32, kx: u32, y: u32) -> vec4f {
         return vec4f(0.0);
     }
     let line = (j * BY + y) * T;
+    if (NODES == 1u) {
+        return vec4f(spectra[line + kx], 0.0, 0.0);
+    }
     let z = 0.5 * spectra[line + kx];
     let mirror = 0.5 * conj(spectra[line + (T - kx) % T]);
     return vec4f(z + mirror, -times_i(z - mirror));
 }
 
 fn upper_weight(y: u32) -> f32 {
+    if (NODES != 4u) {
+        return 1.0;
+    }
     return 1.0 - params.first_s - f32(y) * params.step_s;
 }
 
@@ -77,6 +86,14 @@ fn add_upper(sum: Sum, x: Octet, i: u32) -> Sum {
     let l1 = kernels_00[i + 8u];
     let l2 = kernels_00[i + 16u];
     let l3 = kernels_00[i + 24u];
+    if (NODES == 1u) {
+        return Sum(
+            sum.v0 + cmul(x.v0.xy, l0.xy), sum.v1 + cmul(x.v1.xy, l0.zw),
+            sum.v2 + cmul(x.v2.xy, l1.xy), sum.v3 + cmul(x.v3.xy, l1.zw),
+            sum.v4 + cmul(x.v4.xy, l2.xy), sum.v5 + cmul(x.v5.xy, l2.zw),
+            sum.v6 + cmul(x.v6.xy, l3.xy), sum.v7 + cmul(x.v7.xy, l3.zw),
+        );
+    }
     let r0 = kernels_10[i];
     let r1 = kernels_10[i + 8u];
     let r2 = kernels_10[i + 16u];
@@ -211,14 +228,16 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
             if (C > 1u) { sum_1 = add_upper(sum_1, upper, i + 32u); }
             if (C > 2u) { sum_2 = add_upper(sum_2, upper, i + 64u); }
             if (C > 3u) { sum_3 = add_upper(sum_3, upper, i + 96u); }
-            let lower = line_fft(
-                Octet(a0 - b0, a1 - b1, a2 - b2, a3 - b3, a4 - b4, a5 - b5, a6 - b6, a7 - b7),
-                t, 0u, T, FIRST_RADIX,
-            );
-            sum_0 = add_lower(sum_0, lower, i);
-            if (C > 1u) { sum_1 = add_lower(sum_1, lower, i + 32u); }
-            if (C > 2u) { sum_2 = add_lower(sum_2, lower, i + 64u); }
-            if (C > 3u) { sum_3 = add_lower(sum_3, lower, i + 96u); }
+            if (NODES == 4u) {
+                let lower = line_fft(
+                    Octet(a0 - b0, a1 - b1, a2 - b2, a3 - b3, a4 - b4, a5 - b5, a6 - b6, a7 - b7),
+                    t, 0u, T, FIRST_RADIX,
+                );
+                sum_0 = add_lower(sum_0, lower, i);
+                if (C > 1u) { sum_1 = add_lower(sum_1, lower, i + 32u); }
+                if (C > 2u) { sum_2 = add_lower(sum_2, lower, i + 64u); }
+                if (C > 3u) { sum_3 = add_lower(sum_3, lower, i + 96u); }
+            }
         }
         for (var pair = 0u; pair < PAIRS; pair++) {
             let site = 2u * pair;

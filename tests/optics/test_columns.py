@@ -42,7 +42,9 @@ def folded_across(spectra: np.ndarray) -> np.ndarray:
     return whole.reshape(len(whole), -1, window, window).sum(axis=1)[:, : window // 2 + 1]
 
 
-def case(device, length, stride, period, channels, height, planes, needed=None, first_s=0.1):
+def case(
+    device, length, stride, period, channels, height, planes, needed=None, first_s=0.1, nodes=4
+):
     """Run the shader on noise; return its result, the reference, the bound, the host's part."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
     # Channels in an order of their own; where sites lie between samples, each is a channel.
@@ -50,10 +52,13 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     turn = 2 if channels == 2 else 4
     site_channels = [(3 * site + site // turn + 1) % channels for site in range(period**2)]
     made = convolve_for(device, grid, site_channels, channels)
-    kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height})
+    kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height, "NODES": nodes})
     outputs, step = kernel.overrides["C"], kernel.overrides["STEP"]
     rng = np.random.default_rng(length + stride)
     spectra = complex_noise(rng, planes, height, length)
+    if nodes == 1:  # of real rows: each frequency is its mirror's conjugate
+        mirrored = np.roll(spectra[..., ::-1], 1, axis=-1)
+        spectra = 0.5 * (spectra + mirrored.conj())
     kernels = [complex_noise(rng, planes, length // 2 + 1, outputs, length) for _ in range(4)]
     first_s, step_s = float(F32(first_s)), float(F32(0.85 / height))
     needed = planes if needed is None else needed
@@ -79,6 +84,8 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     ]
     largest = max(np.abs(one).max() for one in kernels)
     spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
+    if nodes < 4:  # no weights: the upper nodes of a block on their line
+        first_s = step_s = 0.0
     expected = folded_across(columns(spectra, kernels, first_s, step_s, sites, stride))
     s = first_s + step_s * np.arange(height)
     # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
@@ -87,6 +94,13 @@ def case(device, length, stride, period, channels, height, planes, needed=None, 
     bound = roundings * ULP * np.sqrt(length) * largest * norm
     found = np.moveaxis(result[:-70].reshape(shape), 3, 1).reshape(2 * pairs, *shape[1:3])
     return found[: grid.sites], expected, bound * stride, made
+
+
+@pytest.mark.parametrize("nodes", [1, 2])
+def test_lines_of_modes_have_no_nodes_below_them(device: Device, nodes: int):
+    """The params' weights, which are not zero, and the lower nodes' kernels are not used."""
+    found, expected, bound, _ = case(device, 256, 4, 2, 3, 45, 2, nodes=nodes)
+    assert_close(found, expected, atol=bound)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,381 @@
+"""Space-variant convolution of one frame as a sum over taps: for small supports.
+
+The same model as `gpusim.optics.convolve`: every source sample is spread by the PSF interpolated
+bilinearly between the four nodes of its cell. Only the kernels, pixel aperture and all, are cut to
+a support.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+
+from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu.pool import size_class
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels, aperture_spectrum, sampled_kernels
+from gpusim.optics.nodes import Node, NodeStore, Outputs, Scale, outputs_of
+
+# By how much kernels are sampled beyond the support, sim samples: the aperture and the inverse of
+# the scene's Gaussian carry what lies there into it.
+MARGIN = 16
+MAX_LANES = 64  # invocations of a workgroup, eight photosites each
+
+
+@dataclass(frozen=True)
+class TapLayout:
+    """How shaders/optics/direct lays out a grid's taps; names are its overrides'.
+
+    Attributes
+    ----------
+    low, high : int
+        First and last tap, samples from a source to the photosites' first sample.
+    stride : int
+        Samples from one of an invocation's eight photosites to the next.
+    places, columns : int
+        Places of photosites within a stride, over all sites side by side, and how many of them an
+        invocation takes.
+    offsets : tuple of int
+        Of the places, samples.
+    groups : int
+        vec4f in a line of taps.
+    lanes, tiles : int
+        Invocations of a workgroup, and workgroups side by side.
+    """
+
+    low: int
+    high: int
+    stride: int
+    places: int
+    columns: int
+    offsets: tuple[int, ...]
+    groups: int
+    lanes: int
+    tiles: int
+
+    @property
+    def lines(self) -> int:
+        """Taps along one axis."""
+        return self.high - self.low + 1
+
+    def first_group(self, place: int) -> int:
+        """Return the vec4f of the source at which the taps of an invocation's places begin."""
+        return (self.offsets[place // self.columns * self.columns] - self.high) // 4
+
+
+def tap_layout(grid: SimGrid, support: int, outputs: Outputs) -> TapLayout:
+    """Lay out taps up to `support` samples from a photosite's centre."""
+    shifts = [shift for _, *both in outputs.places for shift in both]
+    low, high = math.ceil(-max(shifts) - support), math.floor(support - min(shifts))
+    stride = max(grid.stride, 4)
+    places = grid.period * stride // grid.stride
+    columns = min(places, 2)
+    offsets = tuple(
+        place // grid.period * grid.stride + place % grid.period * outputs.step
+        for place in range(places)
+    )
+    layout = TapLayout(low, high, stride, places, columns, offsets, 0, 0, 0)
+    last = max(
+        (offset - low) // 4 - layout.first_group(place) for place, offset in enumerate(offsets)
+    )
+    groups = math.ceil((last + 1) / (stride // 4)) * (stride // 4)
+    eights = math.ceil((grid.block[0] + 2 * grid.half_size) / stride / 8)
+    tiles = math.ceil(eights / MAX_LANES)
+    lanes = math.ceil(eights / tiles)
+    return TapLayout(low, high, stride, places, columns, offsets, groups, lanes, tiles)
+
+
+def spatial_kernels(
+    sampled: np.ndarray, width: float, sigma: float, places: list[tuple[int, float, float]]
+) -> np.ndarray:
+    """Return what a source sample gives to the photosites around it, aperture folded in.
+
+    Parameters
+    ----------
+    sampled : ndarray (J, C, 2 R, 2 R)
+        As `sampled_kernels` returns them.
+    width, sigma
+        See `aperture_spectrum`.
+    places
+        See `Outputs`.
+
+    Returns
+    -------
+    ndarray (J, len(places), 2 R, 2 R)
+        [d_y, d_x]; d = 0 is at R.
+    """
+    size = sampled.shape[-1]
+    # Even, for the Nyquist frequency to be one sample; padded for the ringing of the aperture.
+    length = 2 * scipy.fft.next_fast_len(size // 2 + MARGIN, real=True)
+    spectra = scipy.fft.rfft2(sampled, s=(length, length))
+    result = np.empty((len(sampled), len(places), size, size))
+    for number, (channel, shift_x, shift_y) in enumerate(places):
+        along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None]
+        along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1]
+        whole = scipy.fft.irfft2(spectra[:, channel] * (along_y * along_x), s=(length, length))
+        result[:, number] = whole[:, :size, :size]
+    return result
+
+
+def packed_taps(taps: np.ndarray, layout: TapLayout, period: int, of_site: list[int]) -> np.ndarray:
+    """Return taps as shaders/optics/direct reads them.
+
+    Parameters
+    ----------
+    taps : ndarray (J, kernels, n, n)
+        [d_y, d_x] from `layout.low` to `layout.high`.
+    layout : TapLayout
+    period : int
+        Of the CFA.
+    of_site : list of int
+        Kernel of each site.
+
+    Returns
+    -------
+    ndarray (J, period, places / columns, n, groups, columns, 4), float32
+    """
+    columns, lines = layout.columns, layout.lines
+    shape = (len(taps), period, layout.places // columns, lines, columns, 4 * layout.groups)
+    packed = np.zeros(shape, np.float32)
+    backwards = taps[:, :, ::-1, ::-1]
+    for row, place in np.ndindex(period, layout.places):
+        kernel = of_site[period * row + place % period]
+        first = layout.offsets[place] - layout.high - 4 * layout.first_group(place)
+        pair, column = divmod(place, columns)
+        packed[:, row, pair, :, column, first : first + lines] = backwards[:, kernel]
+    return np.moveaxis(packed.reshape(*shape[:-1], layout.groups, 4), 4, 5).copy()
+
+
+def support_within(
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    allowed: float,
+    *,
+    oversampling: float,
+    aperture_um: float,
+    sigma: float,
+) -> tuple[int, float]:
+    """Return the smallest support that keeps an error, and the error it leaves.
+
+    The error is that of an edge response, of what lies beyond the support: its marginals along x
+    and y, low-passed as the scene is, on the axis, at half field and in the corner of the sensor;
+    the root of the mean square over these and all channels, relative to what the kernel holds.
+
+    Parameters
+    ----------
+    kernels : FieldKernels
+    pitch_um : float
+        Of the sim grid.
+    reach_um : float
+        As far as the kernels go.
+    half_um : (float, float)
+        Half the sensor's width and height.
+    allowed : float
+    oversampling : float
+        Samples per pixel.
+    aperture_um, sigma
+        Side of the pixel aperture; Gaussian low-pass of the scene, sim samples.
+
+    Returns
+    -------
+    support : int
+        Sim samples from a photosite's centre: 2 `support` taps along each axis.
+    error : float
+    """
+    size = math.ceil(reach_um / pitch_um) + MARGIN
+    first = (oversampling - 1) / 2
+    channels = kernels.splines.shape[2]
+    places = [(channel, first, first) for channel in range(channels)]
+    at = [
+        sampled_kernels(kernels, f * half_um[0], f * half_um[1], pitch_um, size, 1)
+        for f in (0.0, 0.5, 1.0)
+    ]
+    spread = np.concatenate(
+        [spatial_kernels(one, aperture_um / pitch_um, sigma, places)[0] for one in at]
+    )
+    spread /= spread.sum(axis=(1, 2), keepdims=True)
+    frequency = scipy.fft.rfftfreq(2 * size)
+    smooth = np.exp(-2 * np.pi**2 * sigma**2 * frequency**2)
+    whole = [spread.sum(axis=axis) for axis in (1, 2)]
+
+    def error(support: int) -> float:
+        kept = slice(math.ceil(size - first - support), math.floor(size - first + support) + 1)
+        squares = []
+        for axis, marginal in zip((1, 2), whole, strict=True):
+            outside = marginal.copy()
+            outside[:, kept] -= spread[:, kept, kept].sum(axis=axis)
+            edge = np.cumsum(scipy.fft.irfft(scipy.fft.rfft(outside) * smooth, 2 * size), axis=1)
+            squares.append(np.abs(edge).max(axis=1) ** 2)
+        return float(np.sqrt(np.mean(squares)))
+
+    largest = size - math.ceil(abs(first)) - 1
+    # Rings of the inverse Gaussian make the error waver: the smallest of all that keep it.
+    for support in range(1, largest):
+        found = error(support)
+        if found <= allowed:
+            return support, found
+    return largest, error(largest)
+
+
+def direct_work(
+    grid: SimGrid,
+    support: int,
+    needed: dict[tuple[int, int], int],
+    site_channels: list[int],
+    constant: bool,
+) -> int:
+    """Return the multiply-adds of a frame, those that meet zeros included."""
+    layout = tap_layout(grid, support, outputs_of(grid, site_channels, max(site_channels) + 1))
+    across = layout.tiles * layout.lanes * 8 * layout.stride // grid.stride
+    down = grid.block[1] * layout.lines // grid.stride
+    each = grid.sites * across * down * 4 * layout.groups * (1 if constant else 2)
+    return each * sum(needed.values())
+
+
+@dataclass(frozen=True)
+class Source:
+    """What one block needs on the device: its coefficient planes."""
+
+    planes: Array
+
+
+class Direct(NodeStore):
+    """Taps of one scale, and the pass that uses them: see `KernelStore`.
+
+    Parameters
+    ----------
+    device : Device
+    scale : Scale
+        Its grid's `half_size` is a multiple of 4 and exceeds the support by 2 or more; `length`
+        only bounds the blocks here, there are no transforms.
+    needed : dict
+        Coefficient planes that each block needs.
+    aperture_um : float
+        Side of the pixel aperture.
+    site_channels : list of int
+        Colour channel of each CFA site, row by row.
+    support : int
+        Sim samples from a photosite's centre to the last tap: see `support_within`.
+    constant : bool
+        Use one PSF everywhere, the mean of the nodes' PSFs: half the multiply-adds, and a quarter
+        of the taps to load.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        scale: Scale,
+        needed: dict[tuple[int, int], int],
+        aperture_um: float,
+        site_channels: list[int],
+        support: int,
+        constant: bool = False,
+    ) -> None:
+        most = max(needed.values(), default=0)
+        super().__init__(device, scale, dict.fromkeys(needed, most) if constant else needed)
+        self.constant = constant
+        grid = scale.grid
+        self.outputs = outputs_of(grid, site_channels, scale.kernels.splines.shape[2])
+        self.layout = layout = tap_layout(grid, support, self.outputs)
+        if grid.half_size % 4 or not -grid.half_size <= layout.low <= layout.high <= grid.half_size:
+            raise ValueError(f"half_size {grid.half_size} does not hold a support of {support}")
+        self.kernel = Kernel(
+            "optics/direct",
+            LANES=layout.lanes,
+            BX=grid.block[0],
+            BY=grid.block[1],
+            R=grid.half_size,
+            D=grid.stride,
+            STRIDE=layout.stride,
+            PERIOD=grid.period,
+            STEP=self.outputs.step,
+            PLACES=layout.places,
+            COLUMNS=layout.columns,
+            HIGH=layout.high,
+            LINES=layout.lines,
+            GROUPS=layout.groups,
+            CONSTANT=constant,
+        )
+        self.aperture = aperture_um / scale.pitch_um  # sim samples
+        self.half_size = support + MARGIN
+        self.plane_bytes = 16 * layout.groups * layout.lines * layout.places * grid.period
+
+    def made_of(self, kernels: np.ndarray) -> np.ndarray:
+        """Return the taps of a node."""
+        layout = self.layout
+        spread = spatial_kernels(kernels, self.aperture, self.scale.sigma, self.outputs.places)
+        kept = slice(self.half_size + layout.low, self.half_size + layout.high + 1)
+        return packed_taps(spread[:, :, kept, kept], layout, self.grid.period, self.outputs.of_site)
+
+    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
+        """Return the PSF nodes around blocks; one PSF is that of the first."""
+        return {(0, 0) for _ in blocks} if self.constant else super().nodes_of(blocks)
+
+    def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
+        """Yield nodes with their taps; one PSF is the mean of all nodes'."""
+        if not self.constant:
+            yield from super().make(nodes)
+        elif nodes:
+            every = [(x, y) for y in range(self.grid.nodes[1]) for x in range(self.grid.nodes[0])]
+            total = sum(taps.astype(np.float64) for _, taps in super().make(every))
+            yield (0, 0), (total / len(every)).astype(np.float32)
+
+    def scratch(self, rec: Recording, planes: int) -> Source:
+        """Declare what one block needs on the device."""
+        shape = (planes, self.grid.block[1], self.grid.block[0])
+        return Source(rec.buffer(f"planes {self.scale.name}", shape, np.float32))
+
+    def scratch_bytes(self, planes: int) -> int:
+        """Return the device memory that `scratch` takes."""
+        return size_class(4 * planes * math.prod(self.grid.block))
+
+    def record(
+        self,
+        rec: Recording,
+        block: tuple[int, int],
+        needed: int,
+        scratch: Source,
+        rates: Array,
+        rect: tuple[int, int, int, int],
+    ) -> None:
+        """Add one block to the planes of the CFA sites: see `Convolve.record`."""
+        grid, layout = self.grid, self.layout
+        (first_s, step_s), (first_t, step_t) = grid.node_weights(block)
+        row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
+        origin = tuple(o - c for o, c in zip(grid.window_origin(block), (col0, row0), strict=True))
+        # The lines of photosites that the rectangle holds.
+        first = max(0, -origin[1])
+        last = min((grid.block[1] + 2 * grid.half_size) // grid.stride, rows - origin[1])
+        x, y = (0, 0) if self.constant else grid.cell_of(block)
+        corners = ((0, 0),) * 4 if self.constant else ((0, 0), (1, 0), (0, 1), (1, 1))
+        names = ("taps_00", "taps_10", "taps_01", "taps_11")
+        self.kernel.record(
+            rec,
+            groups=(
+                layout.tiles,
+                max(last - first, 0),
+                grid.period * layout.places // layout.columns,
+            ),
+            params={
+                "first_s": first_s,
+                "step_s": step_s,
+                "first_t": first_t,
+                "step_t": step_t,
+                "planes": needed,
+                "first_line": first,
+                "origin": origin,
+                "size": (cols, rows),
+            },
+            planes=scratch.planes,
+            **{
+                name: self.nodes[x + dx, y + dy]
+                for name, (dx, dy) in zip(names, corners, strict=True)
+            },
+            rates=rates,
+        )

@@ -1,0 +1,251 @@
+"""Kernels at the PSF nodes of a grid, and what they are made for: what all methods share."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from gpusim.gpu import Device, Resident
+from gpusim.gpu.pool import size_class
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels, node_kernels, sampled_kernels
+
+Node = tuple[int, int]  # x, y of a PSF node
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A part of the kernels, and the sim grid on which it is convolved.
+
+    Attributes
+    ----------
+    name : str
+    grid : SimGrid
+    pitch_um : float
+        Of the sim grid.
+    sigma : float
+        Gaussian low-pass of the sampled scene, sim samples.
+    kernels : FieldKernels
+    """
+
+    name: str
+    grid: SimGrid
+    pitch_um: float
+    sigma: float
+    kernels: FieldKernels
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """What kernels are made for, and how the photosites of the CFA period find theirs.
+
+    Attributes
+    ----------
+    places : list of (channel, shift_x, shift_y)
+        Of each kernel: its colour channel, and where the pixel's centre lies, sim samples.
+    step : int
+        Samples from a site to the next; 0 where each site has a kernel of its own.
+    of_site : list of int
+        Index of each site's kernel.
+    """
+
+    places: list[tuple[int, float, float]]
+    step: int
+    of_site: list[int]
+
+
+def outputs_of(grid: SimGrid, site_channels: list[int], channels: int) -> Outputs:
+    """Choose what the kernels are made for.
+
+    Where a site lies whole samples from the next, the shaders shift one kernel per channel; else
+    each site has a kernel of its own.
+    """
+    # A pixel's centre, in samples from the centre of its first sample.
+    first = (grid.oversampling - 1) / 2
+    if grid.stride % grid.period == 0:
+        places = [(channel, first, first) for channel in range(channels)]
+        return Outputs(places, grid.stride // grid.period, list(site_channels))
+    places = [
+        (
+            channel,
+            *(first + grid.oversampling * k for k in (site % grid.period, site // grid.period)),
+        )
+        for site, channel in enumerate(site_channels)
+    ]
+    return Outputs(places, 0, list(range(len(site_channels))))
+
+
+class KernelStore:
+    """Kernels that come onto the device with `load`, and stay there until `shed` or `release`.
+
+    A node is what is loaded at once: the kernels of a PSF node, or what all blocks share.
+
+    Attributes
+    ----------
+    nodes : dict of Resident
+        Kernels on the device by node, the last used last.
+    made : int
+        Kernels of how many nodes were made so far.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.nodes: dict[Node, Resident] = {}
+        self.made = 0
+
+    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
+        """Return the nodes that blocks use."""
+        raise NotImplementedError
+
+    def node_bytes(self, node: Node) -> int:
+        """Return the device memory that the kernels of a node take."""
+        raise NotImplementedError
+
+    def block_bytes(self, planes: int) -> int:
+        """Return the device memory that the kernels of one block of so many planes take."""
+        raise NotImplementedError
+
+    def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
+        """Yield nodes, given row by row, with their kernels as the shaders read them."""
+        raise NotImplementedError
+
+    def load_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
+        """Return the device memory that the kernels of blocks take together."""
+        return sum(map(self.node_bytes, self.nodes_of(blocks)))
+
+    def missing_bytes(self, blocks: Iterable[tuple[int, int]]) -> int:
+        """Return the device memory that `load` takes in addition."""
+        return sum(map(self.node_bytes, self.nodes_of(blocks) - self.nodes.keys()))
+
+    @property
+    def held_bytes(self) -> int:
+        """Device memory that kernels take now."""
+        return sum(size_class(kernels.nbytes) for kernels in self.nodes.values())
+
+    def load(
+        self,
+        blocks: Iterable[tuple[int, int]],
+        progress: Callable[[], None] | None = None,
+    ) -> None:
+        """Make those kernels of blocks that are not on the device.
+
+        Parameters
+        ----------
+        blocks : iterable of (int, int)
+            Each of them needs a plane.
+        progress : callable, optional
+            Called after each node.
+        """
+        wanted = sorted(self.nodes_of(blocks), key=lambda node: node[::-1])
+        for node, kernels in self.make([node for node in wanted if node not in self.nodes]):
+            label = f"node {node[0]},{node[1]}"
+            self.nodes[node] = self.device.resident(label, kernels.view(np.float32))
+            self.made += 1
+            if progress is not None:
+                progress()
+        for node in wanted:
+            self.nodes[node] = self.nodes.pop(node)
+
+    def shed(self, nbytes: int, blocks: Iterable[tuple[int, int]] = ()) -> int:
+        """Drop kernels that blocks do not use, until so many bytes are free; return how many are.
+
+        The last used first: frames are worked through in the same order again and again, and what
+        was used just now is what will be wanted last.
+        """
+        wanted, freed = self.nodes_of(blocks), 0
+        for node in [node for node in reversed(self.nodes) if node not in wanted]:
+            if freed >= nbytes:
+                break
+            freed += self.node_bytes(node)
+            self.nodes.pop(node).destroy()
+        return freed
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        for resident in self.nodes.values():
+            resident.destroy()
+        self.nodes.clear()
+
+
+class NodeStore(KernelStore):
+    """Kernels at the PSF nodes of a grid, made where blocks around them need planes.
+
+    Parameters
+    ----------
+    device : Device
+    scale : Scale
+    needed : dict
+        Coefficient planes that each block needs; where none of the blocks around a node needs a
+        plane, its kernels have no such plane.
+    """
+
+    half_size: int  # kernels are sampled as far, sim samples
+    plane_bytes: int  # of one plane of a node's kernels on the device
+
+    def __init__(self, device: Device, scale: Scale, needed: dict[tuple[int, int], int]) -> None:
+        super().__init__(device)
+        self.scale, self.needed, self.grid = scale, needed, scale.grid
+        self._points: dict[Node, np.ndarray] = {}  # kernels at nodes, to make others of them
+
+    def made_of(self, kernels: np.ndarray) -> np.ndarray:
+        """Return what kernels (planes, C, 2 half_size, 2 half_size) become on the device."""
+        raise NotImplementedError
+
+    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
+        """Return the PSF nodes around blocks."""
+        cells = {self.grid.cell_of(block) for block in blocks}
+        return {(x + dx, y + dy) for x, y in cells for dx in (0, 1) for dy in (0, 1)}
+
+    def node_bytes(self, node: Node) -> int:
+        """Return the device memory that the kernels of a node take."""
+        return size_class(self.grid.planes_at(node, self.needed) * self.plane_bytes)
+
+    def block_bytes(self, planes: int) -> int:
+        """Return the device memory that the kernels of one block of so many planes take."""
+        return 4 * size_class(planes * self.plane_bytes)
+
+    def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
+        """Yield nodes, given row by row, with their kernels as the shaders read them."""
+        grid, scale = self.grid, self.scale
+        cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
+        points = self._points
+
+        def sample(index: tuple[int, int], planes: int) -> np.ndarray:
+            x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
+            size = self.half_size
+            return sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
+
+        def made(node: Node, planes: int) -> np.ndarray:
+            x, y = node
+            return self.made_of(node_kernels(lambda dx, dy: points[x + dx, y + dy][:planes]))
+
+        # SciPy and NumPy let go of the interpreter in their loops.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            for y, of_row in groupby(nodes, key=lambda node: node[1]):
+                # A node needs its neighbours' kernels: those of three rows are at hand at a time.
+                for index in [index for index in points if abs(index[1] - y) > 1]:
+                    del points[index]
+                row = {node: grid.planes_at(node, self.needed) for node in of_row}
+                wanted: dict[Node, int] = {}
+                for (x, _), planes in row.items():
+                    for dx, dy in cross:
+                        index = (x + dx, y + dy)
+                        wanted[index] = max(wanted.get(index, 0), planes)
+                lacking = {i: n for i, n in wanted.items() if len(points.get(i, ())) < n}
+                found = pool.map(sample, lacking.keys(), lacking.values())
+                points.update(zip(lacking, found, strict=True))
+                # A few at a time: the spectra of a whole row may be gigabytes.
+                step = 2 * (os.cpu_count() or 1)
+                for first in range(0, len(row), step):
+                    part = dict(list(row.items())[first : first + step])
+                    yield from zip(part, pool.map(made, part, part.values()), strict=True)
+
+    def release(self) -> None:
+        """Give the device's memory back."""
+        super().release()
+        self._points.clear()
