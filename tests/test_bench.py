@@ -16,7 +16,8 @@ import pytest
 from gpusim.gpu import Device
 
 TOOLS = Path(__file__).parent.parent / "tools"
-STAGES = ["paint", "warp", "rows", "columns", "lattice", "mosaic", "exposure", "noise", "adc"]
+STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
+STAGES += ["mosaic", "exposure", "noise", "adc"]
 FRAMES = ["render-demo", "frame-12mp", "frame-12mp-mono", "scaling"]
 SMALL = (128, 168)  # a fraction of a second for each stage
 # Largest difference from the reference over its largest value. Rounding to f32 is below 2e-6 in

@@ -29,15 +29,19 @@ from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.optics.chief_ray import RadialMap
 from gpusim.optics.convolve import Convolve, Scale, Scratch
+from gpusim.optics.direct import Direct
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
+from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy
 from gpusim.reference.adc import adc
 from gpusim.reference.columns import columns
+from gpusim.reference.direct import direct
 from gpusim.reference.exposure import exposure
 from gpusim.reference.lattice import lattice
+from gpusim.reference.modes import modes as modes_reference
 from gpusim.reference.mosaic import mosaic
 from gpusim.reference.noise import noise
 from gpusim.reference.paint import paint
@@ -464,6 +468,83 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     return Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)
 
 
+def modes_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time the rows of modes alone over all blocks: one plane, two modes."""
+    grid = SimGrid(*frame, stride=4, period=2, length=256, half_size=40, cells=(1, 1))
+    maps = np.random.default_rng(1).standard_normal((2, 9, 9))
+    one = np.ones(2)
+    modes = Decomposition(np.zeros((2, 1, 3, 80, 80), np.float32), maps, one, one)
+    blocks = grid.blocks_for(0, 0, *frame)
+    part = Modes(device, scale_of(grid), dict.fromkeys(blocks, 1), PITCH_UM, SITES, modes)
+    part.load(blocks)
+    scratch = part.scratch(SimpleNamespace(buffer=device.empty), 1)
+    rates = device.resident("rates", np.zeros((4, frame[0] // 2, frame[1] // 2), np.float32))
+    planes = np.random.default_rng(2).standard_normal(scratch.planes.shape, np.float32)
+    device.write(scratch.planes, planes)
+    sample, rec = (OneStage(device, "optics/modes") for _ in range(2))
+    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    sample.run()
+    for block in blocks:
+        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+    step = tuple(8 / (b * n) for b, n in zip(grid.block, grid.blocks, strict=True))
+    lines = complex_of(device.read(scratch.spectra))[0]
+    expected = modes_reference(planes[:, :8], maps, tuple(h / 2 for h in step), step, grid.length)
+    nbytes = planes.nbytes + lines.nbytes
+    return Job(
+        rec.run,
+        frame[0] * frame[1],
+        error(lines[:8], expected[0]),
+        len(blocks) * nbytes,
+        len(blocks) * lines.size,
+        {"scipy": (lambda: scipy.fft.fft(lines, workers=2), len(blocks))},
+    )
+
+
+def direct_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time the sum over 16 x 16 taps over all blocks: one plane, three channels."""
+    cells = tuple(math.ceil((2 * side + 24) / 240) for side in frame[::-1])
+    grid = SimGrid(*frame, stride=4, period=2, length=264, half_size=12, cells=cells)
+    part = Direct(device, scale_of(grid), {}, PITCH_UM, SITES, 8)
+    few = SimGrid(64, 64, 4, 2, 264, 12, (3, 3))
+    one = dict.fromkeys(np.ndindex(few.blocks), 1)
+    kernels = Direct(device, scale_of(few), one, PITCH_UM, SITES, 8)
+    kernels.load(one)
+    part.nodes = {(x, y): kernels.nodes[x % 4, y % 4] for x, y in np.ndindex(grid.nodes)}
+    scratch = part.scratch(SimpleNamespace(buffer=device.empty), 1)
+    rates = device.resident("rates", np.zeros((4, frame[0] // 2, frame[1] // 2), np.float32))
+    planes = np.random.default_rng(1).standard_normal(scratch.planes.shape, np.float32)
+    device.write(scratch.planes, planes)
+    sample, rec = Recording(device), Recording(device)
+    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    sample.run()
+    found = device.read(rates)
+    blocks = grid.blocks_for(0, 0, *frame)
+    for block in blocks:
+        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+    layout = part.layout
+    first = -layout.high - 4 * layout.first_group(0)
+    taps = np.empty((4, 1, 4, layout.lines, layout.lines))
+    for node, site in np.ndindex(4, 4):
+        packed = device.read(part.nodes[node % 2, node // 2])[0, site // 2, 0]
+        lines = packed[:, :, site % 2].reshape(layout.lines, -1)
+        start = first + layout.offsets[site % 2]
+        taps[node, 0, site] = lines[::-1, start : start + layout.lines][:, ::-1]
+    (first_s, step_s), (first_t, step_t) = grid.node_weights((0, 0))
+    places = [(2 * (site % 2), 2 * (site // 2)) for site in range(4)]
+    geometry = (layout.low, (first_s, first_t), (step_s, step_t), places, 4, grid.half_size)
+    expected = direct(planes, taps, *geometry)
+    left, top = (-origin for origin in grid.window_origin((0, 0)))
+    inside = expected[:, top:, left:][:, : found.shape[1], : found.shape[2]]
+    samples = expected.size
+    return Job(
+        rec.run,
+        frame[0] * frame[1],
+        error(found[:, : inside.shape[1], : inside.shape[2]], inside),
+        len(blocks) * (planes.nbytes + 2 * 4 * samples),
+        len(blocks) * samples,
+    )
+
+
 def complex_of(pairs: np.ndarray) -> np.ndarray:
     """Return the complex numbers of pairs (..., 2)."""
     return pairs.view(np.complex64)[..., 0]
@@ -672,6 +753,8 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
         partial(convolution_job, "columns"),
     ),
     "lattice": ("inverse row transforms and overlap-add", partial(convolution_job, "lattice")),
+    "modes": ("row transforms weighted with two maps, one plane", modes_job),
+    "direct": ("a sum over 16 x 16 taps, one plane to three channels", direct_job),
     "mosaic": ("filter sites to pixels", partial(sensor_job, "mosaic")),
     "exposure": ("exposure time, PRNU, dark current", partial(sensor_job, "exposure")),
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
