@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+
+NOTHING = 1e-9  # of a square: an area without a centre of mass
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -24,15 +28,18 @@ def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
     Parameters
     ----------
     polygons : ndarray (N, V, 2)
-    normal : ndarray (2,)
+    normal : ndarray (2,) or (N, 2)
         Unit vector.
     limit : float
 
     Returns
     -------
-    ndarray (N, 2 V, 2)
+    ndarray (N, V or 2 V, 2)
     """
-    height = polygons @ normal - limit
+    normal = np.atleast_2d(normal)[:, None]
+    height = polygons[..., 0] * normal[..., 0] + polygons[..., 1] * normal[..., 1] - limit
+    if not (height > 0).any():
+        return polygons
     kept = polygons - np.maximum(height, 0)[..., None] * normal
     following = np.roll(polygons, -1, axis=1)
     next_height = np.roll(height, -1, axis=1)
@@ -43,26 +50,51 @@ def clip(polygons: np.ndarray, normal: np.ndarray, limit: float) -> np.ndarray:
     return points.reshape(len(polygons), 2 * polygons.shape[1], 2)
 
 
-def rectangle_area(
-    quads: np.ndarray, centre: tuple[float, float], half_size: tuple[float, float], angle: float
-) -> np.ndarray:
-    """Return the area of each convex quadrilateral (N, 4, 2) inside a turned rectangle."""
-    c, s = np.cos(angle), np.sin(angle)
-    local = (quads - np.asarray(centre)) @ np.array([[c, -s], [s, c]])
-    beyond = np.abs(local) - np.asarray(half_size)
-    inside = np.all(beyond <= 0, axis=(1, 2))
-    # All four corners beyond one and the same side: nothing of a convex polygon is inside.
-    outside = np.any(
-        np.all(local > half_size, axis=1) | np.all(local < -np.asarray(half_size), axis=1), axis=1
-    )
-    cut = ~inside & ~outside
-    result = np.where(inside, area(quads), 0.0)
-    polygons = local[cut]
-    for axis, half in enumerate(half_size):
+def centroid(polygons: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    """Return the centres of mass (N, 2) of polygons (N, V, 2), `otherwise` of those that have none.
+
+    The weighted mean of the triangles between the edges and `otherwise`, by their areas.
+    """
+    start = polygons - otherwise[:, None]
+    end = np.roll(start, -1, axis=1)
+    doubled = cross(start, end)
+    total = doubled.sum(axis=1)
+    there = np.abs(total) > NOTHING * np.abs(doubled).sum(axis=1)
+    moment = np.einsum("nvk,nv->nk", start + end, doubled) / 3
+    return otherwise + np.where(there[:, None], moment / np.where(there, total, 1.0)[:, None], 0.0)
+
+
+def part_of(quads: np.ndarray, shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of small quadrilaterals inside a primitive, and its centre of mass.
+
+    Of a disc the share is exact; the centre of mass takes the outline as straight.
+
+    Parameters
+    ----------
+    quads : ndarray (N, 4, 2)
+    shape : gpusim.scene.chart.Rect or Disc
+
+    Returns
+    -------
+    share : ndarray (N,)
+    centre of mass : ndarray (N, 2)
+    """
+    centre, middle = np.array([shape.cx, shape.cy]), quads.sum(axis=1) / 4
+    whole = area(quads)
+    if hasattr(shape, "radius"):
+        outward = middle - centre
+        outward /= np.maximum(np.hypot(*outward.T), 1e-12)[:, None]
+        inside = clip(quads - centre, outward, shape.radius)
+        return disc_area(quads, centre, shape.radius) / whole, centre + centroid(
+            inside, middle - centre
+        )
+    c, s = np.cos(shape.angle_rad), np.sin(shape.angle_rad)
+    turn = np.array([[c, -s], [s, c]])
+    inside, local = (quads - centre) @ turn, (middle - centre) @ turn
+    for axis, half in enumerate((shape.half_w, shape.half_h)):
         e = np.eye(2)[axis]
-        polygons = clip(clip(polygons, e, half), -e, half)
-    result[cut] = area(polygons)
-    return result
+        inside = clip(clip(inside, e, half), -e, half)
+    return area(inside) / whole, centre + centroid(inside, local) @ turn.T
 
 
 def disc_area(quads: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:

@@ -1,8 +1,9 @@
 """The truth model: the continuous chain up to electrons/s, pixel by pixel, in float64.
 
-    N(x) = sum over scene spectra m of integral ds H_cm(x - s; s) A_m(s)
+    N(x) = sum over scene spectra m of integral dp integral ds H_cm(x + p - s; s) a_m(s)
 
-with A_m(s) the area of spectrum m inside a pixel aperture placed at s (exact for charts), and
+with p over the pixel's aperture, a_m(s) one where spectrum m lies and zero elsewhere (charts, with
+exact outlines) or its coefficient (rasters), and
 
     H_cm(t; s) = sum_l W[c, m, l] K(s, l) h_l(t - (x_l(s) - x_ref(s)); s),
 
@@ -22,16 +23,16 @@ import scipy.fft
 from numpy.polynomial import chebyshev
 from scipy.ndimage import map_coordinates, spline_filter
 
-from gpusim.reference.coverage import area, disc_area, rectangle_area
+from gpusim.reference.coverage import cross, part_of
+from gpusim.reference.quadrature import Zone
 
 H_J_S = 6.62607015e-34
 C_M_S = 299792458.0
-# The integral over t is a midpoint sum, in squares around the pixel: half side and step, um. In the
-# innermost lie nearly all of the PSF's energy and detail: at a step of 0.125 um the edges of
-# apertures still leave 1e-3 on the dark side of an edge. Where the step changes, the sum errs by
-# h^2/24 times the PSF's slope there (Euler and Maclaurin); a step of 0.5 um right outside 6 um
-# changes even a flat field by 3e-5.
-ZONES_UM = ((6.0, 0.0625), (16.0, 0.125), (np.inf, 0.5))
+# Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
+# and cells along one sample of the bank. In the innermost lie nearly all of its energy and detail.
+FALLS_UM = ((3.0, 6.0), (10.0, 16.0))
+CELLS = (4, 2, 1)
+SPLITS = (4, 4, 2)  # squares along a cell of each that an outline cuts
 MAP_ERROR_UM = 1e-5
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
@@ -174,6 +175,12 @@ class Truth:
                     break
             else:
                 self.alike.append((number, 1.0))
+        reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
+        ends = [(-1.0, 0.0), *(pair for pair in FALLS_UM if pair[1] < reach), (reach, reach)]
+        self.zones = [
+            Zone(bank.pitch_um / cells, split, rises, falls, self.aperture_um)
+            for cells, split, rises, falls in zip(CELLS, SPLITS, ends[:-1], ends[1:], strict=False)
+        ]
         self.splines: np.ndarray | None = None
         self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
@@ -248,23 +255,9 @@ class Truth:
                 )
         return result
 
-    def _grid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return midpoints (P, 2) and areas (P,) of the cells of the integral over t."""
-        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + MARGIN_UM
-        points, areas, inner = [], [], 0.0
-        for half, step in ZONES_UM:
-            half = min(half, reach)
-            line = np.arange(-half + step / 2, half, step)
-            zone = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-            zone = zone[(np.abs(zone).max(axis=1) > inner) & (np.hypot(*zone.T) < reach)]
-            points.append(zone)
-            areas.append(np.full(len(zone), step**2))
-            inner = half
-        return np.concatenate(points), np.concatenate(areas)
-
-    def _aperture(self, source: np.ndarray) -> np.ndarray:
-        """Return the corners (P, 4, 2) on the ideal plane of apertures at real points (P, 2)."""
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * self.aperture_um / 2
+    def _cells(self, source: np.ndarray, side: float) -> np.ndarray:
+        """Return the corners (P, 4, 2) on the ideal plane of squares at real points (P, 2)."""
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
         return self.fields.ideal(source[:, None] + corners)
 
     def chart(self, chart: Any, pixels: np.ndarray) -> np.ndarray:
@@ -281,56 +274,135 @@ class Truth:
         -------
         ndarray (P,)
         """
-        t, areas = self._grid()
-        out = np.empty(len(pixels))
+        out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
-            source = self._position(row, col) - t
-            shares: dict[int, np.ndarray] = {}
-            for material, share in self._chart_shares(chart, source).items():
-                spectrum, factor = self.alike[material]
-                shares[spectrum] = shares.get(spectrum, 0.0) + factor * share
-            channel = self._channel(row, col)
-            out[number] = sum(
-                np.sum(self._spread(channel, spectrum, t, source) * areas * share)
-                for spectrum, share in shares.items()
-            )
+            centre, channel = self._position(row, col), self._channel(row, col)
+            for zone in self.zones:
+                whole, cut = self._chart_shares(chart, zone, centre)
+                for spectrum in sorted(whole.keys() | cut.keys()):
+                    rings = self._rings(zone, channel, spectrum, centre)
+                    if spectrum in whole:
+                        out[number] += np.sum(zone.in_cells(rings) * whole[spectrum])
+                    if spectrum in cut:
+                        places, areas = cut[spectrum]
+                        out[number] += np.sum(zone.at(rings, places) * areas)
         return out
 
-    def _chart_shares(self, chart: Any, source: np.ndarray) -> dict[int, np.ndarray]:
-        """Return each spectrum's area inside the aperture at each source point, um^2."""
-        ideal = self.fields.ideal(source)
-        low, high = ideal.min(axis=0), ideal.max(axis=0)
-        # An aperture's corners lie within its diagonal of its centre, also where the map stretches
-        # by a third.
-        margin = self.aperture_um
+    def _rings(
+        self, zone: Zone, channel: int, spectrum: int, centre: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return a ring of the PSFs around a pixel, and how it changes with the source."""
+        source = centre - zone.t
+        here = self._spread(channel, spectrum, zone.t, source)
+        rings = [here]
+        if zone is self.zones[0]:
+            # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal;
+            # of the outer zones' light that is below 1e-6.
+            for way in np.eye(2) * self.aperture_um / 2:
+                there = self._spread(channel, spectrum, zone.t, source + way)
+                rings.append((there - here) / way.sum())
+        return [zone.ring(one) for one in rings]
+
+    def _chart_shares(
+        self, chart: Any, zone: Zone, centre: np.ndarray
+    ) -> tuple[dict[int, np.ndarray], dict[int, tuple[np.ndarray, np.ndarray]]]:
+        """Return where each spectrum lies around a pixel, and by which factor.
+
+        Returns
+        -------
+        whole : dict of ndarray
+            Factors in the cells that lie in one material, by block of the zone.
+        cut : dict of (ndarray (P, 2), ndarray (P,))
+            Of the cells that an outline cuts: centres of mass, as distances t, and areas times
+            factors.
+        """
+        corners = zone.cells[:, [0, 0, -1, -1], [0, -1, 0, -1]]
+        middle = self.fields.ideal(centre - corners.mean(axis=1))
+        from_middle = self.fields.ideal(centre - corners) - middle[:, None]
+        # From a block's middle to its farthest point, and as many times less for a cell; the tenth
+        # is for the map's curvature.
+        radius = 1.1 * (len(zone.cells[0]) + 1) / (len(zone.cells[0]) - 1)
+        radius = radius * np.hypot(from_middle[..., 0], from_middle[..., 1]).max(axis=1)
+        small = (radius / len(zone.cells[0]))[:, None, None]
+        near = self._near(chart, middle, radius)
+        material = np.full(zone.cells.shape[:3], chart.background)
+        split = np.zeros(material.shape, bool)
+        for shape in near:
+            distance = shape.distance(middle[:, 0], middle[:, 1])
+            inside = distance < -radius
+            material[inside], split[inside] = shape.material, False
+            at = np.abs(distance) <= radius
+            if at.any():
+                cells = self.fields.ideal(centre - zone.cells[at])
+                depth = shape.distance(cells[..., 0], cells[..., 1])
+                material[at] = np.where(depth < 0, shape.material, material[at])
+                split[at] = (split[at] & (depth > -small[at])) | (np.abs(depth) <= small[at])
+        split &= zone.reached
+        whole: dict[int, np.ndarray] = {}
+        for number in np.unique(material[zone.reached & ~split]):
+            spectrum, factor = self.alike[number]
+            whole[spectrum] = whole.get(spectrum, 0.0) + factor * ((material == number) & ~split)
+        return whole, self._cut_shares(chart, near, zone, centre, zone.cells[split])
+
+    def _near(self, chart: Any, middle: np.ndarray, radius: np.ndarray) -> list[Any]:
+        """Return the primitives that reach into the rectangle of some discs, in their order."""
         if self.bounds is None:
-            self.bounds = np.array(
-                [(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]
-            )
-            self.bounds = self.bounds.reshape(-1, 3)
-        centres, sizes = self.bounds[:, :2], self.bounds[:, 2:] + margin
-        near = np.all((centres + sizes >= low) & (centres - sizes <= high), axis=1)
-        shares = {chart.background: np.ones(len(source))}
-        for number in np.flatnonzero(near):
-            shape, centre = chart.primitives[number], centres[number]
+            bounds = [(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]
+            self.bounds = np.array(bounds).reshape(-1, 3)
+        low, high = (middle - radius[:, None]).min(axis=0), (middle + radius[:, None]).max(axis=0)
+        at, reach = self.bounds[:, :2], self.bounds[:, 2:]
+        near = np.all((at + reach >= low) & (at - reach <= high), axis=1)
+        return [chart.primitives[number] for number in np.flatnonzero(near)]
+
+    def _cut_shares(
+        self, chart: Any, near: list[Any], zone: Zone, centre: np.ndarray, cells: np.ndarray
+    ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Return centres of mass and areas of each spectrum's parts of cells (P, 2)."""
+        side = zone.step_um / zone.split
+        offsets = (np.arange(zone.split) + 0.5) * side - zone.step_um / 2
+        t = cells[:, None] + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+        t = t.reshape(-1, 2)
+        ideal = self.fields.ideal(centre - t)
+        # Of each material: its share of a square, and that times the way from the square's middle
+        # to the share's centre of mass.
+        shares = {chart.background: (np.ones(len(t)), np.zeros((len(t), 2)))}
+        for shape in near:
             distance = shape.distance(ideal[:, 0], ideal[:, 1])
             part = (distance < 0).astype(np.float64)
-            cut = np.abs(distance) <= margin
-            if not part.any() and not cut.any():
+            moment = np.zeros((len(t), 2))
+            # Squares are small: the map stretches all of a zone's alike, within a factor of two.
+            at = np.abs(distance) <= 2 * side * self._stretch(centre)
+            if not part.any() and not at.any():
                 continue
-            quads = self._aperture(source[cut])
-            if hasattr(shape, "radius"):
-                part[cut] = disc_area(quads, centre, shape.radius) / area(quads)
-            else:
-                half_size = (shape.half_w, shape.half_h)
-                part[cut] = rectangle_area(quads, centre, half_size, shape.angle_rad) / area(quads)
-            shares = {spectrum: share * (1 - part) for spectrum, share in shares.items()}
-            shares[shape.material] = shares.get(shape.material, 0.0) + part
+            if at.any():
+                quads = self._cells(centre - t[at], side)
+                part[at], mass = part_of(quads, shape)
+                moment[at] = part[at][:, None] * _in_square(quads, mass, side)
+            for number, (share, way) in shares.items():
+                rest = (1 - part)[:, None]
+                shares[number] = share * rest[:, 0], way * rest - share[:, None] * moment
+            share, way = shares.get(shape.material, (0.0, 0.0))
+            shares[shape.material] = share + part, way + moment
+        found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
+        for number, (share, way) in shares.items():
+            there = share > 0
+            spectrum, factor = self.alike[number]
+            # A source that lies farther right is less far from the pixel.
+            places = t[there] - way[there] / share[there][:, None]
+            found.setdefault(spectrum, []).append((places, factor * share[there] * side**2))
         return {
-            spectrum: share * self.aperture_um**2
-            for spectrum, share in shares.items()
-            if np.any(share)
+            spectrum: (
+                np.concatenate([one[0] for one in parts]),
+                np.concatenate([one[1] for one in parts]),
+            )
+            for spectrum, parts in found.items()
+            if sum(len(one[1]) for one in parts)
         }
+
+    def _stretch(self, real: np.ndarray) -> float:
+        """Return the largest length on the ideal plane of a unit length at a real point."""
+        moved = self.fields.ideal(real + np.array([[1.0, 0], [-1.0, 0], [0, 1.0], [0, -1.0]]))
+        return float(np.hypot(*(moved - self.fields.ideal(real)).T).max())
 
     def raster(self, raster: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a raster.
@@ -345,37 +417,23 @@ class Truth:
         -------
         ndarray (P,)
         """
-        t, areas = self._grid()
         if self.splines is None:
             self.splines = raster.spline_coefficients().astype(np.float64)
-        splines, corner_um = self.splines, (raster.x0_um, raster.y0_um)
-        # The spline is smooth over an aperture: 3 x 3 Gauss-Legendre nodes integrate it to the
-        # fifth degree.
-        nodes, weights = np.polynomial.legendre.leggauss(3)
+        _, rows, cols = self.splines.shape
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
-            source = self._position(row, col) - t
-            channel = self._channel(row, col)
-            spread = [self._spread(channel, m, t, source) * areas for m in range(len(splines))]
-            for dx, wx in zip(nodes, weights, strict=True):
-                for dy, wy in zip(nodes, weights, strict=True):
-                    point = source + self.aperture_um / 2 * np.array([dx, dy])
-                    ideal = self.fields.ideal(point)
-                    x = np.clip(
-                        (ideal[:, 0] - corner_um[0]) / raster.pitch_um - 0.5,
-                        0,
-                        splines.shape[2] - 1,
+            centre, channel = self._position(row, col), self._channel(row, col)
+            for zone in self.zones:
+                ideal = self.fields.ideal(centre - zone.cells)
+                x = np.clip((ideal[..., 0] - raster.x0_um) / raster.pitch_um - 0.5, 0, cols - 1)
+                y = np.clip((ideal[..., 1] - raster.y0_um) / raster.pitch_um - 0.5, 0, rows - 1)
+                for plane, spline in enumerate(self.splines):
+                    radiance = map_coordinates(
+                        spline, [y, x], order=3, prefilter=False, mode="mirror"
                     )
-                    y = np.clip(
-                        (ideal[:, 1] - corner_um[1]) / raster.pitch_um - 0.5,
-                        0,
-                        splines.shape[1] - 1,
-                    )
-                    for kernel, spline in zip(spread, splines, strict=True):
-                        radiance = map_coordinates(
-                            spline, [y, x], order=3, prefilter=False, mode="mirror"
-                        )
-                        out[number] += wx * wy / 4 * self.aperture_um**2 * np.sum(kernel * radiance)
+                    rings = self._rings(zone, channel, plane, centre)
+                    # Smooth times smooth: the sum over middles is the integral.
+                    out[number] += zone.step_um**2 * np.sum(zone.in_middles(rings) * radiance)
         return out
 
     def _position(self, row: int, col: int) -> np.ndarray:
@@ -388,3 +446,14 @@ class Truth:
         pattern = self.sensor.cfa.pattern
         name = pattern[row % len(pattern)][col % len(pattern[0])]
         return list(self.sensor.channels).index(name)
+
+
+def _in_square(quads: np.ndarray, points: np.ndarray, side: float) -> np.ndarray:
+    """Return points (P, 2) of the ideal plane as ways from the middles of real squares, um.
+
+    Their images are the quads (P, 4, 2), over which the map is taken as even.
+    """
+    across = (quads[:, 1] + quads[:, 2] - quads[:, 0] - quads[:, 3]) / (2 * side)
+    down = (quads[:, 2] + quads[:, 3] - quads[:, 0] - quads[:, 1]) / (2 * side)
+    way = points - quads.mean(axis=1)
+    return np.stack([cross(way, down), cross(across, way)], axis=-1) / cross(across, down)[:, None]

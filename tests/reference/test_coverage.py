@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 from harness import assert_close
 
-from gpusim.reference.coverage import area, clip, disc_area, rectangle_area
+from gpusim.reference.coverage import area, clip, disc_area, part_of
+from gpusim.scene.chart import Disc, Rect
 
 RNG = np.random.default_rng(77)
 SIDE = 400  # midpoints along each side of a quadrilateral
+
+
+def rectangle_area(some: np.ndarray, centre, half_size, angle: float) -> np.ndarray:
+    """Return the area of each quadrilateral inside a turned rectangle."""
+    return part_of(some, Rect(*centre, *half_size, angle, 0))[0] * area(some)
 
 
 def quads(count: int, size: float, spread: float) -> np.ndarray:
@@ -109,3 +115,47 @@ def test_inside_outside_and_around():
     assert_close(rectangle_area(square, (0, 0), (5, 5), 0.3), np.array([4.0]), atol=1e-12)
     assert_close(rectangle_area(square, (0, 0), (0.2, 0.3), 0.3), np.array([0.24]), atol=1e-12)
     assert_close(rectangle_area(square, (9, 0), (0.2, 0.3), 0.3), np.array([0.0]), atol=1e-12)
+
+
+def middles(some: np.ndarray, inside) -> np.ndarray:
+    """Return the centre of mass of each parallelogram's part that is inside, by midpoints."""
+    s = (np.arange(SIDE) + 0.5) / SIDE
+    u, v = np.meshgrid(s, s)
+    found = []
+    for a, b, _, d in some:
+        points = a + u[..., None] * (b - a) + v[..., None] * (d - a)
+        found.append(points[inside(points)].mean(axis=0))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("shape", [Rect(0.3, -0.2, 0.9, 0.4, 0.3, 0), Disc(0.2, -0.1, 30.0, 0)])
+def test_centres_of_mass_against_sampling(shape):
+    """Parallelograms about the outline; the disc's is all but straight over one of them."""
+    c, s = np.cos(0.3), np.sin(0.3)
+    if isinstance(shape, Disc):
+        angle = RNG.uniform(0, 2 * np.pi, 9)
+        near = np.array([0.2, -0.1]) + 30.0 * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    else:
+        along = RNG.uniform(-0.7, 0.7, 9)  # the lower side and a corner
+        near = np.array([0.3, -0.2]) + along[:, None] * [c, s] + 0.4 * np.array([-s, c])
+        near[0] = shape.corners()[2]
+    corners = np.array([[-0.5, -0.5], [0.5, -0.4], [0.6, 0.5], [-0.4, 0.4]]) * 0.2
+    some = near[:, None] + RNG.uniform(-0.05, 0.05, (9, 1, 2)) + corners
+    share, mass = part_of(some, shape)
+    assert (share > 0.01).all() and (share < 0.999).all()
+    expected = middles(some, lambda p: shape.distance(p[..., 0], p[..., 1]) < 0)
+    # Midpoints: half a step of 0.2 / 400 along the outline; a disc's sagitta: 0.2^2 / (8 x 30).
+    assert_close(mass, expected, atol=0.2 / SIDE + 0.2**2 / 240)
+    assert np.abs(expected - some.mean(axis=1)).max() > 0.03  # a control: they are not the middles
+
+
+def test_what_is_not_cut_keeps_its_middle():
+    square = np.array([[[-1, -1], [1, -1], [1, 1], [-1, 1]]], float)
+    for shape in (Rect(0, 0, 5, 5, 0.3, 0), Disc(0.3, 0, 9.0, 0)):
+        share, mass = part_of(square, shape)
+        assert_close(share, np.ones(1), atol=1e-12)
+        assert_close(mass, np.zeros((1, 2)), atol=1e-12)
+    for shape in (Rect(9, 0, 0.2, 0.3, 0.3, 0), Disc(9.0, 0, 0.5, 0)):
+        share, mass = part_of(square, shape)
+        assert_close(share, np.zeros(1), atol=1e-12)
+        assert np.isfinite(mass).all()

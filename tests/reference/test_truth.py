@@ -58,7 +58,7 @@ def truth(lens, camera, spectra=None) -> Truth:
 
 
 def chart(*primitives, background=0) -> Chart:
-    return Chart(("white", "black"), background, primitives)
+    return Chart(("white", "black", "red"), background, primitives)
 
 
 @pytest.mark.parametrize("fill_factor", [1.0, 0.5])
@@ -297,6 +297,52 @@ def test_a_raster_is_its_spline():
     alone = truth(lens, camera, both).raster(noise, pixels)
     assert_close(mixed, found + 0.5 * alone, rtol=1e-6)  # linear, each plane with its own spectrum
     assert np.abs(alone / even_rate(lens) - 0.5).min() > 0.005
+
+
+# How good the sums are: a lens with coma, lateral colour and falloff, probes on outlines
+
+REAL = {"coma_um": 0.8, "falloff": 0.2, "halo": 0.05}
+OUTLINES = (Rect(-25.0, 12.0, 40.0, 25.0, 0.1, 1), Disc(45.0, -30.0, 14.0, 2))
+ON_OUTLINES = np.array([[58, 73], [39, 49], [28, 102], [37, 93], [40, 50], [58, 75]])
+SHADES = np.stack([FLAT, 0.1 * FLAT, RED])
+
+
+def on_outlines(lens, camera) -> np.ndarray:
+    return truth(lens, camera, SHADES).chart(chart(*OUTLINES), ON_OUTLINES)
+
+
+def test_half_the_steps_change_little(monkeypatch):
+    """The smallest tolerance that can be asked for is 1e-5."""
+    lens, camera = bank(**REAL), sensor()
+    found = on_outlines(lens, camera)
+    even = truth(lens, camera, SHADES).chart(chart(), ON_OUTLINES)
+    share = found / even
+    assert ((share > 0.15) & (share < 0.9)).sum() >= 3  # on outlines indeed
+    monkeypatch.setattr(truth_module, "CELLS", (8, 4, 2))
+    finer = on_outlines(lens, camera)
+    assert 0 < np.sqrt(np.mean((found / finer - 1) ** 2)) < 3e-6
+    assert np.abs(found / finer - 1).max() < 1e-5
+    monkeypatch.setattr(truth_module, "CELLS", (1, 1, 1))  # a control
+    coarser = on_outlines(lens, camera)
+    assert np.abs(coarser / finer - 1).max() > 1e-4
+
+
+def test_the_aperture_gathers_what_falls_on_it():
+    """The mean over the aperture of what apertures of a thousandth see: of each source its PSF."""
+    lens, camera = bank(**REAL), sensor()
+    some = ON_OUTLINES[1:3]
+    found = truth(lens, camera, SHADES).chart(chart(*OUTLINES), some)
+    point = truth(lens, camera.model_copy(update={"fill_factor": 1e-6}), SHADES)
+    centre = point._position
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    expected = np.zeros(len(found))
+    for x, wx in zip(nodes, weights, strict=True):
+        for y, wy in zip(nodes, weights, strict=True):
+            way = np.array([x, y]) * PITCH / 2
+            point._position = lambda row, col, way=way: centre(row, col) + way
+            expected += wx * wy / 4 * point.chart(chart(*OUTLINES), some) * 1e6
+    # As for the steps. With the PSF that belongs to the pixel instead it would be 1e-4.
+    assert_close(found, expected, rtol=1e-5)
 
 
 def test_probes_in_threads_share_few_kernels(monkeypatch):

@@ -1,0 +1,135 @@
+"""Where the truth model sums: zones of cells around a pixel, and its PSF through the aperture."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.ndimage import correlate1d, map_coordinates, spline_filter
+
+BLOCK = 8  # cells on a side of the blocks in which outlines are sought
+
+
+class Zone:
+    """One ring of the PSF, on a square lattice of its own.
+
+    The PSF is cut into rings by windows that fall smoothly from one to zero, so that no sum ends
+    anywhere. A ring is known at the middles of the cells; between them it is the cubic spline
+    through these. The pixel's aperture is a square along the lattice, so the ring through the
+    aperture, and its integrals over cells, are sums along one axis and then the other.
+
+    Parameters
+    ----------
+    step_um : float
+        Side of a cell.
+    split : int
+        Squares along a cell into which it is cut where an outline crosses it.
+    rises, falls : (float, float)
+        Distances from the middle between which the ring's window rises from 0 to 1, and falls
+        from 1 to 0.
+    aperture_um : float
+        Side of the pixel aperture.
+
+    Attributes
+    ----------
+    line : ndarray (n,)
+        Middles of the cells along an axis, um.
+    t : ndarray (P, 2)
+        Points where the ring must be known.
+    cells : ndarray (B, BLOCK, BLOCK, 2)
+        Middles of the cells that the ring reaches through the aperture, by block.
+    """
+
+    def __init__(
+        self,
+        step_um: float,
+        split: int,
+        rises: tuple[float, float],
+        falls: tuple[float, float],
+        aperture_um: float,
+    ) -> None:
+        self.step_um, self.split = step_um, split
+        half = int(np.ceil((falls[1] + aperture_um / 2) / step_um)) + 1
+        half = -(-2 * half // BLOCK) * BLOCK // 2
+        self.line = (np.arange(-half, half) + 0.5) * step_um
+        n = 2 * half
+        t = np.stack(np.meshgrid(self.line, self.line), axis=-1)
+        distance = np.hypot(t[..., 0], t[..., 1])
+        window = (1 - _fall(distance, *rises)) * _fall(distance, *falls)
+        self.used = np.flatnonzero(window)
+        self.window = window.flat[self.used]
+        self.t = t.reshape(-1, 2)[self.used]
+        width = aperture_um / step_um
+        self.through = [_taps(width, power, False) * step_um ** (power + 1) for power in (0, 1)]
+        self.over_cells = [_taps(width, power, True) * step_um ** (power + 2) for power in (0, 1)]
+        # Blocks of cells that the ring reaches through the aperture.
+        margin = aperture_um / np.sqrt(2) + step_um
+        reached = (distance < falls[1] + margin) & (distance > rises[0] - margin)
+        number = np.arange(n * n).reshape(n // BLOCK, BLOCK, n // BLOCK, BLOCK).swapaxes(1, 2)
+        number = number.reshape(-1, BLOCK, BLOCK)
+        self.number = number[reached.flat[number].any(axis=(1, 2))]
+        self.cells = t.reshape(-1, 2)[self.number]
+        self.reached = reached.flat[self.number]
+
+    def ring(self, spread: np.ndarray) -> np.ndarray:
+        """Return the ring (n, n) of a PSF that is known at the points `t`, as a spline."""
+        ring = np.zeros(len(self.line) ** 2)
+        ring[self.used] = spread * self.window
+        return spline_filter(ring.reshape(len(self.line), -1), order=3)
+
+    def in_cells(self, rings: list[np.ndarray]) -> np.ndarray:
+        """Return the integrals over the cells of the ring through the aperture, by block.
+
+        `rings`: the ring, and where they matter its rates of change with the source's x and y.
+        """
+        return _aperture(rings, self.over_cells).flat[self.number]
+
+    def in_middles(self, rings: list[np.ndarray]) -> np.ndarray:
+        """Return the ring through the aperture at the middles of the cells, by block."""
+        return _aperture(rings, self.through).flat[self.number]
+
+    def at(self, rings: list[np.ndarray], t: np.ndarray) -> np.ndarray:
+        """Return the ring through the aperture at points (P, 2)."""
+        smooth = spline_filter(_aperture(rings, self.through), order=3)
+        x, y = ((t - self.line[0]) / self.step_um).T
+        return map_coordinates(smooth, [y, x], order=3, prefilter=False)
+
+
+def _taps(width: float, power: int, over_cells: bool) -> np.ndarray:
+    """Return what the cubic B-splines around a sample give to an aperture there, in samples.
+
+    The integral over p, from -width/2 to width/2, of p^power times the B-spline at p or, over
+    cells, times its integral over the cell about p.
+    """
+    reach = int(np.ceil((width + 1) / 2)) + 2
+    spline = BSpline.basis_element([-2, -1, 0, 1, 2])
+    integral = spline.antiderivative()
+    # Gauss and Legendre's four points on short pieces: the spline's third derivative jumps, so the
+    # sum errs by 1/64^4 of little.
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    p = (((nodes + 1) / 2 + np.arange(64)[:, None]) / 64 - 0.5).ravel() * width
+    share = np.tile(weights / 128 * width, 64) * p**power
+    at = p[:, None] - np.arange(-reach, reach + 1)
+    if over_cells:
+        values = integral(np.clip(at + 0.5, -2, 2)) - integral(np.clip(at - 0.5, -2, 2))
+    else:
+        values = np.where(np.abs(at) < 2, spline(np.clip(at, -2, 2)), 0.0)
+    return share @ values
+
+
+def _aperture(rings: list[np.ndarray], taps: list[np.ndarray]) -> np.ndarray:
+    """Return a PSF through the pixel's aperture, of the source that belongs to each point.
+
+    Light that lands p from the pixel's centre, t + p from its chief ray, comes from x - t. The ring
+    holds there the PSF of x - t - p; its rates of change lead back.
+    """
+    total = 0.0
+    for ring, (down, across) in zip(rings, ((0, 0), (0, 1), (1, 0)), strict=False):
+        one = correlate1d(ring, taps[down], axis=0, mode="constant")
+        total = total + correlate1d(one, taps[across], axis=1, mode="constant")
+    return total
+
+
+def _fall(distance: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Return a raised cosine from 1 at `start` to 0 at `end`."""
+    share = np.clip((distance - start) / max(end - start, 1e-9), 0, 1)
+    return 0.5 * (1 + np.cos(np.pi * share))
