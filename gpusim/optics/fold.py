@@ -19,6 +19,9 @@ PLANCK_J_S = 6.62607015e-34  # SI (2019), exact
 LIGHT_M_S = 299792458.0  # SI (2019), exact
 ROUNDING = 1e-9  # far above the rounding of a decomposition in float64, far below any tolerance
 MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
+# The root mean square of the errors over spectra and channels, as a part of the largest allowed: a
+# scene of few colours may show the worst of them everywhere.
+RMS_SHARE = 0.1
 
 
 def spectral_weights(bank: FieldBank, sensor: Sensor) -> np.ndarray:
@@ -65,11 +68,14 @@ class Basis:
     residual : float
         Largest error of an edge response, relative to the signal of the same spectrum in the same
         channel.
+    rms : float
+        Root mean square of these errors over spectra and channels.
     """
 
     coefficients: np.ndarray
     weights: np.ndarray
     residual: float
+    rms: float
 
 
 def edge_responses(bank: FieldBank) -> np.ndarray:
@@ -119,7 +125,8 @@ def reduce_spectra(
     edges : ndarray (L, n_features)
         As `edge_responses` returns them.
     tolerance : float
-        Largest error of an edge response, relative to the spectrum's own signal.
+        Largest error of an edge response, relative to the spectrum's own signal; the root mean
+        square over spectra and channels is held to `RMS_SHARE` of it.
     common_first : ndarray (M,) of int
         The spectra, commonest first.
     """
@@ -137,8 +144,9 @@ def reduce_spectra(
         planes_seen = np.einsum("mj,mcl->jcl", vectors, scaled)
         fitted = np.einsum("mj,jcl->mcl", vectors, planes_seen)
         error = np.abs(np.einsum("mcl,lf->mcf", scaled - fitted, edges)).max(axis=2)
-        residual = float((error / np.maximum(scaled.sum(axis=2), 1e-12)).max())
-        if residual <= tolerance:
+        relative = error / np.maximum(scaled.sum(axis=2), 1e-12)
+        residual, rms = float(relative.max()), float(np.sqrt(np.mean(relative**2)))
+        if residual <= tolerance and rms <= RMS_SHARE * tolerance:
             break
     turn = _commonest_first((vectors / material_scale[:, None])[common_first])
     coefficients = vectors / material_scale[:, None] @ turn
@@ -149,6 +157,7 @@ def reduce_spectra(
         coefficients=coefficients,
         weights=np.einsum("jk,jcl->kcl", turn, planes_seen) / channel_scale[:, None],
         residual=residual,
+        rms=rms,
     )
 
 

@@ -115,8 +115,9 @@ def test_the_background_is_in_the_first_plane():
 @pytest.mark.parametrize("lens", [LENS, HALO], ids=["compact", "halo"])
 def test_a_tighter_tolerance_never_does_less(lens):
     nodes, planes, predicted = [], [], []
+    tinges = np.stack([FLAT, 0.1 * FLAT, 0.9 * FLAT + 0.1 * RED, 0.97 * FLAT + 0.03 * BLUE])
     for tolerance in (0.1, 3e-2, 1e-2, 3e-3, 1e-3, 5e-4):
-        plan = plan_optics(lens, sensor(), COLOURED, Accuracy(tolerance))
+        plan = plan_optics(lens, sensor(), scene(shapes(), tinges), Accuracy(tolerance))
         nodes.append(np.prod(plan.scales[0].grid.nodes))
         planes.append(plan.basis.coefficients.shape[1])
         errors = [
@@ -304,7 +305,7 @@ def test_a_tolerance_out_of_range_is_refused(tolerance: float):
 
 def test_the_ends_of_the_range_are_in_it():
     assert Accuracy(1e-5, 0).probes == 0 and Accuracy(0.1).tolerance == 0.1
-    assert Accuracy() == Accuracy(1e-3, 64)
+    assert Accuracy() == Accuracy(1e-3, 256, "relative")
 
 
 def test_fewer_probes_than_none_are_refused():
