@@ -22,7 +22,8 @@ from gpusim.optics.kernels import (
 
 LENS = bank(skew_um=2.0)
 WEIGHTS = np.random.default_rng(12).uniform(1, 5, (2, 3, 3))
-# float32 splines: 2^-24 of the coefficients, which are 3 times the samples at most along each axis.
+# float32 splines: 2^-24 of the coefficients, which are 7.5 times the samples at most along each axis
+# (where they alternate), of smooth PSFs less than 3.
 F32_SPLINE = 9 * 2.0**-24
 
 
@@ -96,6 +97,22 @@ def test_images_stop_at_the_first_field_beyond_the_reach():
     for reach, fields in ((1.0, 2), (radius_um[1] + 1, 3), (radius_um[1] - 1, 2), (1e9, 4)):
         found = field_images(LENS, WEIGHTS[:1, :1], reach)[1].radius_um
         assert len(found) == fields and (found[-1] >= reach or fields == 4)
+
+
+def test_a_sharp_psf_keeps_its_energy_at_every_azimuth():
+    """Samples of 0.3875 um along the bank's axes meet what splines add at 2 cycles/um; 45 deg not.
+
+    They meet it at 2.58 cycles/um, where a quintic spline has sinc(1.29)^6 / 0.55 = 1e-4 of the
+    0.26 that a Gaussian of 0.45 um has at 0.58; along two axes and to both sides 1e-4. Of a cubic
+    one it would be sinc(1.29)^4 / 0.58 = 2.4e-3, and 2.5e-3 in all.
+    """
+    sharp = bank(sigma_um=(0.45,) * 3, coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0))
+    kernels = everything(sharp, np.ones((1, 1, 3)), pitch_um=1.55 / 4)
+    sums = [
+        sampled_kernels(kernels, 80 * np.cos(a), 80 * np.sin(a), 1.55 / 4, 48, 1).sum()
+        for a in np.radians([0, 4, 20, 45, 90])
+    ]
+    assert_close(np.array(sums), np.full(5, 3.0), rtol=2e-4)
 
 
 @pytest.mark.parametrize("place", [0, 1, 2])
