@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import defaultdict, deque
@@ -31,6 +32,7 @@ from gpusim.optics.fold import spectral_weights
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plan_optics
+from gpusim.plan.signal import brightest_e
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
@@ -134,6 +136,10 @@ class Renderer:
     memory_bytes : int, optional
         Budget of GPU memory, by default the device's. It changes how the work is cut, and not one
         bit of the result.
+    exposure_s : float, optional
+        Longest exposure that will be captured. It matters only to a tolerance in sigmas: the plan
+        then counts on the noise of the brightest signal that the scene makes in it, and without it
+        on that of the full well, which suffices for all exposures.
 
     Raises
     ------
@@ -150,8 +156,10 @@ class Renderer:
         device: Device | None = None,
         progress: Progress | None = None,
         memory_bytes: int | None = None,
+        exposure_s: float | None = None,
     ) -> None:
         self.camera, self.scene, self.accuracy = camera, scene, accuracy or Accuracy()
+        self.longest_s = math.inf if exposure_s is None else exposure_s
         self.device = device or default_device()
         pool = self.device.pool
         self.memory_bytes = pool.budget if memory_bytes is None else memory_bytes
@@ -174,7 +182,7 @@ class Renderer:
         started = time.perf_counter()
         self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
         started = self._spent("lens", started)
-        self.plan = plan_optics(self.bank, sensor, scene, self.accuracy)
+        self.plan = plan_optics(self.bank, sensor, scene, self._relative())
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
@@ -198,6 +206,12 @@ class Renderer:
             convolve = Convolve(self.device, scale, source.needed, aperture_um, sites)
             self.convolutions.append(convolve)
         self._spent("scene", started)
+
+    def _relative(self) -> Accuracy:
+        """Return the relative accuracy that the plan is made for."""
+        sensor = self.camera.sensor
+        brightest = brightest_e(self.bank, sensor, self.scene, self.longest_s)
+        return self.accuracy.relative(brightest, sensor.temporal_dark_noise_e, sensor.full_well_e)
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
@@ -254,6 +268,9 @@ class Renderer:
         """
         sensor = self.camera.sensor
         _check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
+        if self.accuracy.unit == "sigma":
+            longest = f"{self.longest_s:g} s or less, for which the tolerance in sigmas was planned"
+            _check("exposure", exposure_s, exposure_s <= self.longest_s, longest)
         _check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
         _check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
         rect = _rectangle(tile, sensor.rows, sensor.cols)
@@ -632,7 +649,9 @@ def capture(
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
     _rectangle(tile, camera.sensor.rows, camera.sensor.cols)  # before the long work
-    renderer = Renderer(camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes)
+    renderer = Renderer(
+        camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes, exposure_s=exposure_s
+    )
     try:
         return renderer.capture(
             exposure_s,

@@ -163,6 +163,35 @@ def test_without_noise_there_are_no_sigmas(monkeypatch):
     assert {point.sigma for point in found.points if point.col == 0} == {0.0}
 
 
+def test_a_tolerance_in_sigmas_is_judged_in_sigmas(monkeypatch):
+    rate = 1.003 * sound()
+    found = certificate(monkeypatch, rate)
+    rms = found.rms_sigma
+    for tolerance, met in ((1.01 * rms, True), (0.99 * rms, False)):
+        monkeypatch.setattr(certify_module, "Truth", FakeTruth)
+        more = (np.zeros(4), 0.1, Accuracy(tolerance, 20, "sigma"))
+        camera, subject = sensor(30, 40, temporal_dark_noise_e=3.0), scene()
+        judged = certify(bank(), camera, subject, subject.source.placed(10.0), rate, *more)
+        assert judged.met is met
+        assert judged.rms_relative == found.rms_relative
+        # A fixed share of the signal is most sigmas where the signal is largest: the last rows.
+        assert judged.worst_position[0] == max(point.row for point in judged.points if point.col)
+        assert "sigma of the noise" in judged.confidence
+    assert "sigma" not in found.confidence
+
+
+def test_beyond_the_full_well_no_sigmas_are_counted(monkeypatch):
+    """Rows of 100 to 129 electrons; the well holds 115, up to which an error of 10 % is seen."""
+    found = certificate(monkeypatch, 1.1 * sound(), count=400, full_well_e=115.0)
+    for point in found.points:
+        if point.col:
+            seen = min(1.1 * point.truth, 115.0) - min(point.truth, 115.0)
+            noise = np.sqrt(min(point.truth, 115.0) + 9)
+            assert point.sigma == pytest.approx(seen / noise)
+            assert point.relative == pytest.approx(0.1)
+    assert 0.0 in {point.sigma for point in found.points if point.col}
+
+
 def test_glare_is_part_of_the_truth_by_site(monkeypatch):
     glare = np.array([10.0, 20.0, 30.0, 40.0])
     rate = sound() + np.tile(glare.reshape(2, 2), (15, 20))

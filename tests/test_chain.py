@@ -520,6 +520,31 @@ def test_planes_may_be_kept_in_files(renderer: Renderer, whole: Capture, tmp_pat
     assert sorted(file.name for file in tmp_path.iterdir()) == ["dn.npy", "rate.npy"]
 
 
+# Tolerances in sigmas
+
+
+def test_a_tolerance_in_sigmas_plans_for_the_exposure_and_is_met():
+    """Dim light asks for less; without an exposure the plan counts on the full well."""
+    accuracy = Accuracy(0.3, 6, "sigma")
+    subject = scene(shapes())
+    nodes = {}
+    for exposure_s in (0.001, 0.05, None):
+        one = Renderer(CAMERA, subject, accuracy, exposure_s=exposure_s)
+        try:
+            nodes[exposure_s] = np.prod(one.plan.scales[0].grid.nodes)
+            if exposure_s == 0.001:
+                certificate = one.capture(0.001).certificate
+                assert certificate.met and 1e-6 < certificate.rms_sigma < 0.3
+                with pytest.raises(UserError, match="exposure") as caught:
+                    one.capture(0.0011)
+                assert "0.001 s or less" in caught.value.allowed
+        finally:
+            one.release()
+    assert nodes[0.001] < nodes[0.05] <= nodes[None]
+    shot = capture(CAMERA, subject, exposure_s=0.001, accuracy=accuracy)
+    assert shot.certificate.met and shot.accuracy is accuracy
+
+
 # What is refused
 
 

@@ -18,6 +18,7 @@ from PIL import Image
 from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
+from gpusim.plan import Accuracy
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -82,7 +83,9 @@ def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     assert ran.code == 0, ran.err
     assert (asked["exposure_s"], asked["seed"], asked["frame"]) == (1 / 250, 11, 2)
     assert (asked["tile_px"], asked["keep"]) == (512, ("rate",))
-    assert (asked["accuracy"].tolerance, asked["accuracy"].probes) == (1e-2, 5)
+    assert asked["accuracy"] == Accuracy(1e-2, 5)
+    assert shot(tmp_path, "--tolerance", "0.1sigma").code == 0
+    assert asked["accuracy"] == Accuracy(0.1, 256, "sigma")
 
 
 def test_the_memory_and_the_rectangle_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
@@ -137,7 +140,9 @@ def test_the_screen_shows_adapter_stages_certificate_and_files(
         "a GPU, a driver, Vulkan",
         "250 ms",
         "left out  the scene is a <chart> & needs none",
-        "RMS error 1.4e-03",
+        "RMS error 1.4e-03 of the local signal (0.01 sigma of the noise)",
+        "worst of 2 probes 2.0e-03 of the local signal (0.014 sigma of the noise)",
+        "at row 40, column 60",
         "BEYOND the tolerance of 0.001",
         *(str(tmp_path / name) for name in FILES),
     ):
@@ -181,6 +186,7 @@ def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
     [
         ("--tolerance", "-0.001", ("tolerance", "-0.001")),
         ("--tolerance", "nan", ("tolerance", "nan")),
+        ("--tolerance", "0.1 sigmas", ("tolerance", "0.1 sigmas", "0.001sigma to 10sigma")),
         ("--luminance", "0", ("luminance", "0", "above 0")),
         ("--luminance", "-5", ("luminance", "-5", "above 0")),
         ("--keep", "electrons,volts", ("--keep", "volts", "electrons, rate")),

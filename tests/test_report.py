@@ -16,6 +16,7 @@ from fake_capture import COLS, POINTS, ROWS, STAGES, fake_capture
 from PIL import Image
 
 from gpusim import report
+from gpusim.plan import Accuracy
 from gpusim.report.facts import plain, shaders_sha256
 from gpusim.report.probes import probe_map
 from gpusim.report.words import duration, error, exposure, mebibytes
@@ -87,6 +88,7 @@ def test_facts_are_json_and_have_every_parameter(facts: dict):
             "frame": 3,
             "wall_s": 2.25,
             "tolerance": 1e-3,
+            "tolerance_unit": "relative",
         }
         == facts["capture"]
     )
@@ -152,6 +154,19 @@ def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
         "lens 125 ms",
         "US 2,673,491",
         "gpusim render <i>camera</i> demo",
+    ):
+        assert words in text, words
+
+
+def test_a_tolerance_in_sigmas_is_judged_in_sigmas():
+    capture = replace(fake_capture(), accuracy=Accuracy(0.1, 2, "sigma"))
+    facts = report.facts(capture, files=FILES, command=COMMAND)
+    text = " ".join(Tags(report.page(facts, np.zeros((ROWS, COLS, 3), np.uint8))).texts)
+    for words in (
+        "0.01 sigma",
+        "RMS error in sigmas of the noise, beyond the tolerance of 0.1 sigma",
+        "0.014 sigma",
+        "worst of 2 probes, at row 40, column 60",
     ):
         assert words in text, words
 

@@ -52,11 +52,15 @@ def render(
         typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(metavar="E", help="Error allowed, relative to the local signal.")
-    ] = 1e-3,
+        str,
+        typer.Option(
+            metavar="E",
+            help="Error allowed: 1e-3 of the local signal, or 0.1sigma of a pixel's noise.",
+        ),
+    ] = "1e-3",
     certify: Annotated[
         int, typer.Option(metavar="N", min=0, help="Probes of the certificate; 0 for none.")
-    ] = 64,
+    ] = 256,
     seed: Annotated[
         int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise and fixed patterns.")
     ] = 7,

@@ -38,7 +38,7 @@ def run(
     *,
     exposure: str,
     luminance_cd_m2: float | None,
-    tolerance: float,
+    tolerance: str,
     probes: int,
     seed: int,
     frame: int,
@@ -52,7 +52,7 @@ def run(
     planes = kept_planes(keep)
     rectangle = None if tile is None else rectangle_of(tile)
     memory_bytes = None if memory is None else bytes_of(memory)
-    accuracy = Accuracy(tolerance=tolerance, probes=probes)
+    accuracy = Accuracy.parse(tolerance, probes)
     camera = load_camera(camera_name)
     check_filter_array(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gpusim.errors import UserError
-from gpusim.report.words import duration, error, mebibytes
+from gpusim.report.words import duration, error, mebibytes, sigmas, tolerance
 
 
 def show_error(mistake: UserError) -> None:
@@ -65,14 +65,19 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
         console.print("certificate: none, no probes were asked for")
     else:
         met = "within" if certificate["met"] else "BEYOND"
-        rms, worst = (error(certificate[f"{which}_relative"]) for which in ("rms", "worst"))
-        console.print(
-            f"certificate: RMS error {rms} of the local signal, worst of {certificate['probes']} "
-            f"probes {worst}: {met} the tolerance of {facts['capture']['tolerance']:g}. "
-            f"{certificate['confidence']}",
-            markup=False,
-            highlight=False,
+        rms, worst = (
+            f"{error(certificate[f'{which}_relative'])} of the local signal "
+            f"({sigmas(certificate[f'{which}_sigma'])} of the noise)"
+            for which in ("rms", "worst")
         )
+        row, col = certificate["worst_position"]
+        for line in (
+            f"certificate: {met} the tolerance of {tolerance(facts['capture'])}",
+            f"RMS error {rms}",
+            f"worst of {certificate['probes']} probes {worst}",
+            f"at row {row}, column {col}; {certificate['confidence']}",
+        ):
+            console.print(line, markup=False, highlight=False, soft_wrap=True)
     for name in facts["files"]:
         console.print(str(folder / name), markup=False, highlight=False, soft_wrap=True)
 
@@ -91,7 +96,7 @@ def stages(facts: Mapping[str, Any]) -> Table:
         table.add_row("kernels", duration(facts["times_s"]["kernels"]), "made tile by tile")
     table.add_row("render", duration(facts["capture"]["wall_s"]), "wall clock", style="bold")
     if facts["certificate"] is not None:
-        table.add_row("certificate", duration(facts["certificate"]["seconds"]))
+        table.add_row("certificate", duration(facts["certificate"]["seconds"]), "apart")
     memory = facts["memory"]
     budget = f"of the GPU at most, of a budget of {mebibytes(memory['budget_bytes'])}"
     table.add_row("memory", mebibytes(memory["peak_bytes"]), budget)

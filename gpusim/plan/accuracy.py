@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from gpusim.errors import UserError
+
+SMALLEST, LARGEST = 1e-5, 0.1  # of relative tolerances
+RANGES = {"relative": (SMALLEST, LARGEST), "sigma": (1e-3, 10.0)}
+ALLOWED = (
+    "1e-5 to 0.1, relative to the local signal; or 0.001sigma to 10sigma, of the temporal noise"
+)
 
 
 @dataclass(frozen=True)
@@ -15,26 +22,97 @@ class Accuracy:
     ----------
     tolerance : float
         Root mean square error of the mean signal over probe pixels, half of them on the steepest
-        edges, relative to the local signal; no probe may err by more than ten times it. The
-        engine's approximations (planes, PSF nodes, oversampling, cut of the PSFs) are planned
-        from it.
+        edges; no probe may err by more than ten times it. The engine's approximations (planes, PSF
+        nodes, oversampling, cut of the PSFs) are planned from it.
     probes : int
         Pixels of the certificate; 0 leaves it out.
+    unit : str
+        Of the tolerance: "relative", to the local signal; or "sigma", of the pixel's temporal noise
+        at the exposure. An error below a tenth of a sigma is invisible in the raw.
     """
 
     tolerance: float = 1e-3
-    probes: int = 64
+    probes: int = 256
+    unit: str = "relative"
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        if not 1e-5 <= self.tolerance <= 0.1:
+        if self.unit not in RANGES:
+            raise UserError(
+                "There is no such unit of tolerances.",
+                field="tolerance",
+                value=self.unit,
+                allowed=", ".join(RANGES),
+            )
+        low, high = RANGES[self.unit]
+        if not low <= self.tolerance <= high:
             raise UserError(
                 "The tolerance is out of range.",
                 field="tolerance",
-                value=self.tolerance,
-                allowed="1e-5 to 0.1, relative to the local signal",
+                value=self.text,
+                allowed=ALLOWED,
             )
         if self.probes < 0:
             raise UserError(
                 "Too few probes.", field="certify", value=self.probes, allowed="0 or more"
             )
+
+    @classmethod
+    def parse(cls, text: str, probes: int = 256) -> Accuracy:
+        """Return what a tolerance in words asks for: ``1e-3``, or ``0.1sigma``.
+
+        Raises
+        ------
+        UserError
+            Not a number, or out of range.
+        """
+        number = text.strip().removesuffix("sigma")
+        unit = "relative" if number == text.strip() else "sigma"
+        try:
+            tolerance = float(number)
+        except ValueError:
+            raise UserError(
+                "The tolerance is no number.", field="tolerance", value=text, allowed=ALLOWED
+            ) from None
+        return cls(tolerance, probes, unit)
+
+    @property
+    def text(self) -> str:
+        """The tolerance in words: 0.001, or 0.1 sigma."""
+        return f"{self.tolerance:g}" + (" sigma" if self.unit == "sigma" else "")
+
+    def relative(self, brightest_e: float, dark_noise_e: float, full_well_e: float) -> Accuracy:
+        """Return a relative accuracy that meets this one at every signal up to the brightest.
+
+        The noise of a signal of S electrons is sigma = sqrt(S + sigma_d^2) (EMVA 1288, without what
+        only adds to it). An error r S is k sigma where r = k sigma / S, which falls as S rises: the
+        brightest signal asks for the least r. Beyond the full well nothing is seen.
+
+        Parameters
+        ----------
+        brightest_e : float
+            Largest mean signal of the frame, electrons.
+        dark_noise_e, full_well_e : float
+            Of the sensor, electrons.
+
+        Raises
+        ------
+        UserError
+            When that is less than the engine's approximations can be planned for.
+        """
+        if self.unit == "relative":
+            return self
+        signal = min(brightest_e, full_well_e)
+        tolerance = LARGEST
+        if signal > 0:
+            noise = math.sqrt(signal + dark_noise_e**2)
+            tolerance = min(self.tolerance * noise / signal, LARGEST)
+        if tolerance < SMALLEST:
+            raise UserError(
+                f"The tolerance cannot be met: at {signal:.3g} electrons it is {tolerance:.1e} of "
+                "the signal, and float32 leaves more in sums over a frame.",
+                field="tolerance",
+                value=self.text,
+                allowed=f"{SMALLEST * signal / noise:.2g}sigma or more at this exposure",
+            )
+        return replace(self, tolerance=tolerance, unit="relative")

@@ -59,6 +59,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "frame": capture.frame,
             "wall_s": float(capture.wall_s),
             "tolerance": capture.accuracy.tolerance,
+            "tolerance_unit": capture.accuracy.unit,
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
         },
         "camera": _camera(capture.camera),

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 from gpusim.report.probes import probe_map
-from gpusim.report.words import duration, error, exposure, mebibytes
+from gpusim.report.words import duration, error, exposure, mebibytes, sigmas, tolerance
 
 # The overview shows no single pixel, so a JPEG serves: 0.3 MB where a PNG of a noisy capture has 3.
 _OVERVIEW_PX = 1400
@@ -97,13 +97,21 @@ def _cards(facts: Mapping[str, Any]) -> str:
         cards = [("", "not certified", "no probes were asked for")]
     else:
         style, met = ("good", "within") if certificate["met"] else ("bad", "beyond")
-        tolerance = (
-            f"RMS error of the local signal, {met} the tolerance of {capture['tolerance']:g}"
-        )
-        probes = f"worst of {certificate['probes']} probes"
+        unit = capture["tolerance_unit"]
+        say = sigmas if unit == "sigma" else error
+        of = "in sigmas of the noise" if unit == "sigma" else "of the local signal"
+        row, col = certificate["worst_position"]
         cards = [
-            (style, error(certificate["rms_relative"]), tolerance),
-            (style, error(certificate["worst_relative"]), probes),
+            (
+                style,
+                say(certificate[f"rms_{unit}"]),
+                f"RMS error {of}, {met} the tolerance of {tolerance(capture)}",
+            ),
+            (
+                style,
+                say(certificate[f"worst_{unit}"]),
+                f"worst of {certificate['probes']} probes, at row {row}, column {col}",
+            ),
         ]
     cards += [
         ("", duration(capture["wall_s"]), "for the render, wall clock"),
@@ -196,7 +204,7 @@ def _certificate(facts: Mapping[str, Any]) -> str:
         "RMS error, noise sigmas": error(certificate["rms_sigma"]),
         "worst error, noise sigmas": error(certificate["worst_sigma"]),
         "probes": str(certificate["probes"]),
-        "time": duration(certificate["seconds"]),
+        "time, apart from the render's": duration(certificate["seconds"]),
     }
     columns = ("Row", "Column", "Exact [e-]", "Rendered [e-]", "Relative error", "Noise sigmas")
     worst = [

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 NOTHING = "\N{EN DASH}"
 
@@ -34,3 +36,13 @@ def error(value: float | None) -> str:
     if value is None:
         return NOTHING
     return f"{value:.1e}" if value else "0"
+
+
+def tolerance(capture: Mapping[str, Any]) -> str:
+    """Return the tolerance of a capture's facts: 0.001, or 0.1 sigma."""
+    return f"{capture['tolerance']:g}" + (" sigma" if capture["tolerance_unit"] == "sigma" else "")
+
+
+def sigmas(value: float | None) -> str:
+    """Return an error in noise sigmas with two digits: 0.0032 sigma."""
+    return NOTHING if value is None else f"{value:.2g} sigma"

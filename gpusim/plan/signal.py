@@ -1,0 +1,27 @@
+"""The largest mean signal that a scene can make, for tolerances in units of the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpusim.lens.bank import Bank
+from gpusim.optics.fold import spectral_weights
+from gpusim.scene.chart import Chart
+from gpusim.scene.scene import Scene
+from gpusim.sensor.sensor import Sensor
+
+
+def brightest_e(bank: Bank, sensor: Sensor, scene: Scene, exposure_s: float) -> float:
+    """Return a bound of the mean electrons of any pixel.
+
+    The brightest material or sample in the channel that sees most of it, as if it filled the frame,
+    at the place where the lens passes most light, with veiling glare.
+    """
+    illumination = bank.relative_illumination
+    passed = illumination.reshape(-1, illumination.shape[-1]).max(axis=0)
+    rates = np.einsum("clw,mw,l->cm", spectral_weights(bank, sensor), scene.spectra, passed)
+    if not isinstance(scene.source, Chart):
+        planes = scene.source.planes
+        rates = np.array([np.tensordot(row, planes, axes=1).max() for row in rates])
+    rate = float(rates.max()) * (1 + sensor.veiling_glare)
+    return rate * exposure_s if rate > 0 else 0.0  # also of an endless exposure
