@@ -140,6 +140,8 @@ class Renderer:
         Longest exposure that will be captured. It matters only to a tolerance in sigmas: the plan
         then counts on the noise of the brightest signal that the scene makes in it, and without it
         on that of the full well, which suffices for all exposures.
+    plan : Plan, optional
+        Use this one: the planner is not asked.
 
     Raises
     ------
@@ -157,6 +159,7 @@ class Renderer:
         progress: Progress | None = None,
         memory_bytes: int | None = None,
         exposure_s: float | None = None,
+        plan: Plan | None = None,
     ) -> None:
         self.camera, self.scene, self.accuracy = camera, scene, accuracy or Accuracy()
         self.longest_s = math.inf if exposure_s is None else exposure_s
@@ -182,7 +185,7 @@ class Renderer:
         started = time.perf_counter()
         self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
         started = self._spent("lens", started)
-        self.plan = plan_optics(self.bank, sensor, scene, self._relative())
+        self.plan = plan or plan_optics(self.bank, sensor, scene, self._relative())
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))

@@ -20,7 +20,7 @@ from gpusim.gpu.wgsl import load
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "gpusim"
 DOMAIN = ("camera", "scene", "lens", "optics", "sensor", "isp", "metrics")
-TOP = ("chain", "plan", "certify", "report", "batch", "preview", "cli")
+TOP = ("chain", "plan", "certify", "pareto", "stress", "report", "batch", "preview", "cli")
 HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")
 STAGES = shader_names()
 # Stages whose float64 twin is no file of its own: the tracer of gpusim/lens/trace.py also prepares

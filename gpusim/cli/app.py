@@ -162,6 +162,40 @@ def develop(
 
 
 @app.command()
+def pareto(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    exposure: Annotated[
+        str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")
+    ] = "1/60",
+    tolerance: Annotated[
+        str, typer.Option(metavar="E", help="What the chosen plan is made for: 1e-3, 0.1sigma.")
+    ] = "1e-3",
+    certify: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Probes that certify every plan.")
+    ] = 128,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="The whole sensor, not 512 pixels about its centre.")
+    ] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Sweep tolerances and knobs: certified error against run time, as table and figure."""
+    from gpusim.cli.pareto import run
+
+    choose_adapter(adapter)
+    run(
+        camera,
+        scene,
+        out,
+        exposure=exposure,
+        tolerance=tolerance,
+        probes=certify,
+        whole=whole,
+    )
+
+
+@app.command()
 def devices() -> None:
     """List the graphics adapters and their limits."""
     from gpusim.cli.devices import run

@@ -36,6 +36,9 @@ TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
 # side.
 CONTRAST = 20.0
+# Of an edge's height, and both sides: the dark side feels it more. Measured: certified RMS of
+# edges of 16:1 with more nodes than matter, 3.4e-4 where the edge response errs by 1.5e-4.
+ALIAS_TO_RMS = 2.3
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 
@@ -79,7 +82,9 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
         return dict.fromkeys(np.ndindex(grid.blocks), basis.coefficients.shape[1])
 
     for oversampling in (2, 4):
-        alias = alias_error(bank, oversampling, sensor, sigma) if is_chart else 0.0
+        alias = 0.0
+        if is_chart:
+            alias = ALIAS_TO_RMS * alias_error(bank, oversampling, sensor, sigma)
         if alias <= accuracy.tolerance or oversampling * period == 8:
             break
     pitch_um = sensor.pixel_pitch_um / oversampling

@@ -22,8 +22,8 @@ from gpusim.optics.kernels import (
 
 LENS = bank(skew_um=2.0)
 WEIGHTS = np.random.default_rng(12).uniform(1, 5, (2, 3, 3))
-# float32 splines: 2^-24 of the coefficients, which are 7.5 times the samples at most along each axis
-# (where they alternate), of smooth PSFs less than 3.
+# float32 splines: 2^-24 of the coefficients, along each axis 7.5 times the samples where they
+# alternate, less than 3 times those of smooth PSFs.
 F32_SPLINE = 9 * 2.0**-24
 
 
