@@ -70,7 +70,11 @@ class Places(Protocol):
 
 @dataclass(frozen=True)
 class Heights:
-    """Fields at image heights, rising from 0; beyond the last it is the last field's PSF."""
+    """Fields at image heights, rising from 0.
+
+    Beyond the last they go on along a straight line for as far as it is from the one before, and
+    then stay: nothing shines there, but nodes that lie there belong to cells that reach in.
+    """
 
     radius_um: np.ndarray
     probes = (0, -1)
@@ -82,7 +86,7 @@ class Heights:
         upper = int(np.clip(np.searchsorted(self.radius_um, radius), 1, len(self.radius_um) - 1))
         lower = upper - 1
         span = self.radius_um[upper] - self.radius_um[lower]
-        t = min((radius - self.radius_um[lower]) / span, 1.0)
+        t = min((radius - self.radius_um[lower]) / span, 2.0)
         cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
         return Blend((lower, upper), (1 - t, t), cos, sin)
 

@@ -8,7 +8,7 @@ from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
-from gpusim.optics.fold import edge_responses, reduce_spectra, spectral_weights
+from gpusim.optics.fold import MAX_PLANES, edge_responses, reduce_spectra, spectral_weights
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import (
     FieldKernels,
@@ -49,7 +49,8 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
     Raises
     ------
     UserError
-        When a PSF is wider than the longest transform allows, or the CFA period is no power of two.
+        When a PSF is wider than the longest transform allows, the CFA period is no power of two, or
+        a part of the error cannot be as small as the tolerance asks: which, and how small it is.
     """
     is_chart = isinstance(scene.source, Chart)
     period = sensor.period[0]
@@ -68,9 +69,20 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
         worst,
         _commonest_first(scene),
     )
+    if basis.residual > worst:
+        raise UserError(
+            "The tolerance cannot be met: the planes of the scene's spectra cannot err by less.",
+            field="tolerance",
+            value=accuracy.tolerance,
+            allowed=f"{basis.residual / WORST_TO_RMS:.1e} or more: the shaders carry {MAX_PLANES} "
+            "planes, and this camera tells more spectra of this scene apart",
+        )
     sigma = SIGMA if is_chart else 0.0
     half_um = (sensor.cols * sensor.pixel_pitch_um / 2, sensor.rows * sensor.pixel_pitch_um / 2)
-    images, places = field_images(bank, basis.weights, float(np.hypot(*half_um)))
+    # Sources around the sensor count too, and so do the nodes beyond them.
+    reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
+    farthest_um = float(np.hypot(*half_um) + np.sqrt(2) * reach_um)
+    images, places = field_images(bank, basis.weights, farthest_um)
     everything = np.ones(images.shape[-2:])
 
     if is_chart:
@@ -87,8 +99,15 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
             alias = ALIAS_TO_RMS * alias_error(bank, oversampling, sensor, sigma)
         if alias <= accuracy.tolerance or oversampling * period == 8:
             break
+    if alias > accuracy.tolerance:
+        raise UserError(
+            "The tolerance cannot be met: the alias of edges on the sim grid cannot be less.",
+            field="tolerance",
+            value=accuracy.tolerance,
+            allowed=f"{alias:.1e} or more: {oversampling} samples a pixel are the most, and the "
+            "lens's PSFs hold finer detail than these carry",
+        )
     pitch_um = sensor.pixel_pitch_um / oversampling
-    reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
 
     # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
     # kernels of its own, and shaders/optics/columns sums four.

@@ -187,7 +187,7 @@ def test_a_quarter_turn_is_exact():
     assert centroid(left[0, 0])[0] < -0.5
 
 
-def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay():
+def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_go_on_a_little():
     kernels = everything(pitch_um=0.6)
     radius = kernels.places.radius_um
 
@@ -198,7 +198,12 @@ def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_stay()
         height = 0.7 * radius[lower] + 0.3 * radius[lower + 1]
         mixed = 0.7 * at(radius[lower]) + 0.3 * at(radius[lower + 1])
         assert_close(at(height), mixed, atol=1e-6 * mixed.max())  # sums of float32 splines
-    assert_close(at(2 * radius[-1]), at(radius[-1]), atol=1e-9 * mixed.max())
+    step = radius[-1] - radius[-2]
+    onwards = 1.4 * at(radius[-1]) - 0.4 * at(radius[-2])
+    assert_close(at(radius[-1] + 0.4 * step), onwards, atol=1e-6 * mixed.max())
+    farthest = at(radius[-1] + step)
+    assert_close(at(2 * radius[-1]), farthest, atol=1e-6 * mixed.max())
+    assert np.abs(farthest - at(radius[-1])).max() > 0.01 * mixed.max()
 
 
 def test_sampled_kernels_hold_the_energy():
