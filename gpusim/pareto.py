@@ -204,9 +204,10 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
 
 
 def _images(renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
-    sensor = renderer.camera.sensor
-    corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
-    return field_images(renderer.bank, renderer.plan.basis.weights, corner_um)
+    """Return the channel kernels at the fields that the plan uses."""
+    plan = renderer.plan
+    farthest_um = float(plan.scales[0].kernels.radius_um[-1])
+    return field_images(renderer.bank, plan.basis.weights, farthest_um)
 
 
 def _core(renderer: Renderer, cut_um: float | None) -> np.ndarray:

@@ -196,6 +196,20 @@ def pareto(
 
 
 @app.command()
+def stress(
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for stress.json.")] = None,
+    adapter: Adapter = None,
+) -> None:
+    """Run the stiff and extreme cases: expected, got, verdict. Exit code 1 where one fails."""
+    from gpusim.cli.stress import run
+
+    choose_adapter(adapter)
+    if code := run(as_json, out):
+        raise typer.Exit(code)
+
+
+@app.command()
 def devices() -> None:
     """List the graphics adapters and their limits."""
     from gpusim.cli.devices import run
