@@ -23,7 +23,6 @@ from gpusim.optics.nodes import Node, NodeStore, Outputs, Scale, outputs_of
 # By how much kernels are sampled beyond the support, sim samples: the aperture and the inverse of
 # the scene's Gaussian carry what lies there into it.
 MARGIN = 16
-MAX_LANES = 64  # invocations of a workgroup, eight photosites each
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,8 @@ class TapLayout:
         Of the places, samples.
     groups : int
         vec4f in a line of taps.
-    lanes, tiles : int
-        Invocations of a workgroup, and workgroups side by side.
+    eights : int
+        Invocations side by side.
     """
 
     low: int
@@ -54,8 +53,7 @@ class TapLayout:
     columns: int
     offsets: tuple[int, ...]
     groups: int
-    lanes: int
-    tiles: int
+    eights: int
 
     @property
     def lines(self) -> int:
@@ -78,15 +76,13 @@ def tap_layout(grid: SimGrid, support: int, outputs: Outputs) -> TapLayout:
         place // grid.period * grid.stride + place % grid.period * outputs.step
         for place in range(places)
     )
-    layout = TapLayout(low, high, stride, places, columns, offsets, 0, 0, 0)
+    layout = TapLayout(low, high, stride, places, columns, offsets, 0, 0)
     last = max(
         (offset - low) // 4 - layout.first_group(place) for place, offset in enumerate(offsets)
     )
     groups = math.ceil((last + 1) / (stride // 4)) * (stride // 4)
     eights = math.ceil((grid.block[0] + 2 * grid.half_size) / stride / 8)
-    tiles = math.ceil(eights / MAX_LANES)
-    lanes = math.ceil(eights / tiles)
-    return TapLayout(low, high, stride, places, columns, offsets, groups, lanes, tiles)
+    return TapLayout(low, high, stride, places, columns, offsets, groups, eights)
 
 
 def spatial_kernels(
@@ -232,7 +228,7 @@ def direct_work(
 ) -> int:
     """Return the multiply-adds of a frame, those that meet zeros included."""
     layout = tap_layout(grid, support, outputs_of(grid, site_channels, max(site_channels) + 1))
-    across = layout.tiles * layout.lanes * 8 * layout.stride // grid.stride
+    across = layout.eights * 8 * layout.stride // grid.stride
     down = grid.block[1] * layout.lines // grid.stride
     each = grid.sites * across * down * 4 * layout.groups * (1 if constant else 2)
     return each * sum(needed.values())
@@ -287,7 +283,7 @@ class Direct(NodeStore):
             raise ValueError(f"half_size {grid.half_size} does not hold a support of {support}")
         self.kernel = Kernel(
             "optics/direct",
-            LANES=layout.lanes,
+            EIGHTS=layout.eights,
             BX=grid.block[0],
             BY=grid.block[1],
             R=grid.half_size,
@@ -352,15 +348,14 @@ class Direct(NodeStore):
         # The lines of photosites that the rectangle holds.
         first = max(0, -origin[1])
         last = min((grid.block[1] + 2 * grid.half_size) // grid.stride, rows - origin[1])
+        lines = max(last - first, 0)
         x, y = (0, 0) if self.constant else grid.cell_of(block)
         corners = ((0, 0),) * 4 if self.constant else ((0, 0), (1, 0), (0, 1), (1, 1))
         names = ("taps_00", "taps_10", "taps_01", "taps_11")
         self.kernel.record(
             rec,
-            groups=(
-                layout.tiles,
-                max(last - first, 0),
-                grid.period * layout.places // layout.columns,
+            groups=self.kernel.cover(
+                layout.eights * lines, grid.period * layout.places // layout.columns
             ),
             params={
                 "first_s": first_s,
@@ -369,6 +364,7 @@ class Direct(NodeStore):
                 "step_t": step_t,
                 "planes": needed,
                 "first_line": first,
+                "lines": lines,
                 "origin": origin,
                 "size": (cols, rows),
             },

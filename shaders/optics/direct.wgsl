@@ -11,16 +11,17 @@
 //
 // An invocation computes eight photosites along x of two places: sites beside one another, or, where photosites lie less
 // than a vec4f apart (D < 4), every second or fourth photosite of one. Place c lies offset(c) samples from p.
-// The sources of the eight stay in registers and move on by one as the taps do: one vec4f is loaded where 128
-// multiply-adds are done (lavapipe, 2 cores: 11 to 15 GFLOP/s; see tools/KERNELS.md).
+// The sources of the eight stay in registers and move on by one as the taps do: one vec4f of the source, and eight of the
+// taps, are loaded for 128 multiply-adds (8 to 15 GFLOP/s on lavapipe with 2 cores; one photosite to an invocation, 13 times
+// less: tools/KERNELS.md).
 //
 // planes (J, BY, BX); taps (J, PERIOD, places / COLUMNS, LINES, GROUPS, COLUMNS, 4) per node: line l, number n of the last
 // three axes stand for d_y = HIGH - l and d_x = offset(c) - 4 first_group - n, zero where no such tap is.
 // -> rates (S, rows, cols) electrons/s.
-// Dispatch: (tiles of 8 LANES photosites, lines of photosites from first_line on, PERIOD places / COLUMNS).
+// Dispatch: (eights of photosites, line by line, in workgroups of 64; PERIOD places / COLUMNS; 1).
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 
-override LANES: u32 = 16u;         // invocations of a workgroup
+override EIGHTS: u32 = 16u;       // of photosites in a line
 override BX: u32 = 336u;          // block width, samples: a multiple of 4
 override BY: u32 = 336u;          // block height, samples
 override R: u32 = 88u;            // from the window's first sample to the block's: a multiple of 4 and of D
@@ -41,7 +42,8 @@ struct Params {
     first_t: f32,
     step_t: f32,
     planes: u32,                  // coefficient planes that the block needs
-    first_line: i32,
+    first_line: u32,              // lines of photosites of the window, and how many
+    lines: u32,
     origin: vec2i,                // (x, y) of the window's first photosite in the planes of the sites
     size: vec2i,                  // (columns, rows) of the planes of the sites
 }
@@ -83,32 +85,35 @@ fn gathered(a: vec4f, x: Taps, y: Taps) -> vec4f {
     return vec4f(dot(a, x.own), dot(a, y.own), dot(a, x.slope), dot(a, y.slope));
 }
 
-fn add(place: u32, n: u32, group: vec3u, own: f32, slope: f32) {
-    let site = group.z / (PLACES / COLUMNS) * PERIOD + place % PERIOD;
+fn add(place: u32, row: u32, n: u32, line: u32, own: f32, slope: f32) {
     let x = params.origin.x + i32(n * (STRIDE / D) + place / PERIOD);
     if (x < 0 || x >= params.size.x) {
         return;
     }
-    let y = params.origin.y + params.first_line + i32(group.y);
+    let y = params.origin.y + i32(line);
+    let site = row * PERIOD + place % PERIOD;
     let s = params.first_s + params.step_s * f32(i32(STRIDE * n) - i32(R));
     rates[(i32(site) * params.size.y + y) * params.size.x + x] += own + s * slope;
 }
 
-fn put(n: u32, group: vec3u, sum: vec4f) {
-    let place = group.z % (PLACES / COLUMNS) * COLUMNS;
-    add(place, n, group, sum.x, sum.z);
+fn put(place: u32, row: u32, n: u32, line: u32, sum: vec4f) {
+    add(place, row, n, line, sum.x, sum.z);
     if (COLUMNS == 2u) {
-        add(place + 1u, n, group, sum.y, sum.w);
+        add(place + 1u, row, n, line, sum.y, sum.w);
     }
 }
 
-@compute @workgroup_size(LANES, 1, 1)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let n = 8u * (group.x * LANES + lane);
-    let place = group.z % (PLACES / COLUMNS) * COLUMNS;
-    let row = group.z / (PLACES / COLUMNS);
+@compute @workgroup_size(64, 1, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let m = params.first_line + id.x / EIGHTS;
+    if (m >= params.first_line + params.lines) {
+        return;
+    }
+    let n = 8u * (id.x % EIGHTS);
+    let place = id.y % (PLACES / COLUMNS) * COLUMNS;
+    let row = id.y / (PLACES / COLUMNS);
     // Of the sources that the first of the eight photosites gathers: the first line, and the first vec4f.
-    let top = i32(D) * (params.first_line + i32(group.y)) + i32(row * STEP) - i32(R) - HIGH;
+    let top = i32(D * m + row * STEP) - i32(R) - HIGH;
     let offset = i32(place / PERIOD * D + place % PERIOD * STEP);
     let first_group = (offset - HIGH) >> 2u;
     let start = i32(STRIDE / 4u * n) + first_group - i32(R / 4u);
@@ -165,12 +170,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) la
             }
         }
     }
-    put(n, group, sum_0);
-    put(n + 1u, group, sum_1);
-    put(n + 2u, group, sum_2);
-    put(n + 3u, group, sum_3);
-    put(n + 4u, group, sum_4);
-    put(n + 5u, group, sum_5);
-    put(n + 6u, group, sum_6);
-    put(n + 7u, group, sum_7);
+    put(place, row, n, m, sum_0);
+    put(place, row, n + 1u, m, sum_1);
+    put(place, row, n + 2u, m, sum_2);
+    put(place, row, n + 3u, m, sum_3);
+    put(place, row, n + 4u, m, sum_4);
+    put(place, row, n + 5u, m, sum_5);
+    put(place, row, n + 6u, m, sum_6);
+    put(place, row, n + 7u, m, sum_7);
 }

@@ -60,7 +60,7 @@ def case(device, grid: SimGrid, support, planes, needed, origin, size, constant=
     before = rng.uniform(-1, 1, (grid.sites, size[1], size[0])).astype(F32)
     result = run_stage(
         stage.kernel,
-        (layout.tiles, len(lines), grid.period * layout.places // layout.columns),
+        (-(-layout.eights * len(lines) // 64), grid.period * layout.places // layout.columns, 1),
         {
             "first_s": first[0],
             "step_s": step[0],
@@ -68,6 +68,7 @@ def case(device, grid: SimGrid, support, planes, needed, origin, size, constant=
             "step_t": step[1],
             "planes": needed,
             "first_line": lines[0],
+            "lines": len(lines),
             "origin": origin,
             "size": size,
         },
@@ -225,7 +226,7 @@ def test_work_counts_the_taps_of_all_photosites():
     needed = {block: 1 + block[0] for block in np.ndindex(grid.blocks)}
     work = direct_work(grid, 8, needed, [0, 1, 1, 2], False)
     # Each line of a block meets 16 / 4 lines of photosites of 2 rows of sites; 128 photosites of
-    # 2 columns of sites across, in tiles of 8; 5 vec4f of taps; 2 for the nodes.
+    # 2 columns of sites across, eight by eight; 5 vec4f of taps; 2 for the nodes.
     assert work == 336 * 4 * 2 * 128 * 2 * 20 * 2 * sum(needed.values())
     assert direct_work(grid, 8, needed, [0, 1, 1, 2], True) == work // 2
 
