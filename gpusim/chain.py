@@ -30,6 +30,7 @@ from gpusim.optics.convolve import Convolve, Scratch
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.paint import Paint
+from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plan_optics
 from gpusim.plan.signal import brightest_e
@@ -169,6 +170,7 @@ class Renderer:
         self.prepare_s: dict[str, float] = {}
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolve] = []
+        self.splats: list[Splat] = []
         self.resident_glare: Resident | None = None
         pool.clear()  # what others left behind is no part of this renderer's peak
         with pool.within(self.memory_bytes):
@@ -202,6 +204,13 @@ class Renderer:
         glare = veiling_glare(self.bank, sensor, self.placed, self.plan.basis.weights, coefficients)
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
+        if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
+            tolerance = self.accuracy.tolerance
+            self.splats.append(
+                Splat(
+                    self.device, self.bank, sensor, self.placed.highlights, scene.spectra, tolerance
+                )
+            )
         channels = list(sensor.channels)
         sites = [channels.index(name) for name in sensor.site_channels()]
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
@@ -218,7 +227,7 @@ class Renderer:
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
-        for part in (*self.sources, *self.convolutions):
+        for part in (*self.sources, *self.convolutions, *self.splats):
             part.release()
         if self.resident_glare is not None:
             self.resident_glare.destroy()
@@ -511,7 +520,7 @@ class _Shot:
         )
 
     def _tile(self, tile: Rect, advance: Callable[[], None]) -> None:
-        """Render one tile: source and convolution of each block that it needs, then the sensor."""
+        """Render one tile: each block that it needs, from source to sites; highlights; sensor."""
         renderer = self.renderer
         device, period = renderer.device, renderer.period
         whole = aligned(tile, period)
@@ -534,6 +543,10 @@ class _Shot:
                     else:
                         self._blocks(number, blocks, rates, whole)
                 advance()
+            for splat in renderer.splats:
+                rec = Recording(device)
+                splat.record(rec, rates, whole)
+                self._run(rec)
             for strip in strips(tile, renderer.memory_bytes):
                 self._strip(strip, rates, whole)
             advance()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.field_bank import FieldBank
+from gpusim.optics.splat import squares_on_sensor
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor
@@ -22,7 +23,8 @@ def veiling_glare(
     """Return the veiling glare of every CFA site.
 
     The scene's mean over the sensor is taken on a grid of points, before the PSFs (which conserve
-    energy) and with the relative illumination, so that it does not depend on tiles.
+    energy) and with the relative illumination, so that it does not depend on tiles. A photograph's
+    highlights are too small for the grid: each counts by its area.
 
     Parameters
     ----------
@@ -52,6 +54,11 @@ def veiling_glare(
         planes = np.tensordot(coefficients.T, sampled, axes=1)
     illumination = bank.illumination_at(x, y) * lit
     moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
+    if isinstance(source, PlacedRaster) and len(source.highlights):
+        squares = squares_on_sensor(bank, sensor, source.highlights, 0.0)
+        area_um2 = sensor.rows * sensor.cols * pitch**2
+        light = bank.illumination_at(*squares.real_um.T)
+        moments += np.einsum("nm,mj,ln->jl", squares.light, coefficients, light) / area_um2
     mean = np.einsum("jl,jcl->c", moments, weights)
     channels = list(sensor.channels)
     return sensor.veiling_glare * mean[[channels.index(name) for name in sensor.site_channels()]]

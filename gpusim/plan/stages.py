@@ -18,6 +18,7 @@ NS_PER_SAMPLE = {
     "rows": 8.0,
     "columns": 8.0,
     "lattice": 20.0,
+    "splat": 300.0,
     "mosaic": 3.0,
     "exposure": 20.0,
     "noise": 60.0,
@@ -93,6 +94,9 @@ def describe(
         else "; whole PSF on one grid"
     )
     glare = sensor.veiling_glare
+    highlights = 0 if is_chart else len(scene.source.split.rows)
+    # Pixels that one highlight lights.
+    lit = (2 * grids[-1].half_size / grids[-1].oversampling) ** 2
     return (
         PlanStage("illumination", False, "the target is lit evenly"),
         PlanStage(
@@ -145,6 +149,15 @@ def describe(
                 "lattice",
                 sum(b * g.sites * g.window**2 for b, g in zip(blocks, grids, strict=True)),
             ),
+        ),
+        PlanStage(
+            "splat",
+            highlights > 0,
+            f"{highlights} highlights, each with the PSF of its own place"
+            if highlights
+            else "no part of the scene outshines the rest",
+            None,
+            cost("splat", highlights * lit) if highlights else None,
         ),
         PlanStage("mosaic", True, f"{fine.sites} CFA sites", None, cost("mosaic", pixels)),
         PlanStage(

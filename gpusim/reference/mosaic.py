@@ -25,5 +25,5 @@ def mosaic(planes: np.ndarray, glare: np.ndarray, period: tuple[int, int]) -> np
     py, px = period
     rate = np.empty((planes.shape[1] * py, planes.shape[2] * px))
     for site, (plane, light) in enumerate(zip(planes, glare, strict=True)):
-        rate[site // px :: py, site % px :: px] = plane.astype(np.float64) + light
+        rate[site // px :: py, site % px :: px] = np.maximum(plane.astype(np.float64), 0.0) + light
     return rate

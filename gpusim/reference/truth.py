@@ -37,6 +37,9 @@ MAP_ERROR_UM = 1e-5
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
 KEPT_KERNELS = 200  # of 0.8 MiB each
+SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
+NEWTON_STEPS = 30
+HIGHLIGHT_ORDER = 4  # nodes across an aperture, and across a square as large
 
 
 class _Heights:
@@ -185,6 +188,7 @@ class Truth:
         self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int], np.ndarray] = {}
+        self.psf_splines: dict[int, np.ndarray] = {}
 
     def _weights(self, spectra: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
         """Return W (C, M, L): electrons/s per unit area of an aperture."""
@@ -434,7 +438,115 @@ class Truth:
                     rings = self._rings(zone, channel, plane, centre)
                     # Smooth times smooth: the sum over middles is the integral.
                     out[number] += zone.step_um**2 * np.sum(zone.in_middles(rings) * radiance)
+        return out + self.highlights(raster.highlights, pixels)
+
+    def highlights(self, highlights: Any, pixels: np.ndarray) -> np.ndarray:
+        """Return the true electrons/s of pixels by a photograph's highlights alone.
+
+        Each pixel aperture sees each square through the spline of each wavelength's PSF, integrated
+        over both by Gauss-Legendre quadrature. A spline swings below zero where the PSF is cut off;
+        what no PSF does is left out: no highlight takes light away.
+
+        Parameters
+        ----------
+        highlights : gpusim.scene.highlights.Highlights
+        pixels : ndarray (P, 2) of int
+
+        Returns
+        -------
+        ndarray (P,)
+        """
+        out = np.zeros(len(pixels))
+        if not len(highlights.centre_um):
+            return out
+        line, share = np.polynomial.legendre.leggauss(HIGHLIGHT_ORDER)
+        nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
+        shares = np.outer(share, share).ravel() / 4
+        # A square may be larger than the PSF.
+        cuts = int(np.ceil(highlights.size_um / self.aperture_um))
+        cell = highlights.size_um / cuts
+        corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
+        corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)
+        inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
+        area = np.tile(shares, len(corners)) * cell**2
+        # To the corners of the PSFs' window, and as far as lateral colour.
+        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + 4.0
+        middle = self._real(highlights.centre_um)[0]
+        for number, (row, col) in enumerate(pixels):
+            channel = self._channel(row, col)
+            centre = self._position(row, col)
+            margin = reach + self.aperture_um + highlights.size_um
+            for near in np.flatnonzero(np.hypot(*(middle - centre).T) < margin):
+                source, stretch = self._real(highlights.centre_um[near] + inner)
+                within = np.hypot(*(source - centre).T) < reach + self.aperture_um
+                if not within.any():
+                    continue
+                source, weight = source[within], (area * stretch)[within]
+                t = centre + nodes[:, None] * self.aperture_um - source
+                spread = self._density(
+                    highlights.excess[near] @ self.weights[channel],
+                    t.reshape(-1, 2),
+                    np.tile(source, (len(nodes), 1)),
+                )
+                light = shares @ spread.reshape(len(nodes), -1) @ weight
+                out[number] += max(light, 0.0) * self.aperture_um**2
         return out
+
+    def _real(self, ideal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return where ideal-plane points (P, 2) land, and the map's stretch of areas there.
+
+        By Newton's steps on the map to the ideal plane. Where none lands, they end anywhere.
+        """
+        step = 1e-3
+        real = np.array(ideal, np.float64)
+        for _ in range(NEWTON_STEPS):
+            columns = [
+                (self.fields.ideal(real + d) - self.fields.ideal(real - d)) / (2 * step)
+                for d in step * np.eye(2)
+            ]
+            slopes = np.stack(columns, axis=2)
+            lack = ideal - self.fields.ideal(real)
+            if np.abs(lack).max() < 1e-7:
+                break
+            real += np.linalg.solve(slopes, lack[..., None])[..., 0]
+        return real, 1 / np.abs(np.linalg.det(slopes))
+
+    def _density(self, light: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
+        """Return sum_l light_l K_l h_l(t; source) (P,): no blend of wavelengths is resampled.
+
+        A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
+        PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
+        """
+        along = self.fields.axes(source)
+        pitch, half = self.bank.pitch_um, self.bank.psf.shape[-1] // 2 + SPLINE_PAD
+        x = np.sum(t * along, axis=1)
+        y = t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]
+        result = np.zeros(len(t))
+        for field, share in self.fields.shares(source):
+            used = share > 0
+            if not used.any():
+                continue
+            for place, spline in enumerate(self._psf_splines(field)):
+                _, illumination, shift = self.fields.light(field, place)
+                where = [(y[used] - shift[1]) / pitch + half, (x[used] - shift[0]) / pitch + half]
+                result[used] += (share[used] * light[place] * illumination / pitch**2) * (
+                    map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
+                )
+        return result
+
+    def _psf_splines(self, field: int) -> np.ndarray:
+        """Return the spline coefficients (L, n, n) of one field's PSFs, each on its own."""
+        if field not in self.psf_splines:
+            self.psf_splines[field] = np.stack(
+                [
+                    spline_filter(
+                        np.pad(self.fields.light(field, place)[0].astype(np.float64), SPLINE_PAD),
+                        order=3,
+                    )
+                    for place in range(len(self.bank.wavelengths_nm))
+                ]
+            )
+        return self.psf_splines[field]
 
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from gpusim.scene.highlights import Highlights, Split, split_outliers
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -51,6 +54,8 @@ class PlacedRaster:
     integrals : bool
         Whether the samples are the radiance's integrals with B-splines (`INTEGRALS`), not its
         values.
+    highlights : Highlights
+        Light that is not in the planes.
     """
 
     planes: np.ndarray
@@ -59,6 +64,9 @@ class PlacedRaster:
     y0_um: float
     note: str
     integrals: bool = False
+    highlights: Highlights = field(
+        default_factory=lambda: Highlights(np.zeros((0, 2)), 0.0, np.zeros((0, 0)))
+    )
 
     def spline_coefficients(self) -> np.ndarray:
         """Return the cubic B-spline coefficients that define the continuous radiance.
@@ -132,6 +140,11 @@ class Raster:
 
     planes: np.ndarray
 
+    @functools.cached_property
+    def split(self) -> Split:
+        """The planes without their bright outliers, and these."""
+        return split_outliers(self.planes)
+
     def pitch_um(self, half_width_um: float, half_height_um: float) -> float:
         """Return the distance between samples where the raster covers the sensor."""
         _, rows, cols = self.planes.shape
@@ -155,7 +168,9 @@ class Raster:
         _, rows, cols = self.planes.shape
         pitch = self.pitch_um(half_width_um, half_height_um)
         width, height = cols * pitch, rows * pitch
-        planes = self.planes
+        split, planes = self.split, self.split.planes
+        centre = (np.stack([split.cols, split.rows], axis=1) + 0.5) * pitch
+        highlights = Highlights(centre - (width / 2, height / 2), pitch, split.excess)
         note = f"{cols} x {rows} samples at {pitch:.4g} um"
         if pitch < min_pitch_um * (1 - ROUNDING):
             # One pitch in both directions, that of a whole number of samples across. Down, the
@@ -164,10 +179,18 @@ class Raster:
             pitch = width / new_cols
             new_rows = math.ceil(height / pitch - ROUNDING)
             height = new_rows * pitch
-            planes = _reduced(self.planes, (new_rows, new_cols), pitch * cols / width)
+            planes = _reduced(planes, (new_rows, new_cols), pitch * cols / width)
             note += f", low-passed to {new_cols} x {new_rows} at {pitch:.4g} um"
+        if len(highlights):
+            note += f"; {len(highlights)} samples brighter than {split.limit:.4g} held as squares"
         return PlacedRaster(
-            planes, pitch, -width / 2, -height / 2, note, integrals=planes is not self.planes
+            planes,
+            pitch,
+            -width / 2,
+            -height / 2,
+            note,
+            integrals=planes is not split.planes,
+            highlights=highlights,
         )
 
 

@@ -11,6 +11,7 @@
 // Radiance is preserved: the value is carried, not spread.
 // Units: x in sim samples from the optical axis; u in raster samples; output planes (J, BY, BX), plane `plane`.
 // Dispatch: ceil(BX/16) x ceil(BY/16) workgroups of 16 x 16, one sample each.
+#include "b_spline"
 #include "chief_ray"
 
 override BX: u32 = 336u;  // block width, samples
@@ -40,17 +41,6 @@ struct Params {
 @group(0) @binding(2) var<storage, read> terms: array<vec2f>;        // of the chief-ray map, see common/chief_ray
 @group(0) @binding(3) var<storage, read> weights: array<f32>;        // (2 reach + 1), sum 1
 @group(0) @binding(4) var<storage, read_write> planes: array<f32>;
-
-// beta3 at f + 1, f, f - 1, f - 2 for 0 <= f < 1
-fn cubic_weights(f: f32) -> vec4f {
-    let e = 1.0 - f;
-    return vec4f(
-        e * e * e,
-        4.0 + 3.0 * f * f * (f - 2.0),
-        4.0 + 3.0 * e * e * (e - 2.0),
-        f * f * f,
-    ) / 6.0;
-}
 
 // The spline goes on mirrored about the first and last sample.
 fn mirror(k: i32, n: i32) -> i32 {

@@ -1,5 +1,6 @@
 // Samples the colour filter array: at each pixel the rate of its own site, plus uniform veiling glare.
-//   rate[r, c] = plane[site][r div PY, c div PX] + glare[site],   site = (r mod PY) PX + c mod PX
+//   rate[r, c] = max(plane[site][r div PY, c div PX], 0) + glare[site],   site = (r mod PY) PX + c mod PX
+// No light is negative: in black parts transforms leave rounding errors of both signs.
 // r, c count from the sensor's first pixel, so that a tile keeps the phase of the filter array.
 // Units: electrons per second and pixel, in and out.
 // In: planes (PY PX, plane_rows, plane_cols), whose sample (0, 0) is filter cell (cell_row0, cell_col0) of the sensor;
@@ -35,5 +36,5 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let site = (row % PY) * PX + col % PX;
     let cell = (site * params.plane_rows + row / PY - params.cell_row0) * params.plane_cols
         + col / PX - params.cell_col0;
-    rate[id.y * params.cols + id.x] = planes[cell] + glare[site];
+    rate[id.y * params.cols + id.x] = max(planes[cell], 0.0) + glare[site];
 }

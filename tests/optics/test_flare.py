@@ -74,3 +74,30 @@ def test_a_raster_counts_by_its_samples(distortion: float):
     # 14 inner borders of cells, each crossing 256 points that may fall on either side: at most 1 %
     # of the field is counted a point off, by half the mean or less, and it averages out.
     assert_close(found, 0.02 * mean[[2, 1, 1, 0]], rtol=5e-3)
+
+
+def test_highlights_count_by_their_area():
+    """The sun between the points of the grid, off the axis, where the lens lets less light pass."""
+    lens, camera = bank(distortion=-0.05, falloff=0.4), sensor(veiling_glare=0.02)
+    half_um = (128 * 0.775, 96 * 0.775)
+    planes = np.zeros((2, 96, 128), np.float32)
+    planes[:, 60:63, 30:34] = 1.0
+    dark = Raster(planes.copy()).placed(*half_um, 0.775)
+    planes[:, 20, 100] = 1e9, 2e9
+    placed = Raster(planes).placed(*half_um, 0.775)
+    assert len(placed.highlights) == 1 and len(dark.highlights) == 0
+    added = veiling_glare(lens, camera, placed, WEIGHTS, COEFFICIENTS)
+    added -= veiling_glare(lens, camera, dark, WEIGHTS, COEFFICIENTS)
+    ideal = (np.array([100.5, 20.5]) - [64, 48]) * 1.55
+    height = np.hypot(*ideal)
+    low, real, high = (lens.real_from_ideal(height + d)[0] for d in (-0.1, 0.0, 0.1))
+    area = 1.55**2 * real / height * (high - low) / 0.2
+    light = np.array(
+        [
+            np.interp(real, lens.real_height_um[:, lens.reference], row)
+            for row in lens.relative_illumination.T
+        ]
+    )
+    colour = np.array([1e9, 2e9]) @ COEFFICIENTS
+    mean = np.einsum("j,jcl,l->c", colour, WEIGHTS, light) * area / (1.55**2 * 96 * 128)
+    assert_close(added, 0.02 * mean[[2, 1, 1, 0]], rtol=1e-5)

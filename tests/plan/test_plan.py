@@ -43,6 +43,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "rows",
         "columns",
         "lattice",
+        "splat",
         "mosaic",
         "flare",
         "cross-talk",

@@ -149,6 +149,17 @@ def test_samples_that_no_radiance_has_are_refused(tmp_path, value, problem):
     assert "row 3, column 2" in caught.value.value
 
 
+def test_the_sun_excuses_no_negative(tmp_path):
+    rgb = np.ones((5, 5, 3), np.float32)
+    rgb[0, 0] = 1e9
+    rgb[2, 1, 1] = -0.51  # 1e-3 of 500 times the median is 0.5
+    with pytest.raises(UserError, match="negative") as caught:
+        read_exr(write(tmp_path / "a.exr", {"RGB": rgb}))
+    assert caught.value.field == "channel G" and "row 2, column 1" in caught.value.value
+    rgb[2, 1, 1] = -0.49
+    assert read_exr(write(tmp_path / "a.exr", {"RGB": rgb})).rgb.min() == 0
+
+
 def damaged(path: Path, how: str) -> Path:
     if how == "missing":
         return path

@@ -16,9 +16,10 @@ F32 = np.float32
 
 
 def sites(period: tuple[int, int], cells: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return planes and glare in which no two values are alike."""
+    """Return planes and glare in which no two values are alike; a tenth of them negative."""
     count = period[0] * period[1]
     planes = np.random.default_rng(31).permutation(count * cells[0] * cells[1])
+    planes -= planes.size // 10
     return planes.reshape(count, *cells).astype(F32), (np.arange(count) + 1).astype(F32) / 8
 
 

@@ -1,0 +1,448 @@
+"""Splat: against the reference and the truth, for highlights anywhere, of any size and colour.
+
+Tolerance of the shader. A coordinate has 8 roundings of at most |axis| times the distance, here
+32 samples; the splines' gradient is at most 1.5 C along each axis, C the largest coefficient (see
+test_warp). Two weights of 5 roundings a product, 16 + 4 + 4 sums: 36 of C. Coefficients of colours
+and shares add up to 1 here, or are counted; N highlights are added one after another.
+"""
+
+import numpy as np
+import pytest
+from harness import assert_close, run_stage
+from optics.made import BLUE, FLAT, RED, ULP, bank, monochrome, plane_bank, sensor
+
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.optics import splat as module
+from gpusim.optics.fold import spectral_weights
+from gpusim.optics.splat import (
+    HIGHLIGHT,
+    LARGEST,
+    Splat,
+    Tables,
+    beta3,
+    distinct,
+    groups,
+    in_fours,
+    lists,
+    mixture,
+    real_points,
+    squares_on_sensor,
+    turned,
+)
+from gpusim.reference.splat import splat
+from gpusim.reference.truth import Truth
+from gpusim.scene.highlights import Highlights
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.sensor import ColourFilterArray
+
+F32 = np.float32
+PITCH = 1.55
+SPECTRA = np.stack([FLAT, RED, BLUE])
+
+
+def random_case(period, spectra, count, rect, seed=0):
+    """Return the shader's output, the reference's, and the tolerance, for one rectangle of cells.
+
+    `rect` = (first column, first row, columns, rows), of a sensor of 40 x 50 cells.
+    """
+    rng = np.random.default_rng(seed)
+    side, channels, stages = 64, min(period**2, 3), 6
+    tables = np.zeros((stages, channels, spectra, side, side))
+    at = np.arange(side) - side // 2
+    inside = np.hypot(at, at[:, None]) < 26
+    tables[..., inside] = rng.uniform(0, 1, (stages, channels, spectra, int(inside.sum())))
+    site_channels = rng.integers(0, channels, period**2)
+    words = [0, 0, 0, 0]
+    for site, channel in enumerate(site_channels):
+        words[site // 8] |= int(channel) << (4 * (site % 8))
+    rows = np.zeros(count, HIGHLIGHT)
+    rows["pixel"] = rng.integers(-4, 40 * period, (count, 2))
+    rows["place"] = rng.uniform(-0.5, 0.5, (count, 2))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    rows["axis"] = 3.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rows["tables"] = rng.integers(0, stages, (count, 4))
+    rows["shares"] = rng.dirichlet(np.ones(4), count)
+    colours = rng.uniform(0, 9, (count, spectra)).astype(F32)
+    centres = rows["pixel"] + 0.5 + rows["place"].astype(float)
+    across, down = -(-50 // 16), -(-40 // 16)
+    starts, near = lists(centres / period, 28 / 3.1 / period, (across, down))
+    x0, y0, cols, lines = rect
+    before = rng.uniform(0, 5, (period**2, lines, cols)).astype(F32)
+    first = (x0 // 16, y0 // 16)
+    found = run_stage(
+        "optics/splat",
+        ((x0 + cols - 1) // 16 - first[0] + 1, (y0 + lines - 1) // 16 - first[1] + 1, period**2),
+        {
+            "first": first,
+            "origin": (x0, y0),
+            "size": (cols, lines),
+            "across": across,
+            "reach2": 29.0**2,
+            "site_channels": words,
+        },
+        {
+            "highlights": rows.view(np.uint32),
+            "radiance": in_fours(colours),
+            "starts": starts,
+            "near": near,
+            "tables": np.moveaxis(in_fours(np.moveaxis(tables, 2, -1)), -2, 2).copy(),
+            "rates": before,
+        },
+        {"rates": (before.shape, F32)},
+        S=period**2,
+        PERIOD=period,
+        C=channels,
+        FOURS=-(-spectra // 4),
+        N=side,
+    )["rates"]
+    site, y, x = np.indices(before.shape)
+    pixels = np.stack(
+        [(x + x0) * period + site % period, (y + y0) * period + site // period], axis=-1
+    )
+    mixed = [
+        np.tensordot(row["shares"].astype(float), tables.astype(F32)[row["tables"]], axes=1)
+        for row in rows
+    ]
+    expected = before + splat(
+        pixels.reshape(-1, 2) + 0.5,
+        site_channels[site].ravel(),
+        centres,
+        rows["axis"].astype(float),
+        colours,
+        mixed,
+    ).reshape(before.shape)
+    amount = colours.sum(axis=1).max()
+    each = 2 * 1.5 * 8 * 32 + 36
+    # Four highlights at most lie over one pixel with all their weight; of others their sums.
+    atol = ULP * (each * 4 * amount + count * expected.max())
+    return found, expected, atol, before
+
+
+@pytest.mark.parametrize("spectra", [1, 3, 5])
+@pytest.mark.parametrize(
+    ("period", "rect"),
+    [
+        (1, (0, 0, 50, 40)),
+        (2, (0, 0, 50, 40)),
+        (4, (0, 0, 50, 40)),
+        (2, (17, 5, 3, 31)),
+        (2, (15, 16, 18, 1)),
+        (2, (49, 39, 1, 1)),
+    ],
+)
+def test_pixels_get_what_the_reference_gives(period, rect, spectra):
+    found, expected, atol, before = random_case(period, spectra, 40, rect)
+    assert_close(found, expected, atol=atol)
+    if rect[2] == 50:
+        assert (found > before + 100 * atol).mean() > 0.1
+        assert (found == before).mean() > 0.05  # nothing comes from out of reach
+
+
+def test_a_rectangle_of_the_frame_has_the_same_bits():
+    whole = random_case(2, 3, 60, (0, 0, 50, 40))
+    x0, y0, cols, rows = 13, 7, 20, 30
+    part = random_case(2, 3, 60, (x0, y0, cols, rows))
+    place = np.s_[:, y0 : y0 + rows, x0 : x0 + cols]
+    # What is already there differs; the sums that are added do not.
+    assert_close(part[1] - part[3], (whole[1] - whole[3])[place], atol=1e-9)
+    dark = whole[0].astype(float) - whole[3]
+    assert_close(
+        (part[0].astype(float) - part[3]),
+        dark[place],
+        atol=2 * ULP * max(whole[0].max(), part[0].max()),
+    )
+
+
+def test_beta3_is_the_cubic_b_spline():
+    x = np.linspace(-2.5, 2.5, 501)
+    box = np.abs(x) <= 0.5
+    spline = box / box.sum()
+    for _ in range(3):
+        spline = np.convolve(spline, box / box.sum(), mode="same")
+    # Boxes of 101 instead of 100 steps: 1 % wider.
+    assert_close(beta3(x), spline * 100, atol=0.02)
+    assert beta3(np.arange(-2.0, 3.0)) == pytest.approx([0, 1 / 6, 4 / 6, 1 / 6, 0], abs=1e-15)
+
+
+# Host
+
+
+LENS = bank(coma_um=2.0, halo=0.02, falloff=0.3, distortion=-0.04, lateral=(-0.01, 0.0, 0.006))
+PLACES = np.array([[40.3, 21.0], [-60.1, 30.7], [-9.4, -55.0], [31.0, -62.3], [0.9, 0.4]])
+
+
+def on_sensor(device, camera, highlights, lens=LENS, tolerance=1e-3, rects=None) -> np.ndarray:
+    """Return electrons/s of each pixel by the highlights alone."""
+    stage = Splat(device, lens, camera, highlights, SPECTRA, tolerance)
+    period = camera.period[0]
+    frame = np.full((camera.rows, camera.cols), np.nan, F32)
+    for row, col, rows, cols in rects or [(0, 0, camera.rows, camera.cols)]:
+        rec = Recording(device)
+        rates = rec.buffer("rates", (period**2, -(-rows // period), -(-cols // period)), F32)
+        rec.clear(rates)
+        stage.record(rec, rates, (row, col, rows, cols))
+        label = rec.download(rates)
+        planes = rec.run()[label]
+        for site in range(period**2):
+            part = frame[row : row + rows, col : col + cols]
+            part = part[site // period :: period, site % period :: period]
+            part[...] = planes[site][: part.shape[0], : part.shape[1]]
+    stage.release()
+    return frame
+
+
+def around(camera, lens, place, steps=(-9, -4, -1, 0, 2, 5)) -> np.ndarray:
+    """Return pixels (P, 2), row and column, around where an ideal point lands."""
+    height = np.hypot(*place)
+    real = place * lens.real_from_ideal(height)[0] / height
+    col, row = np.floor(real / PITCH + [camera.cols / 2, camera.rows / 2]).astype(int)
+    return np.array([[row + dy, col + dx] for dy in steps for dx in (-6, 0, 1, 7)])
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_highlight_lights_pixels_as_in_the_truth(device: Device, place):
+    """In every quadrant and on the axis: turned with the azimuth, displaced by lateral colour."""
+    camera = sensor()
+    one = Highlights(place[None], PITCH, np.array([[1e9, 2e9, 0.5e9]]))
+    pixels = around(camera, LENS, place)
+    truth = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM)
+    expected = truth.highlights(one, pixels)
+    found = on_sensor(device, camera, one)[pixels[:, 0], pixels[:, 1]].astype(float)
+    # Angles 11 degrees apart: 1e-3 next to the highlight. Splines between samples half a sigma
+    # apart: see reference/test_truth. The PSF is taken as one over the square.
+    assert_close(found, expected, rtol=5e-3, atol=2e-4 * expected.max())
+    if np.hypot(*place) > 10:
+        other = truth.highlights(
+            Highlights(place[None] * [1, -1], PITCH, one.excess),
+            np.stack([camera.rows - 1 - pixels[:, 0], pixels[:, 1]], axis=1),
+        )
+        assert np.ptp(other / expected) > 0.1 or np.allclose(other, expected, rtol=0.05)
+
+
+def test_light_far_from_a_highlight_is_right_relative_to_itself(device: Device):
+    """Out to the end of the PSF, 1e-7 of its peak."""
+    camera = monochrome()
+    lens = bank(coma_um=1.0, halo=0.05, size=64)
+    one = Highlights(np.array([[33.3, 20.2]]), PITCH, np.array([[1e9, 1e9, 1e9]]))
+    pixels = np.array([[48 + 13 + dy, 64 + 21 + dx] for dy in (-8, -6, 6, 8) for dx in (0, 3, -5)])
+    expected = Truth(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    frame = on_sensor(device, camera, one, lens).astype(float)
+    found = frame[pixels[:, 0], pixels[:, 1]]
+    assert 0 < expected.max() < 1e-3 * frame.max()
+    assert_close(found, expected, rtol=5e-3)
+
+
+@pytest.mark.parametrize("size_um", [0.4, PITCH, 20.0])
+def test_a_highlight_keeps_its_energy(device: Device, size_um: float):
+    lens = bank(coma_um=1.0, falloff=0.0, distortion=-0.04)
+    camera = monochrome()
+    place = np.array([20.0, -17.0])
+    one = Highlights(place[None], size_um, np.array([[3.0, 1.0, 2.0]]))
+    line = size_um * ((np.arange(40) + 0.5) / 40 - 0.5)
+    height = np.hypot(place[0] + line, place[1] + line[:, None])
+    low, real, high = (lens.real_from_ideal(height + d)[0] for d in (-0.01, 0.0, 0.01))
+    area = size_um**2 * np.mean(real / height * (high - low) / 0.02)
+    weights = spectral_weights(lens, camera)[0].sum(axis=0) @ (SPECTRA.T @ one.excess[0])
+    expected = weights * area / PITCH**2
+    found = on_sensor(device, camera, one, lens).sum(dtype=float)
+    # Sums at the pixels of what is known every 0.5 um: 1e-4.
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_large_highlight_is_cut_up(device: Device):
+    """A square of 12 um with the PSF of each of its parts."""
+    camera = sensor()
+    big = Highlights(np.array([[-40.0, 28.0]]), 12.0, np.array([[1e6, 0.0, 2e6]]))
+    assert big.size_um > 3 * LARGEST * PITCH
+    pixels = around(camera, LENS, big.centre_um[0], (-7, -5, -4, -2, 3, 4))
+    expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(big, pixels)
+    found = on_sensor(device, camera, big)[pixels[:, 0], pixels[:, 1]].astype(float)
+    # The test lens turns its coma of 2 um over its field of 165 um: by 3 um / 50 um within a part.
+    assert_close(found, expected, rtol=5e-3, atol=1e-3 * expected.max())
+
+
+def many(count: int = 30) -> Highlights:
+    """Return highlights in three places, of which one lies across borders of tiles."""
+    rng = np.random.default_rng(7)
+    places = np.array([[-46.0, 30.0], [88.0, 61.0], [62.0, -64.0]])[np.arange(count) % 3]
+    return Highlights(
+        places + rng.uniform(-4, 4, (count, 2)), PITCH, rng.uniform(0, 1e9, (count, 3))
+    )
+
+
+def test_tiles_change_not_one_bit(device: Device):
+    camera = sensor()
+    whole = on_sensor(device, camera, many())
+    rects = [
+        (row, col, min(34, 96 - row), min(34, 128 - col))
+        for row in range(0, 96, 34)
+        for col in range(0, 128, 34)
+    ]
+    assert_close(on_sensor(device, camera, many(), rects=rects), whole, atol=0)
+    assert whole.min() >= 0 and whole.max() > 1e9
+
+
+def test_patterns_of_four_by_four(device: Device):
+    """Sixteen sites see what the same channels see in patterns of two by two."""
+    quad = ColourFilterArray(pattern=[list("BBGG")] * 2 + [list("GGRR")] * 2)
+    found = on_sensor(device, sensor(cfa=quad), many())
+    plain = on_sensor(device, sensor(), many())
+    same = np.array(quad.pattern) == np.tile(np.array([list("BG"), list("GR")]), (2, 2))
+    mask = np.tile(same, (24, 32))
+    assert 0.3 < mask.mean() < 0.9
+    assert_close(found[mask], plain[mask].copy(), rtol=100 * ULP, atol=1e-3)
+
+
+def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkeypatch):
+    camera = sensor()
+    whole = on_sensor(device, camera, many())
+    kernels = Tables(LENS, camera, SPECTRA, PITCH)
+    squares = squares_on_sensor(LENS, camera, many(), kernels.reach_um)
+    used, tables = distinct(mixture(LENS.places(150.0)[1], squares, 16).keys)
+    assert (np.diff(used[:, 0]) >= 0).all() and tables.max() == len(used) - 1 > 10
+    bytes_each = 16 * 3 * kernels.side**2
+    monkeypatch.setattr(module, "DISPATCH_BYTES", 5 * bytes_each)
+    cut = groups(tables, bytes_each)
+    assert len(cut) > 2
+    assert sorted(np.concatenate(cut)) == list(range(len(tables)))
+    assert max(len(np.unique(tables[one])) for one in cut) <= 5
+    # The order of the sums is another: thirty highlights at most.
+    assert_close(on_sensor(device, camera, many()), whole.copy(), rtol=30 * 2 * ULP)
+
+
+def test_highlights_that_no_pixel_sees_are_left_out(device: Device):
+    camera = sensor()
+    far = Highlights(np.array([[300.0, 0.0], [1e6, 1e6]]), PITCH, np.ones((2, 3)))
+    assert_close(on_sensor(device, camera, far), np.zeros((96, 128)), atol=0)
+    assert len(squares_on_sensor(LENS, camera, far, 20.0).light) == 0
+
+
+def test_tables_are_light_and_end():
+    kernels = Tables(LENS, sensor(), SPECTRA, PITCH)
+    field = LENS.field(2)
+    table = kernels.table(field, kernels.spectra(field), 0.3, PITCH * np.eye(2))
+    assert table.shape == (3, 3, kernels.side, kernels.side)
+    assert table.min() == 0
+    at = np.arange(kernels.side) - kernels.side // 2
+    radius = np.hypot(at, at[:, None])
+    assert table[..., radius > kernels.support].max() == 0
+    # To the corners of windows of 64 samples; aperture and square reach 2.2 um farther, lateral
+    # colour 0.016 of 158 um, and splines 2 samples.
+    assert kernels.support == pytest.approx(32 * np.sqrt(2) + 2 * (2.2 + 2.5) + 2, abs=0.3)
+    assert kernels.side / 2 >= kernels.support + 2 + 2
+
+
+@pytest.mark.parametrize("bins", [8, 13])
+def test_shares_are_those_of_fields_and_angles(bins: int):
+    radii = LENS.real_height_um[:, 1]
+    squares = squares_on_sensor(LENS, sensor(), many(200), 20.0)
+    keys, shares, axis = mixture(LENS.places(150.0)[1], squares, bins)
+    assert shares.min() >= 0
+    assert_close(shares.sum(axis=1), np.ones(len(shares)), atol=1e-12)
+    assert keys.min() >= 0 and keys[..., 0].max() <= 3 and keys[..., 1].max() < bins
+    radius = np.hypot(*squares.real_um.T)
+    mean = np.sum(shares * radii[keys[..., 0]], axis=1)
+    assert_close(mean, radius, rtol=1e-12)
+    assert_close(axis, squares.real_um / radius[:, None], atol=1e-12)
+    turn = np.exp(4j * np.arctan2(*squares.real_um.T[::-1]))
+    mixed = np.sum(shares * np.exp(2j * np.pi * keys[..., 1] / bins), axis=1)
+    # A chord instead of the arc.
+    assert_close(mixed, turn, atol=(2 * np.pi / bins) ** 2 / 8)
+
+
+def test_mixing_between_angles_errs_with_the_square_of_their_step():
+    kernels = Tables(LENS, monochrome(), SPECTRA[:1], 2 * PITCH)
+    field = LENS.field(1)
+    spectra = kernels.spectra(field)
+
+    def table(angle: float) -> np.ndarray:
+        return kernels.table(field, spectra, angle, 2 * PITCH * np.eye(2))
+
+    middle = table(0.4)
+    errors = []
+    for bins in (8, 16):
+        half = np.pi / 4 / bins
+        mean = (table(0.4 - half) + table(0.4 + half)) / 2
+        errors.append(np.abs(mean - middle).max() / middle.max())
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+    assert 1e-4 < errors[1] < 2e-3  # as BINS says
+    whole = table(0.4 + np.pi / 2)
+    assert_close(whole, middle, atol=1e-12 * middle.max())
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "table_bytes", "bins"),
+    [(1e-2, None, 8), (1e-3, None, 16), (1e-5, None, 160), (1e-5, 1, 8)],
+)
+def test_angles_are_as_many_as_the_tolerance_asks_and_the_memory_holds(
+    device: Device, monkeypatch, tolerance, table_bytes, bins
+):
+    if table_bytes is not None:
+        monkeypatch.setattr(module, "TABLE_BYTES", table_bytes)
+    one = Highlights(PLACES[:1], PITCH, np.ones((1, 1)))
+    stage = Splat(device, LENS, monochrome(), one, SPECTRA[:1], tolerance)
+    assert stage.bins == bins
+    assert stage.groups[0]["tables"].shape[:3] == (4, 1, 1)
+    stage.release()
+
+
+def test_real_points_are_where_the_map_leads_back():
+    ideal = np.random.default_rng(2).uniform(-100, 100, (40, 2))
+    real, slopes, lit = real_points(LENS, ideal)
+    assert lit.all()
+    height = np.hypot(*ideal.T)
+    assert_close(np.hypot(*real.T), LENS.real_from_ideal(height)[0], atol=1e-4)
+    assert_close(real[:, 0] * ideal[:, 1], real[:, 1] * ideal[:, 0], atol=1e-2)
+    # real = ideal (1 - 0.04 (ideal / 165)^2), through the bank's four fields by a spline.
+    share = (height / 165) ** 2
+    frame = turned(slopes, ideal / height[:, None])
+    assert_close(frame[:, 0, 0], 1 - 3 * 0.04 * share, atol=2e-3)
+    assert_close(frame[:, 1, 1], 1 - 0.04 * share, atol=1e-3)
+    assert_close(frame[:, [0, 1], [1, 0]], np.zeros((40, 2)), atol=1e-5)
+
+
+def test_points_beyond_the_circle_land_nowhere():
+    ideal = np.array([[0.0, 0.0], [164.0, 0.0], [0.0, -166.0], [1e6, 1e6]])
+    for lens in (LENS, plane_bank()):
+        real, slopes, lit = real_points(lens, ideal)
+        assert lit[0] and not lit[3]
+        assert np.isfinite(real[lit]).all() and np.isfinite(slopes[lit]).all()
+    assert real_points(LENS, ideal)[2].tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize("place", [(35.0, 20.0), (-50.0, -31.0)])
+def test_a_lens_without_an_axis(device: Device, place):
+    """Coma on the axis, keystone, an image off the centre: nothing is turned, fields are mixed."""
+    lens = plane_bank(
+        coma_um=1.0, axial_coma_um=(1.6, -0.7), keystone=(0.06, 0.025), boresight_um=(6.0, -3.0)
+    )
+    camera = sensor()
+    one = Highlights(np.array([place]), 2 * PITCH, np.array([[1e9, 2e9, 0.5e9]]))
+    real = real_points(lens, one.centre_um)[0][0]
+    col, row = np.floor(real / PITCH + [64, 48]).astype(int)
+    pixels = np.array([[row + dy, col + dx] for dy in (-7, -2, 0, 1, 4) for dx in (-5, -1, 0, 3)])
+    expected = Truth(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    found = on_sensor(device, camera, one, lens)[pixels[:, 0], pixels[:, 1]].astype(float)
+    assert_close(found, expected, rtol=5e-3, atol=5e-4 * expected.max())
+    assert len(np.unique(np.round(expected, -3))) > 15
+
+
+def test_every_highlight_within_reach_is_listed():
+    rng = np.random.default_rng(3)
+    position, reach, size = rng.uniform(-20, 90, (50, 2)), 9.0, (4, 3)
+    starts, near = lists(position, reach, size)
+    assert len(starts) == 13 and starts[0] == 0
+    for square in range(12):
+        own = near[starts[square] : starts[square + 1]]
+        assert (np.diff(own.astype(int)) > 0).all()
+        x, y = np.meshgrid(np.arange(16) + 0.5, np.arange(16) + 0.5)
+        cells = np.stack([x + 16 * (square % 4), y + 16 * (square // 4)], axis=-1)
+        distance = np.abs(cells[..., None, :] - position).max(axis=-1)
+        needed = np.flatnonzero((distance < reach).any(axis=(0, 1)))
+        assert set(needed) <= set(own.tolist())
+        assert len(own) < 40
+
+
+def test_the_dispatch_is_as_the_header_says():
+    assert Kernel("optics/splat").workgroup_size == (16, 16, 1)
+    assert Kernel("optics/splat").params.members.keys() >= {"reach2", "site_channels"}

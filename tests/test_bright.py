@@ -1,0 +1,206 @@
+"""Scenes of 1e9 : 1: the sun and other bright outliers in the frame, through the whole chain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from harness import assert_close
+from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, sensor
+
+from gpusim.chain import Capture, Renderer
+from gpusim.optics import splat
+from gpusim.plan import Accuracy
+from gpusim.reference.truth import Truth
+from gpusim.scene import highlights
+from gpusim.scene.raster import Raster
+from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
+
+LENS = bank(size=96, coma_um=0.6, falloff=0.1, halo=0.01, distortion=-0.01)
+CAMERA = StubCamera(LENS, sensor())
+TOLERANCE = 1e-3
+SPECTRA = np.stack([FLAT, RED])
+SUN = (38, 50)  # row and column
+# The halo has fallen to 1e-9 of the PSF 16 pixels from its middle. In the sun, beside it and in its
+# glow; and in shadows that see nothing of it.
+NEAR = np.array([[38, 50], [38, 55], [39, 60], [33, 53], [31, 57]])
+FAR = np.array([[38, 74], [12, 46], [62, 50], [60, 70], [10, 100], [5, 10], [88, 120]])
+
+
+def scenery(peak: float, radius: int = 5, shape=(96, 128)) -> np.ndarray:
+    """Return dark ramps and the sun's disc; a radius of 0 makes it one texel."""
+    y, x = np.mgrid[: shape[0], : shape[1]] / (np.array(shape) - 1)[:, None, None]
+    planes = np.stack([0.05 + 0.95 * x, 0.3 + 0.6 * y]).astype(np.float32)
+    row, col = np.indices(shape)
+    planes[:, (row - SUN[0]) ** 2 + (col - SUN[1]) ** 2 <= radius**2] = peak
+    return planes
+
+
+def photograph(planes: np.ndarray) -> Scene:
+    return Scene("photograph", SPECTRA[: len(planes)], Raster(planes), "D65", FLAT)
+
+
+@contextmanager
+def rendering(planes, camera=CAMERA, tolerance=TOLERANCE, probes=0) -> Iterator[Renderer]:
+    one = Renderer(camera, photograph(planes), Accuracy(tolerance, probes))
+    try:
+        yield one
+    finally:
+        one.release()
+
+
+def shot(planes, camera=CAMERA, **settings) -> tuple[Capture, object]:
+    with rendering(planes, camera, **settings) as one:
+        return one.capture(0.01, keep=("rate",)), one.placed
+
+
+def errors(capture: Capture, placed: object, pixels: np.ndarray) -> np.ndarray:
+    """Return the relative errors of some pixels."""
+    true = Truth(LENS, CAMERA.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, pixels)
+    return capture.rate[pixels[:, 0], pixels[:, 1]].astype(float) / true - 1
+
+
+@pytest.fixture(scope="module", params=[0, 5], ids=["texel", "disc"])
+def sunny(request) -> tuple[Capture, object]:
+    return shot(scenery(1e9, request.param))
+
+
+def test_shadows_beside_the_sun_are_right(sunny):
+    capture, placed = sunny
+    assert capture.rate.min() > 0
+    assert capture.rate.max() > 1e8 * capture.rate.min()
+    far = errors(capture, placed, FAR)
+    assert np.sqrt(np.mean(far**2)) < TOLERANCE
+    assert np.abs(far).max() < 10 * TOLERANCE
+    near = errors(capture, placed, NEAR)
+    assert np.sqrt(np.mean(near**2)) < TOLERANCE
+
+
+def test_without_the_splat_shadows_drown(monkeypatch):
+    """The planted error: no sample is an outlier."""
+    monkeypatch.setattr(highlights, "OUTLIER", np.inf)
+    capture, placed = shot(scenery(1e9))
+    assert len(placed.highlights) == 0
+    assert capture.rate.min() == 0  # cut off below
+    far = errors(capture, placed, FAR)
+    assert np.sqrt(np.mean(far**2)) > 100 * TOLERANCE
+
+
+def test_the_plan_and_the_notes_say_how_many(sunny):
+    capture, placed = sunny
+    stage = next(stage for stage in capture.plan.stages if stage.name == "splat")
+    count = len(placed.highlights)
+    assert count in (1, 81)
+    assert stage.runs and stage.reason.startswith(f"{count} highlights")
+    assert stage.predicted_cost_s > 0
+    assert any(f"{count} samples brighter" in note for note in capture.notes)
+    assert capture.times_s["splat"] > 0
+
+
+def test_a_scene_without_outliers_has_no_splat():
+    planes = scenery(10.0)
+    capture, placed = shot(planes, tolerance=1e-2)
+    assert "splat" not in capture.times_s
+    stage = next(stage for stage in capture.plan.stages if stage.name == "splat")
+    assert not stage.runs and stage.predicted_cost_s is None
+    assert len(placed.highlights) == 0 and placed.planes is planes
+
+
+def test_the_splat_adds_to_what_the_rest_of_the_scene_gives(monkeypatch):
+    """With the highlights dimmed to nothing the frame is, bit for bit, that of the filled scene."""
+    planes = scenery(1e9)
+    filled = Raster(planes).split.planes
+    plain, _ = shot(filled, tolerance=1e-2)
+    monkeypatch.setattr(
+        splat, "spectral_weights", lambda *some: 0 * np.ones((3, 3, WAVELENGTHS_NM.size))
+    )
+    dimmed, placed = shot(planes, tolerance=1e-2)
+    assert len(placed.highlights) == 81
+    assert_close(dimmed.rate, plain.rate, atol=0)
+
+
+def test_the_sum_is_linear_in_the_highlights():
+    planes = scenery(1e9)
+    one, _ = shot(planes, tolerance=1e-2)
+    filled = Raster(planes).split.planes
+    plain, _ = shot(filled, tolerance=1e-2)
+    planes[:, planes[0] > 1] *= 3
+    three, _ = shot(planes, tolerance=1e-2)
+    sun = one.rate.astype(float) - plain.rate
+    # Fills are 1e-9 of the excess; f32 sums of 81 highlights.
+    assert_close(three.rate.astype(float), plain.rate + 3 * sun, rtol=200 * ULP)
+
+
+def test_the_suns_energy_is_conserved():
+    """Its light, less the filled scene's, is that of its area."""
+    lens = bank(coma_um=0.6, falloff=0.0, distortion=0.0, lateral=(0.0, 0.0, 0.0))
+    camera = StubCamera(lens, monochrome())
+    planes = scenery(1e9)
+    with rendering(planes, camera, tolerance=1e-2) as one:
+        found = one.capture(0.01, keep=("rate",)).rate.sum(dtype=float)
+        even = splat.spectral_weights(lens, camera.sensor)[0].sum(axis=0) @ SPECTRA.sum(axis=0)
+    assert found == pytest.approx(81 * 1e9 * even, rel=1e-4)
+
+
+def test_tiles_change_not_one_bit():
+    with rendering(scenery(1e9), tolerance=1e-2) as one:
+        whole = one.capture(0.01, keep=("rate",))
+        tiled = one.capture(0.01, keep=("rate",), tile_px=52)
+    assert_close(tiled.rate, whole.rate, atol=0)
+    assert_close(tiled.raw, whole.raw, atol=0)
+
+
+def test_the_certificate_holds_with_the_sun_in_the_frame():
+    capture, _ = shot(scenery(1e9), tolerance=5e-3, probes=8)
+    assert capture.certificate.met
+    assert max(point.truth for point in capture.certificate.points) > 1e9
+
+
+def test_the_sun_saturates_and_shadows_do_not(sunny):
+    capture, _ = sunny
+    top = 2**CAMERA.sensor.bit_depth - 1
+    assert capture.raw[SUN] == top
+    assert capture.raw[5, 10] < top
+
+
+# Scenes of odd kinds
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (7, 3)])
+def test_scenes_of_few_samples(shape):
+    planes = np.full((2, *shape), 0.5, np.float32)
+    planes[:, -1, -1] = 1e9
+    capture, placed = shot(planes, StubCamera(LENS, sensor(32, 44)), tolerance=1e-2)
+    assert len(placed.highlights) == (shape != (1, 1))
+    assert np.isfinite(capture.rate).all() and capture.rate.min() > 0
+
+
+@pytest.mark.parametrize("size", [(2, 2), (5, 9)])
+def test_frames_smaller_than_the_psf(size):
+    """Odd sizes too; a PSF of 96 samples spans 31 pixels."""
+    camera = StubCamera(LENS, sensor(*size))
+    planes = np.full((2, *size), 0.5, np.float32)
+    planes[:, size[0] // 2, size[1] // 2] = 1e9
+    capture, placed = shot(planes, camera, tolerance=1e-2)
+    assert len(placed.highlights) == 1
+    corners = np.array([[0, 0], [size[0] - 1, 0]])
+    true = Truth(LENS, camera.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, corners)
+    assert_close(capture.rate[corners[:, 0], corners[:, 1]].astype(float), true, rtol=1e-2)
+
+
+def test_a_black_scene_is_black():
+    capture, placed = shot(np.zeros((2, 9, 11), np.float32), tolerance=1e-2)
+    assert_close(capture.rate, np.zeros((96, 128)), atol=0)
+    assert len(placed.highlights) == 0
+
+
+def test_one_star_in_the_dark():
+    """A scene of one lit sample: no outlier, for there is nothing that it outshines."""
+    planes = np.zeros((2, 96, 128), np.float32)
+    planes[:, 40, 50] = 1e9
+    capture, _ = shot(planes, tolerance=1e-2)
+    assert capture.rate.min() == 0
+    assert capture.rate.argmax() in (40 * 128 + 50, 40 * 128 + 51, 41 * 128 + 50, 39 * 128 + 50)
