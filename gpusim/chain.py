@@ -175,13 +175,13 @@ class Renderer:
         pool.clear()  # what others left behind is no part of this renderer's peak
         with pool.within(self.memory_bytes):
             try:
-                self._prepare(progress or (lambda what, done, total: None))
+                self._prepare(plan, progress or (lambda what, done, total: None))
             except BaseException:
                 self.release()
                 raise
             self.peak_bytes = pool.peak
 
-    def _prepare(self, report: Progress) -> None:
+    def _prepare(self, plan: Plan | None, report: Progress) -> None:
         """Plan, and place the scene on the sensor."""
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
@@ -205,7 +205,7 @@ class Renderer:
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
-            tolerance = self.accuracy.tolerance
+            tolerance = self._relative().tolerance
             self.splats.append(
                 Splat(
                     self.device, self.bank, sensor, self.placed.highlights, scene.spectra, tolerance
