@@ -1,6 +1,7 @@
 """Cameras: a prescription, ready-made PSFs or an MTF table in front of a sensor, exactly one."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from command_line import assert_refused, gpusim
 from lens.exports import write_isetcam, write_zemax
 from optics.made import bank as made_bank
+from optics.made import plane_bank
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
@@ -44,6 +46,24 @@ def test_a_camera_takes_every_kind_of_lens(tmp_path):
     assert prescribed.lens.history == ("stop closed to f/4",)
     shifted = load_camera(camera(tmp_path, "{prescription: double-gauss, focus_shift_um: -20}"))
     assert shifted.lens.focus_shift_um == -20
+
+
+def test_a_camera_takes_a_saved_bank_over_both_directions_of_the_field(tmp_path):
+    made = plane_bank(boresight_um=(5.0, -3.0))
+    made.save(tmp_path / "plane.nc")
+    file = camera(tmp_path, "{bank: plane.nc}")
+    found = load_camera(file).bank()
+    assert found.centre_um == (5.0, -3.0)
+    np.testing.assert_array_equal(found.psf, made.psf)
+    for name, values, word in (
+        ("psf", np.full_like(made.psf, np.nan), "no numbers"),
+        ("field_y_deg", made.field_y_deg[::-1], "disorder"),
+        ("reference_nm", 555.0, "disorder"),
+    ):
+        replace(made, **{name: values}).save(tmp_path / "plane.nc")
+        with pytest.raises(UserError, match=word) as caught:
+            load_camera(file)
+        assert name in caught.value.screen()
 
 
 @pytest.mark.parametrize(

@@ -324,7 +324,7 @@ def holds_plane_bank(path: Path) -> bool:
     try:
         with h5py.File(path, "r") as file:
             return "field_x_deg" in file
-    except OSError:
+    except (OSError, RuntimeError):  # the reader of banks says what is wrong with it
         return False
 
 
@@ -337,13 +337,30 @@ def load_plane_bank(path: Path) -> PlaneBank:
         Where the file is not a whole bank.
     """
     try:
-        return PlaneBank.load(path)
+        bank = PlaneBank.load(path)
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
         raise UserError(
             f"not a whole bank: {' '.join(str(error).split())}",
             file=path,
             allowed="a NetCDF file as gpusim lens LENS --out bank.nc writes it",
         ) from error
+    for name in _VARIABLES:
+        if not np.isfinite(getattr(bank, name)).all():
+            raise UserError(
+                "the bank holds values that are no numbers",
+                file=path,
+                field=name,
+                allowed="finite numbers",
+            )
+    rising = (bank.wavelengths_nm, bank.field_x_deg, bank.field_y_deg)
+    if bank.reference_nm not in bank.wavelengths_nm or any((np.diff(a) <= 0).any() for a in rising):
+        raise UserError(
+            "the axes of the bank are in disorder",
+            file=path,
+            field="wavelengths_nm, field_x_deg, field_y_deg, reference_nm",
+            allowed="rising, the reference among the wavelengths",
+        )
+    return bank
 
 
 def default_sides_deg(prescription: Prescription, count: int = SIDE) -> np.ndarray:

@@ -28,6 +28,8 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr
 from gpusim.errors import UserError
 from gpusim.lens.assemble import check_bank, read_bytes, read_mapping, unit_psf
 from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.plane_bank import holds_plane_bank, load_plane_bank
 from gpusim.lens.text import decoded
 
 # Names in an .npz file, with the shapes, units and meanings of the same names in Bank; title and
@@ -77,19 +79,19 @@ class ReadyLens(BaseModel):
     kind: str
     file: str
 
-    _bank: Bank = PrivateAttr()
+    _bank: FieldBank = PrivateAttr()
 
     @property
     def history(self) -> tuple[str, ...]:
         """What was done since the file was read: nothing can be."""
         return ()
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> Bank:
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
         """Return the bank; nothing is left to compute."""
         return self._bank
 
 
-def ready_lens(bank: Bank, kind: str, file: Path) -> ReadyLens:
+def ready_lens(bank: FieldBank, kind: str, file: Path) -> ReadyLens:
     """Return the lens of a bank that was read from a file."""
     lens = ReadyLens(
         title=bank.provenance["title"],
@@ -138,7 +140,8 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
     if not path.exists():
         raise UserError("no such lens", field="lens", value=name_or_path, allowed=ACCEPTED)
     if suffix == ".nc":
-        return ready_lens(_netcdf(path), "saved bank", path)
+        bank = load_plane_bank(path) if holds_plane_bank(path) else _netcdf(path)
+        return ready_lens(bank, "saved bank", path)
     if suffix == ".npz":
         return ready_lens(_npz(path), "NumPy arrays", path)
     if path.name.lower() == ISETPARMS:
