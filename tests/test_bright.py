@@ -15,8 +15,9 @@ from gpusim.optics import splat
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
 from gpusim.scene import highlights
+from gpusim.scene.exr import write_exr
 from gpusim.scene.raster import Raster
-from gpusim.scene.scene import Scene
+from gpusim.scene.scene import Scene, make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
 LENS = bank(size=96, coma_um=0.6, falloff=0.1, halo=0.01, distortion=-0.01)
@@ -164,6 +165,36 @@ def test_the_sun_saturates_and_shadows_do_not(sunny):
     top = 2**CAMERA.sensor.bit_depth - 1
     assert capture.raw[SUN] == top
     assert capture.raw[5, 10] < top
+
+
+def dusk(rows: int, cols: int, sun: float) -> np.ndarray:
+    """Return RGB (rows, cols, 3) of an evening: sun, sky, a street lamp, glints, shadows."""
+    y, x = np.mgrid[:rows, :cols] / rows
+    sky = (1.2 - 1.3 * y[..., None]) * [0.25, 0.35, 0.6]
+    street = (0.3 + 0.5 * y[..., None]) * [0.06, 0.05, 0.04]
+    stripes = 0.01 + 0.15 * (np.floor(16 * x) % 2)
+    street[(y > 0.75) & (x < 0.5)] += stripes[(y > 0.75) & (x < 0.5), None]
+    rgb = np.where(y[..., None] < 0.6, sky, street)
+    rgb[np.hypot(y - 0.25, x - 0.9) < 0.03] = sun * np.array([1.0, 0.95, 0.85])
+    rgb[int(0.8 * rows), int(0.6 * cols)] = [2e4, 1.2e4, 4e3]
+    glints = np.random.default_rng(1)
+    at = glints.integers([int(0.65 * rows), 0], [rows, cols], (6, 2))
+    rgb[at[:, 0], at[:, 1]] = glints.uniform(300, 5000, (6, 1))
+    return rgb
+
+
+def test_an_exr_with_the_sun_goes_from_file_to_raw(tmp_path):
+    write_exr(tmp_path / "dusk.exr", {"RGB": dusk(96, 128, 1e9)})
+    scene = make_scene(tmp_path / "dusk.exr")
+    assert 20 < len(scene.source.split.rows) < 50
+    renderer = Renderer(CAMERA, scene, Accuracy(1e-2, 0))
+    try:
+        capture = renderer.capture(0.01, keep=("rate",))
+    finally:
+        renderer.release()
+    assert capture.rate.min() > 0
+    assert capture.raw.max() == 2**CAMERA.sensor.bit_depth - 1 and capture.raw.min() < 400
+    assert any("held as squares" in note for note in capture.notes)
 
 
 # Scenes of odd kinds
