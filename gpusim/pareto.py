@@ -18,6 +18,7 @@ from gpusim.certify import Certificate, choose_probes, compare, glare_at, true_r
 from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Device
+from gpusim.lens.places import Places
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
@@ -183,7 +184,7 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
         plan, sensor, bank = renderer.plan, renderer.camera.sensor, renderer.bank
         first = plan.scales[0]
         oversampling = round(first.grid.oversampling)
-        whole_um = bank.psf.shape[-1] * bank.pitch_um / 2
+        whole_um = _reach_um(renderer)
         core = _core(renderer, cut_um)
         if cut_um is None:
             whole = _fine(renderer, oversampling, whole_um, core, "whole")
@@ -192,8 +193,8 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
         period = sensor.period[0]
         stride = 4 if period == 4 else 1
         pitch_um = sensor.pixel_pitch_um * period / stride
-        images, radius_um = _images(renderer)
-        kernels = field_kernels(images, radius_um, bank.pitch_um, pitch_um, 1 - core)
+        images, places = _images(renderer)
+        kernels = field_kernels(images, places, bank.pitch_um, pitch_um, 1 - core)
         cells = plan.scales[1].grid.cells if len(plan.scales) > 1 else (4, 4)
         grid = _grid(renderer, stride, whole_um / pitch_um, cells)
         tail = Scale("tail", grid, pitch_um, first.sigma, kernels)
@@ -203,11 +204,18 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
     return change
 
 
-def _images(renderer: Renderer) -> tuple[np.ndarray, np.ndarray]:
-    """Return the channel kernels at the fields that the plan uses."""
-    plan = renderer.plan
-    farthest_um = float(plan.scales[0].kernels.radius_um[-1])
-    return field_images(renderer.bank, plan.basis.weights, farthest_um)
+def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
+    """Return the channel kernels at the fields that a plan needs, as `plan_optics` takes them."""
+    bank, sensor = renderer.bank, renderer.camera.sensor
+    corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
+    farthest_um = corner_um + math.sqrt(2) * _reach_um(renderer)
+    return field_images(bank, renderer.plan.basis.weights, farthest_um)
+
+
+def _reach_um(renderer: Renderer) -> float:
+    """Return the distance from its chief ray to which a whole PSF reaches."""
+    bank = renderer.bank
+    return bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
 
 
 def _core(renderer: Renderer, cut_um: float | None) -> np.ndarray:
@@ -224,8 +232,8 @@ def _fine(
     """Return the finest scale at another oversampling or reach."""
     sensor, first = renderer.camera.sensor, renderer.plan.scales[0]
     pitch_um = sensor.pixel_pitch_um / oversampling
-    images, radius_um = _images(renderer)
-    kernels = field_kernels(images, radius_um, renderer.bank.pitch_um, pitch_um, part)
+    images, places = _images(renderer)
+    kernels = field_kernels(images, places, renderer.bank.pitch_um, pitch_um, part)
     stride = oversampling * sensor.period[0]
     grid = _grid(renderer, stride, reach_um / pitch_um, first.grid.cells)
     return Scale(name, grid, pitch_um, first.sigma, kernels)
