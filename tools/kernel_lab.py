@@ -5,7 +5,7 @@ All blur one frame of noise with the same PSF everywhere, given to each as the m
 PSF nodes, as modes that sum up to it, as taps. So all must agree; and as the time depends on sizes
 alone, so would PSFs that change. Printed is each method's time for a pixel and a plane, and its
 ratio to the first line. On a busy machine long runs are interrupted more often than short ones, and
-where the device is the processor the ratio of processor times holds better. tools/KERNELS.md keeps
+where the device is the processor the ratio of processor times holds better. tools/record.md keeps
 what was found.
 """
 

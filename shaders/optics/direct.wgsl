@@ -13,7 +13,7 @@
 // than a vec4f apart (D < 4), every second or fourth photosite of one. Place c lies offset(c) samples from p.
 // The sources of the eight stay in registers and move on by one as the taps do: one vec4f of the source, and eight of the
 // taps, are loaded for 128 multiply-adds (8 to 15 GFLOP/s on lavapipe with 2 cores; one photosite to an invocation, 13 times
-// less: tools/KERNELS.md).
+// less: tools/record.md).
 //
 // planes (J, BY, BX); taps (J, PERIOD, places / COLUMNS, LINES, GROUPS, COLUMNS, 4) per node: line l, number n of the last
 // three axes stand for d_y = HIGH - l and d_x = offset(c) - 4 first_group - n, zero where no such tap is.
