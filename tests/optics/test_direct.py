@@ -26,7 +26,8 @@ from optics.whole_frame import (
     source,
 )
 
-from gpusim.gpu import Device, Kernel
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu.pool import size_class
 from gpusim.lens.places import Heights
 from gpusim.optics.direct import Direct, direct_work, packed_taps, support_within, tap_layout
 from gpusim.optics.grid import SimGrid
@@ -192,6 +193,24 @@ def test_a_constant_psf_is_the_mean_of_the_nodes(device: Device):
     expected = np.broadcast_to(columns.reshape(4, 1, 1), found.shape)
     # 2 x 24 x 28 products.
     assert_close(found, expected.copy(), atol=1344 * ULP * expected.max())
+
+
+def test_taps_take_the_memory_that_was_said(device: Device):
+    grid = SimGrid(40, 40, 4, 2, 256, 16, (2, 2))
+    scale, site_channels = camera(grid, 0.0)
+    needed = {block: 1 + block[0] for block in np.ndindex(grid.blocks)}
+    for constant in (False, True):
+        stage = Direct(device, scale, needed, 1.4, site_channels[:4], 6, constant)
+        said = stage.load_bytes(needed)
+        stage.load(needed)
+        assert stage.held_bytes == said > 0 == stage.missing_bytes(needed)
+        assert stage.made == len(stage.nodes) == (1 if constant else 9)
+        # Of one block of two planes: four nodes, each as large as the largest here.
+        most = max(size_class(node.nbytes) for node in stage.nodes.values())
+        assert stage.block_bytes(2) == 4 * most
+        stage.release()
+    rec = Recording(device)
+    assert stage.scratch_bytes(2) == size_class(stage.scratch(rec, 2).planes.nbytes)
 
 
 def test_the_support_is_the_smallest_that_keeps_the_error():

@@ -23,7 +23,8 @@ from optics.whole_frame import (
     source,
 )
 
-from gpusim.gpu import Device, Kernel
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import node_kernels, sampled_kernels
@@ -247,6 +248,28 @@ def stage_for(device: Device, grid: SimGrid, rank: int) -> Modes:
     )
     scale = Scale("test", grid, 1.0, 0.0, None)
     return Modes(device, scale, {(0, 0): 1}, 1.0, [0, 1, 1, 2], nothing)
+
+
+def test_modes_come_and_go_together(device: Device):
+    grid = SimGrid(50, 75, 4, 2, 256, 40, (1, 1))
+    made, blocks = stage_for(device, grid, 3), [(0, 0)]
+    # Three lines, the last pair's second of zeros: twice two, of three channels.
+    half = size_class(2 * 3 * 129 * 256 * 8)
+    assert made.load_bytes(blocks) == made.missing_bytes(blocks) == made.block_bytes(1) == 2 * half
+    assert made.load_bytes([]) == made.held_bytes == 0
+    seen = []
+    made.load(blocks, lambda: seen.append(made.held_bytes))
+    assert seen == [half, 2 * half] and made.made == 2
+    assert made.missing_bytes(blocks) == 0
+    odd = device.read(made.nodes[1, 0])
+    assert odd.shape[0] == 2 and not odd[1].any()
+    assert made.shed(1, blocks) == 0  # all of it is used
+    assert made.shed(1) == half and made.held_bytes == half
+    assert made.shed(2 * half) == half and not made.nodes
+    rec = Recording(device)
+    arrays = vars(made.scratch(rec, 1)).values()
+    assert made.scratch_bytes(1) == sum(size_class(array.nbytes) for array in arrays)
+    made.release()
 
 
 def test_the_defaults_are_of_one_grid(device: Device):
