@@ -77,17 +77,7 @@ fn radiance(x: vec2f) -> f32 {
     ));
 }
 
-@compute @workgroup_size(16, 16, 1)
-fn main(@builtin(global_invocation_id) id: vec3u) {
-    if (id.x >= BX || id.y >= BY) {
-        return;
-    }
-    let x = params.origin + vec2f(id.xy);
-    let to = (params.plane * BY + id.y) * BX + id.x;
-    if (!SQUEEZED) {
-        planes[to] = radiance(x);
-        return;
-    }
+fn low_passed(x: vec2f) -> f32 {
     var sum = 0.0;
     for (var j = -params.reach; j <= params.reach; j++) {
         var row = 0.0;
@@ -96,5 +86,19 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         }
         sum += weights[params.reach + j] * row;
     }
-    planes[to] = sum;
+    return sum;
+}
+
+@compute @workgroup_size(16, 16, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= BX || id.y >= BY) {
+        return;
+    }
+    let x = params.origin + vec2f(id.xy);
+    let to = (params.plane * BY + id.y) * BX + id.x;
+    if (SQUEEZED) {
+        planes[to] = low_passed(x);
+    } else {
+        planes[to] = radiance(x);
+    }
 }
