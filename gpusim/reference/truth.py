@@ -189,6 +189,7 @@ class Truth:
         self.shifted: dict[int, np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
+        self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
 
     def _weights(self, spectra: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
         """Return W (C, M, L): electrons/s per unit area of an aperture."""
@@ -462,35 +463,40 @@ class Truth:
         line, share = np.polynomial.legendre.leggauss(HIGHLIGHT_ORDER)
         nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
         shares = np.outer(share, share).ravel() / 4
-        # A square may be larger than the PSF.
-        cuts = int(np.ceil(highlights.size_um / self.aperture_um))
-        cell = highlights.size_um / cuts
-        corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
-        corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)
-        inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
-        area = np.tile(shares, len(corners)) * cell**2
+        sources, weights = self._squares(highlights, nodes, shares)
         # To the corners of the PSFs' window, and as far as lateral colour.
         reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + 4.0
-        middle = self._real(highlights.centre_um)[0]
         for number, (row, col) in enumerate(pixels):
-            channel = self._channel(row, col)
             centre = self._position(row, col)
-            margin = reach + self.aperture_um + highlights.size_um
-            for near in np.flatnonzero(np.hypot(*(middle - centre).T) < margin):
-                source, stretch = self._real(highlights.centre_um[near] + inner)
-                within = np.hypot(*(source - centre).T) < reach + self.aperture_um
-                if not within.any():
-                    continue
-                source, weight = source[within], (area * stretch)[within]
-                t = centre + nodes[:, None] * self.aperture_um - source
-                spread = self._density(
-                    highlights.excess[near] @ self.weights[channel],
-                    t.reshape(-1, 2),
-                    np.tile(source, (len(nodes), 1)),
-                )
-                light = shares @ spread.reshape(len(nodes), -1) @ weight
-                out[number] += max(light, 0.0) * self.aperture_um**2
+            near = np.hypot(*np.moveaxis(sources - centre, -1, 0)) < reach + self.aperture_um
+            if not near.any():
+                continue
+            owners, source, weight = np.nonzero(near)[0], sources[near], weights[near]
+            power = highlights.excess[owners] @ self.weights[self._channel(row, col)]
+            light = np.zeros(len(source))
+            for node, share in zip(nodes, shares, strict=True):
+                t = centre + node * self.aperture_um - source
+                light += share * self._density(power, t, source)
+            each = np.bincount(owners, light * weight)
+            out[number] = np.maximum(each, 0.0).sum() * self.aperture_um**2
         return out
+
+    def _squares(
+        self, highlights: Any, nodes: np.ndarray, shares: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return points of squares on the real plane (N, I, 2), with their areas (N, I)."""
+        if self.squares is None or self.squares[0] is not highlights:
+            # A square may be larger than the PSF: it has the nodes for each part.
+            cuts = int(np.ceil(highlights.size_um / self.aperture_um))
+            cell = highlights.size_um / cuts
+            corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
+            corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)
+            inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
+            ideal = highlights.centre_um[:, None] + inner
+            real, stretch = self._real(ideal.reshape(-1, 2))
+            areas = np.tile(shares, len(corners)) * cell**2 * stretch.reshape(ideal.shape[:2])
+            self.squares = (highlights, real.reshape(ideal.shape), areas)
+        return self.squares[1:]
 
     def _real(self, ideal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return where ideal-plane points (P, 2) land, and the map's stretch of areas there.
@@ -512,7 +518,7 @@ class Truth:
         return real, 1 / np.abs(np.linalg.det(slopes))
 
     def _density(self, light: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
-        """Return sum_l light_l K_l h_l(t; source) (P,): no blend of wavelengths is resampled.
+        """Return sum_l light_l K_l h_l(t; source) (P,), of light (P, L): no blend is resampled.
 
         A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
         PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
@@ -529,7 +535,7 @@ class Truth:
             for place, spline in enumerate(self._psf_splines(field)):
                 _, illumination, shift = self.fields.light(field, place)
                 where = [(y[used] - shift[1]) / pitch + half, (x[used] - shift[0]) / pitch + half]
-                result[used] += (share[used] * light[place] * illumination / pitch**2) * (
+                result[used] += (share[used] * light[used, place] * illumination / pitch**2) * (
                     map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
                 )
         return result
