@@ -208,3 +208,14 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
     assert [shape for _, shape in seen[4:]] == [(3, 7, 9), (3, 14, 18), (3, 24, 32), (3, 48, 64)]
     assert len({camera.lens.max_field_deg for camera, _ in seen}) == 1
     assert job.pixels == sum(c.sensor.rows * c.sensor.cols for c, _ in seen[4:])
+
+
+def test_tolerances_are_certified_and_what_is_not_met_is_counted(jobs, own_device, monkeypatch):
+    monkeypatch.setattr(jobs, "TOLERANCES", (3e-2, 1e-3))
+    lens = {"double-gauss": jobs.TOLERANCE_LENSES["double-gauss"]}
+    job = jobs.tolerances_job(own_device, (32, 40), lens, ("slanted-edge",), 6)
+    facts = job.facts(None)
+    assert [found["tolerance"] for found in facts["certified"]] == [3e-2, 1e-3]
+    assert facts["not_met"] == sum(not found["met"] for found in facts["certified"]) == 0
+    errors = [found["rms"] for found in facts["certified"]]
+    assert job.error["worst"] == max(e / t for e, t in zip(errors, jobs.TOLERANCES, strict=True))

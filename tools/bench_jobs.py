@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,8 +18,10 @@ import scipy.fft
 from bench_blur import blur_1mp
 from scipy.ndimage import map_coordinates
 
-from gpusim.camera import load_camera
+from gpusim.camera import Camera, load_camera
+from gpusim.certify import choose_probes, compare, glare_at, true_rates
 from gpusim.chain import Capture, Renderer
+from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.lens.bank import Bank, bank_of, default_fields_deg
 from gpusim.lens.generator import Generator
@@ -297,6 +300,75 @@ def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
 
     pixels = sum(map(math.prod, sizes))
     return Job(run, pixels, {"measure": "not certified here: see frame-12mp"}, facts=facts)
+
+
+TOLERANCES = (1e-2, 1e-3, 1e-4)
+TOLERANCE_SCENES = ("slanted-edge", "dots", "grey", "demo", "colorchecker")
+TOLERANCE_LENSES = {
+    "double-gauss": lambda: load_camera("demo").lens,
+    "tessar": lambda: load_prescription("tessar").scaled(8.0).limited(14.0),
+    "cooke-triplet": lambda: load_prescription("cooke-triplet").scaled(8.0).limited(14.0),
+}
+LARGEST = (288, 384)  # of the frames on which tolerances are certified: 15 x 3 renders
+
+
+def tolerances_job(
+    device: Device,
+    frame: tuple[int, int],
+    lenses: dict[str, Callable] = TOLERANCE_LENSES,
+    scenes: tuple[str, ...] = TOLERANCE_SCENES,
+    probes: int = 64,
+) -> Job:
+    """Certify three tolerances on five scenes and three lenses, and time each.
+
+    What is timed in the end is the last of them again. The truth of a lens and scene is evaluated
+    once. A tolerance that is refused counts as not met, and says why.
+    """
+    rows, cols = (min(side, most) for side, most in zip(frame, LARGEST, strict=True))
+    sensor = load_sensor("imx477").roi(rows, cols)
+    table, slower, worst, last = [], 0, 0.0, None
+    for lens, load in lenses.items():
+        camera = Camera(lens, load(), sensor)
+        for name in scenes:
+            scene, pixels, times = make_scene(name), None, []
+            for tolerance in TOLERANCES:
+                found = {"lens": lens, "scene": name, "tolerance": tolerance, "met": False}
+                table.append(found)
+                try:
+                    renderer = Renderer(camera, scene, Accuracy(tolerance, 0), device)
+                except UserError as refused:
+                    found["refused"] = refused.problem
+                    continue
+                shots = [renderer.capture(EXPOSURE_S, keep=("rate",)) for _ in range(3)]
+                rate = shots[0].rate
+                if pixels is None:
+                    pixels = choose_probes(rate, sensor.period[0], probes)
+                    true = true_rates(renderer.bank, sensor, scene, renderer.placed, pixels)
+                whole = true + glare_at(sensor, renderer.glare, pixels)
+                at = rate[tuple(pixels.T)].astype(np.float64)
+                asked = Accuracy(tolerance, probes)
+                certificate = compare(sensor, pixels, whole, at, EXPOSURE_S, asked, 0.0)
+                found["met"] = certificate.met
+                found["rms"] = certificate.rms_relative
+                found["worst"] = certificate.worst_relative
+                found["best_s"] = min(shot.wall_s for shot in shots[1:])
+                times.append(found["best_s"])
+                worst = max(worst, certificate.rms_relative / tolerance)
+                if last is not None:
+                    last.release()
+                last = renderer
+                print(found, file=sys.stderr, flush=True)
+            slower += sum(tight < loose for loose, tight in pairwise(times))
+    return Job(
+        lambda: last.capture(EXPOSURE_S),
+        rows * cols,
+        {"measure": "largest certified RMS error over its tolerance", "worst": worst},
+        facts=lambda best: {
+            "certified": table,
+            "not_met": sum(not found["met"] for found in table),
+            "looser_but_slower": slower,
+        },
+    )
 
 
 def sim_grid(frame: tuple[int, int]) -> SimGrid:
@@ -736,6 +808,7 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
         partial(frame_job, mono=True),
     ),
     "scaling": ("frames of 1, 4, 12 and 48 MP: time for each pixel", scaling_job),
+    "tolerances": ("three tolerances, five scenes, three lenses, certified", tolerances_job),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
     "psf-refocus": ("the same at another focus", psf_refocus),
     "blur-1mp": (
