@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -26,13 +26,15 @@ from gpusim.gpu import (
 )
 from gpusim.gpu.pool import mebibytes
 from gpusim.optics.chief_ray import chief_ray_map
-from gpusim.optics.convolve import Convolve, Scratch
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
+from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plan_optics
+from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.costs import Costs
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
@@ -143,6 +145,14 @@ class Renderer:
         on that of the full well, which suffices for all exposures.
     plan : Plan, optional
         Use this one: the planner is not asked.
+    costs : Costs, optional
+        From which the plan is made; by default those of the device, measured once.
+    noise : bool
+        Whether to draw the sensor's noise and fixed patterns; else the frame is the mean signal.
+    method : str, optional
+        By which to convolve: one of gpusim.optics.methods.METHODS; by default the cheapest.
+    force : collection of str
+        Stages to run that the plan would leave out: for tests.
 
     Raises
     ------
@@ -161,6 +171,11 @@ class Renderer:
         memory_bytes: int | None = None,
         exposure_s: float | None = None,
         plan: Plan | None = None,
+        *,
+        costs: Costs | None = None,
+        noise: bool = True,
+        method: str | None = None,
+        force: Collection[str] = (),
     ) -> None:
         self.camera, self.scene, self.accuracy = camera, scene, accuracy or Accuracy()
         self.longest_s = math.inf if exposure_s is None else exposure_s
@@ -169,25 +184,41 @@ class Renderer:
         self.memory_bytes = pool.budget if memory_bytes is None else memory_bytes
         self.prepare_s: dict[str, float] = {}
         self.sources: list[Paint | Warp] = []
-        self.convolutions: list[Convolve] = []
+        self.convolutions: list[Convolution] = []
         self.splats: list[Splat] = []
         self.resident_glare: Resident | None = None
+        report = progress or (lambda what, done, total: None)
+        if costs is None:
+            # Before the budget counts: a calibration needs some 100 MiB.
+            costs = adapter_costs(
+                self.device, progress=lambda done, total: report("calibrate", done, total)
+            )
         pool.clear()  # what others left behind is no part of this renderer's peak
         with pool.within(self.memory_bytes):
             try:
-                self._prepare(plan, progress or (lambda what, done, total: None))
+                self._prepare(report, costs, noise, method, force, plan)
             except BaseException:
                 self.release()
                 raise
             self.peak_bytes = pool.peak
 
-    def _prepare(self, plan: Plan | None, report: Progress) -> None:
+    def _prepare(
+        self,
+        report: Progress,
+        costs: Costs,
+        noise: bool,
+        method: str | None,
+        force: Collection[str],
+        plan: Plan | None,
+    ) -> None:
         """Plan, and place the scene on the sensor."""
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
         self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
         started = self._spent("lens", started)
-        self.plan = plan or plan_optics(self.bank, sensor, scene, self._relative())
+        self.plan = plan or plan_optics(
+            self.bank, sensor, scene, self._relative(), costs, noise, method, force
+        )
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
@@ -215,7 +246,7 @@ class Renderer:
         sites = [channels.index(name) for name in sensor.site_channels()]
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
-            convolve = Convolve(self.device, scale, source.needed, aperture_um, sites)
+            convolve = convolution(self.device, scale, source.needed, aperture_um, sites)
             self.convolutions.append(convolve)
         self._spent("scene", started)
 
@@ -356,7 +387,7 @@ class Renderer:
     def working_bytes(self) -> int:
         """Return the device memory that is taken for a while, beside tile, scene and kernels."""
         planes = self.plan.basis.coefficients.shape[1]
-        scratch = max(Scratch.nbytes(scale.grid, planes) for scale in self.plan.scales)
+        scratch = max(convolve.scratch_bytes(planes) for convolve in self.convolutions)
         strip = strip_bytes(self.frame, self.memory_bytes)
         return max(scratch, strip) + RESERVE_BYTES
 
@@ -580,14 +611,13 @@ class _Shot:
     ) -> None:
         """Add blocks to the planes (S, rows, cols) of the sites of a rectangle."""
         renderer = self.renderer
-        scale, source = renderer.plan.scales[number], renderer.sources[number]
+        source = renderer.sources[number]
         rec = Recording(renderer.device)
-        scratch = Scratch(rec, scale.name, scale.grid, renderer.plan.basis.coefficients.shape[1])
+        convolve = renderer.convolutions[number]
+        scratch = convolve.scratch(rec, renderer.plan.basis.coefficients.shape[1])
         for block in blocks:
             source.record(rec, block, scratch.planes)
-            renderer.convolutions[number].record(
-                rec, block, source.needed[block], scratch, rates, rect
-            )
+            convolve.record(rec, block, source.needed[block], scratch, rates, rect)
         self._run(rec)
         self.work["blocks"] += len(blocks)
 
@@ -596,17 +626,34 @@ class _Shot:
         renderer, sensor = self.renderer, self.renderer.camera.sensor
         rec = Recording(renderer.device)
         origin = strip[:2]
-        rate = record_mosaic(
-            rec,
-            rates,
-            renderer.resident_glare,
-            sensor,
-            strip[2:],
-            origin=origin,
-            cell_origin=(tile[0] // renderer.period, tile[1] // renderer.period),
+        runs = renderer.plan.runs
+        rate = rates
+        # Of a sensor without filters a tile's plane is its frame, where one strip takes it whole.
+        if runs("mosaic") or strip != tile:
+            rate = record_mosaic(
+                rec,
+                rates,
+                renderer.resident_glare,
+                sensor,
+                strip[2:],
+                origin=origin,
+                cell_origin=(tile[0] // renderer.period, tile[1] // renderer.period),
+            )
+        clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
+        electrons = record_exposure(
+            rec, rate, sensor, self.exposure_s, origin=origin, prnu=runs("prnu"), **clipped
         )
-        mean = record_exposure(rec, rate, sensor, self.exposure_s, origin=origin)
-        electrons = record_noise(rec, mean, sensor, seed=self.seed, frame=self.frame, origin=origin)
+        if runs("noise"):
+            electrons = record_noise(
+                rec,
+                electrons,
+                sensor,
+                seed=self.seed,
+                frame=self.frame,
+                origin=origin,
+                dsnu=runs("dsnu"),
+                read_noise=runs("read noise"),
+            )
         outputs = {"rate": rate, "electrons": electrons, "dn": record_adc(rec, electrons, sensor)}
         labels = {name: rec.download(outputs[name]) for name in self.planes}
         result = self._run(rec)
@@ -661,12 +708,21 @@ def capture(
     tile_px: int | None = None,
     keep: tuple[str, ...] = (),
     folder: Path | None = None,
+    noise: bool = True,
+    method: str | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
     _rectangle(tile, camera.sensor.rows, camera.sensor.cols)  # before the long work
     renderer = Renderer(
-        camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes, exposure_s=exposure_s
+        camera,
+        scene,
+        accuracy,
+        progress=progress,
+        memory_bytes=memory_bytes,
+        exposure_s=exposure_s,
+        noise=noise,
+        method=method,
     )
     try:
         return renderer.capture(

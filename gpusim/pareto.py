@@ -290,7 +290,8 @@ def sweep(
     report = progress or (lambda what, done, total: None)
     sensor = camera.sensor
     unprobed = replace(accuracy, probes=0)
-    chosen = Renderer(camera, scene, unprobed, device, exposure_s=exposure_s)
+    # By transforms: the knobs that are turned are theirs.
+    chosen = Renderer(camera, scene, unprobed, device, exposure_s=exposure_s, method="fft")
     try:
         all_of_them = list(variants(accuracy, sensor.period[0]))
         rate, seconds = _timed(chosen, exposure_s)

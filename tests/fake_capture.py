@@ -11,6 +11,7 @@ from gpusim.certify import Certificate, Probe
 from gpusim.chain import Capture
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
+from gpusim.plan.candidates import RunnerUp
 from gpusim.scene import make_scene
 
 ROWS, COLS = 48, 64
@@ -19,6 +20,10 @@ STAGES = (
     PlanStage("warp", False, "the scene is a <chart> & needs none"),
     PlanStage("rows", True, "2 blocks", 2e-4, 1.0),
     PlanStage("adc", True, "12 bit", None, 0.01),
+)
+RUNNERS_UP = (
+    RunnerUp("fft, <4> samples", 1e-5, 3.25, "too dear: 3.25 s against 1.75 s"),
+    RunnerUp("fft, 2 samples, cut", 4e-3, None, "error of its cut 4.0e-03 above 1.0e-03"),
 )
 POINTS = (
     Probe(row=3, col=5, truth=100.0, render=100.01, relative=1e-4, sigma=1e-3),
@@ -58,7 +63,15 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
         white_e={"R": 900.0, "G": 1800.0, "B": 1000.0},
         transmission=np.full(61, 0.6),
         notes=("a note of the scene",),
-        plan=SimpleNamespace(basis=basis, scales=(scale,), stages=STAGES),
+        plan=SimpleNamespace(
+            basis=basis,
+            scales=(scale,),
+            stages=STAGES,
+            name="fft & <whole> PSFs",
+            predicted_s=1.75,
+            rates="rates of a test",
+            runners_up=RUNNERS_UP,
+        ),
         times_s={"paint": 0.25, "rows": 1.5, "adc": 0.004},
         wall_s=2.25,
         prepare_s={"lens": 0.125},

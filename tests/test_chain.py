@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from gpusim.gpu import Device, DeviceLostError, Recording
 from gpusim.optics import paint
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
+from gpusim.plan.costs import LAVAPIPE
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
@@ -29,6 +31,8 @@ LENS = bank(coma_um=0.6, falloff=0.1, halo=0.01)
 CAMERA = StubCamera(LENS, sensor())
 EXPOSURE_S = 0.01
 COARSE = Accuracy(tolerance=1e-2, probes=0)
+PER_PLANE = ("rows", "columns", "products", "paint", "edges", "kernels", "spectra")
+TAIL = ("tail",)  # cut PSFs, though they are cheaper whole on a frame so small
 EVEN = scene(spectra=FLAT[None])
 PITCH = 1.55
 # What two ways to the same sum may differ by: see optics/test_convolve, and paint's weights agree.
@@ -36,17 +40,19 @@ ROUNDING = 300 * ULP
 
 
 @contextmanager
-def rendering(camera, subject, accuracy=COARSE) -> Iterator[Renderer]:
-    renderer = Renderer(camera, subject, accuracy)
+def rendering(
+    camera, subject, accuracy=COARSE, force=TAIL, method="fft", **more
+) -> Iterator[Renderer]:
+    renderer = Renderer(camera, subject, accuracy, force=force, method=method, **more)
     try:
         yield renderer
     finally:
         renderer.release()
 
 
-def rates(camera, subject, accuracy=COARSE) -> np.ndarray:
+def rates(camera, subject, accuracy=COARSE, **more) -> np.ndarray:
     """Return electrons/s of each pixel, in float64."""
-    with rendering(camera, subject, accuracy) as renderer:
+    with rendering(camera, subject, accuracy, **more) as renderer:
         return renderer.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
 
 
@@ -193,6 +199,36 @@ def test_the_certificate_is_met():
     assert [done for _, done, _ in rendered] == list(range(1, rendered[-1][2] + 1))
 
 
+@pytest.mark.parametrize("method", ["direct", "modes", None])
+def test_each_method_meets_the_certificate(method: str | None):
+    accuracy = Accuracy(tolerance=1e-2, probes=10)
+    with rendering(CAMERA, scene(shapes()), accuracy, force=(), method=method) as one:
+        shot = one.capture(EXPOSURE_S, keep=("rate",))
+        tiled = one.capture(EXPOSURE_S, tile_px=50, keep=("rate",))
+    assert shot.certificate.met and 1e-6 < shot.certificate.rms_relative
+    if method is not None:
+        assert method in shot.times_s and "rows" not in shot.times_s
+    assert_close(tiled.rate, shot.rate, atol=0)
+
+
+def test_where_the_psf_is_alike_everywhere_one_mode_serves():
+    """One PSF for all; PSF nodes, forced, change nothing beyond the kernels' rounding."""
+    camera = StubCamera(bank(**ALIKE), monochrome())
+    tight = Accuracy(1e-3, 0)
+    found = {}
+    for method in ("modes", "fft"):
+        with rendering(camera, scene(shapes()), tight, force=(), method=method) as one:
+            found[method] = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
+            if method == "modes":
+                assert {convolve.rank for convolve in one.convolutions} == {1}
+    # Energies of turned kernels through their splines, 3e-5 (see the even field), of two kernels;
+    # and the ends of both, which cut off the ringing of the band's end: 1e-4.
+    assert_close(found["modes"], found["fft"], atol=2e-4 * found["fft"].max())
+    # The control: where PSFs change over the field, one mode is not enough.
+    with rendering(CAMERA, scene(shapes()), tight, force=(), method="modes") as one:
+        assert one.convolutions[0].rank > 1
+
+
 def test_a_filter_pattern_of_four_by_four_meets_the_certificate():
     """Sixteen sites, of which each sees its own channel, in the core of the PSF and in its tail."""
     quad = ColourFilterArray(pattern=[list("BBGG")] * 2 + [list("GGRR")] * 2)
@@ -236,7 +272,10 @@ def test_the_same_seed_gives_the_same_frame_and_another_does_not(
         assert 0.5 < np.mean(shot.raw != whole.raw) < 1
 
 
-def test_one_frame_alone_is_as_in_a_series(whole: Capture):
+def test_one_frame_alone_is_as_in_a_series():
+    with rendering(CAMERA, scene(shapes()), force=(), method=None) as one:
+        one.capture(EXPOSURE_S, seed=4)
+        whole = one.capture(EXPOSURE_S, seed=5, keep=("electrons",))
     alone = capture(
         CAMERA, scene(shapes()), exposure_s=EXPOSURE_S, seed=5, accuracy=COARSE, keep=("electrons",)
     )
@@ -256,6 +295,92 @@ def test_planes_that_are_left_out_are_zero(monkeypatch, whole: Capture):
     monkeypatch.setattr(paint, "primitives_by_block", everything)
     found = rates(CAMERA, scene(shapes()))
     assert_close(found, whole.rate.astype(float), atol=ROUNDING * found.max())
+
+
+QUIET = {"prnu_percent": 0.0, "dsnu_e": 0.0, "temporal_dark_noise_e": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("camera", "stages"),
+    [
+        (StubCamera(LENS, monochrome(**QUIET)), ("mosaic", "prnu", "dsnu", "read noise")),
+        (StubCamera(LENS, sensor(**QUIET)), ("prnu", "dsnu", "read noise")),
+    ],
+    ids=["monochrome", "colour"],
+)
+def test_stages_at_identity_are_left_out_and_forcing_them_changes_nothing(camera, stages):
+    shots = []
+    for force in (TAIL, (*TAIL, *stages)):
+        with rendering(camera, scene(shapes()), force=force) as one:
+            shots.append(one.capture(EXPOSURE_S, seed=5, keep=("rate", "electrons")))
+            assert [one.plan.runs(stage) for stage in stages] == [force != TAIL] * len(stages)
+    left_out, forced = shots
+    assert_close(left_out.raw, forced.raw, atol=0)
+    assert_close(left_out.electrons, forced.electrons, atol=0)
+    assert_close(left_out.rate, forced.rate, atol=0)
+    if "mosaic" in stages:
+        assert "mosaic" not in left_out.times_s and "mosaic" in forced.times_s
+    # The control: a sensor that needs them runs them, and its frame is another.
+    needs = StubCamera(LENS, monochrome() if "mosaic" in stages else sensor())
+    with rendering(needs, scene(shapes())) as one:
+        assert all(one.plan.runs(stage) for stage in stages if stage != "mosaic")
+        assert np.any(one.capture(EXPOSURE_S, seed=5).raw != left_out.raw)
+
+
+def test_without_noise_the_frame_is_the_mean_signal_up_to_the_full_well(whole: Capture):
+    small = StubCamera(LENS, sensor(full_well_e=float(whole.rate.max()) * EXPOSURE_S / 2))
+    with rendering(small, scene(shapes()), noise=False) as one:
+        shot = one.capture(EXPOSURE_S, seed=5, keep=("rate", "electrons"))
+        again = one.capture(EXPOSURE_S, seed=6)
+        assert not any(map(one.plan.runs, ("noise", "prnu", "dsnu", "read noise")))
+    assert "noise" not in shot.times_s
+    assert_close(shot.rate, whole.rate, atol=0)
+    assert_close(again.raw, shot.raw, atol=0)
+    full = small.sensor.full_well_e
+    dark_e = EXPOSURE_S * small.sensor.dark_current_e_per_s
+    mean = np.minimum(whole.rate.astype(float) * EXPOSURE_S + dark_e, full)
+    assert_close(shot.electrons, mean, rtol=4 * ULP)
+    assert 0.01 < np.mean(shot.electrons == np.float32(full)) < 0.99
+    dn = small.sensor.system_gain_dn_per_e * shot.electrons + small.sensor.black_level_dn
+    assert np.abs(shot.raw - dn).max() <= 0.5 + 1e-3
+
+
+def test_planes_that_the_camera_cannot_tell_apart_are_left_out():
+    """Shades of one spectrum: one plane. A plane for each changes nothing beyond rounding."""
+    shades = np.outer([1, 0.1, 0.5, 0.02], FLAT)
+    found = {}
+    # Rates with which planes are free: the blocks are the same then.
+    free = {name: 0.0 for name in PER_PLANE}
+    costs = replace(LAVAPIPE, ns=LAVAPIPE.ns | free)
+    for force in (TAIL, (*TAIL, "spectra")):
+        with rendering(CAMERA, scene(shapes(), shades), force=force, costs=costs) as one:
+            found[one.plan.basis.coefficients.shape[1]] = one.capture(
+                EXPOSURE_S, keep=("rate",)
+            ).rate.astype(float)
+    assert sorted(found) == [1, 4]
+    assert_close(found[1], found[4], atol=ROUNDING * found[4].max())
+
+
+def test_blocks_beyond_the_image_circle_are_left_out(monkeypatch):
+    """A circle within the frame: what lies well beyond it is black, and forced it stays so."""
+    lens = bank(coma_um=0.6, falloff=0.1, circle_um=60.0, size=32)
+    camera = StubCamera(lens, monochrome())
+    with rendering(camera, EVEN, Accuracy(3e-3, 0), force=()) as one:
+        assert 0 in one.sources[0].needed.values()
+        assert "beyond the image circle" in one.plan.text()
+        found = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
+    bounds = paint.block_bounds_um
+
+    def all_lit(*given):
+        low, high, lit = bounds(*given)
+        return low, high, np.ones_like(lit)
+
+    monkeypatch.setattr(paint, "block_bounds_um", all_lit)
+    with rendering(camera, EVEN, Accuracy(3e-3, 0), force=()) as one:
+        assert 0 not in one.sources[0].needed.values()
+        forced = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
+    assert found[0, 0] == 0 and found.max() > 0
+    assert_close(found, forced, atol=ROUNDING * forced.max())
 
 
 def test_memory_is_given_back(device: Device):
@@ -393,7 +518,7 @@ def test_a_rectangle_is_certified_by_probes_inside_it(whole: Capture):
 
 @pytest.mark.parametrize("subject", [scene(shapes()), wide_photograph()], ids=["chart", "photo"])
 def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
-    with rendering(WIDE, subject) as one:
+    with rendering(WIDE, subject, force=()) as one:
         full = one.capture(EXPOSURE_S, seed=3)
         least = one.least_bytes()
     assert "kernels" not in full.times_s  # all of them fit: they were made beforehand
@@ -401,7 +526,13 @@ def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
     # Glare, tables of the chart, and a few kernels more than a block has.
     budget = one.device.pool.in_use + least + (3 << 20)
     small = capture(
-        WIDE, subject, exposure_s=EXPOSURE_S, seed=3, accuracy=COARSE, memory_bytes=budget
+        WIDE,
+        subject,
+        exposure_s=EXPOSURE_S,
+        seed=3,
+        accuracy=COARSE,
+        memory_bytes=budget,
+        method="fft",
     )
     assert small.memory == {
         "budget_bytes": budget,
@@ -413,10 +544,10 @@ def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
 
 
 def test_a_budget_below_the_smallest_tile_is_refused(device: Device):
-    with rendering(CAMERA, scene(shapes())) as one:
+    with rendering(CAMERA, scene(shapes()), force=()) as one:
         least = one.least_bytes()
     before = device.pool.in_use
-    given = {"exposure_s": 0.1, "accuracy": COARSE}
+    given = {"exposure_s": 0.1, "accuracy": COARSE, "method": "fft"}
     with pytest.raises(UserError, match="does not hold the smallest tile") as caught:
         capture(CAMERA, scene(shapes()), **given, memory_bytes=before + least // 2)
     assert caught.value.field == "memory" and "at least" in caught.value.allowed

@@ -19,6 +19,7 @@ from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
 from gpusim.plan import Accuracy
+from gpusim.plan.costs import LAVAPIPE
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -86,6 +87,27 @@ def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     assert asked["accuracy"] == Accuracy(1e-2, 5)
     assert shot(tmp_path, "--tolerance", "0.1sigma").code == 0
     assert asked["accuracy"] == Accuracy(0.1, 256, "sigma")
+    assert asked["noise"] is True
+    assert asked["method"] is None
+    assert shot(tmp_path, "--no-noise", "--method", "modes").code == 0
+    assert asked["noise"] is False and asked["method"] == "modes"
+
+
+def test_a_dry_run_shows_the_plan_and_writes_nothing(
+    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
+    file = tmp_path / "camera.yaml"
+    file.write_text(CAMERA)
+    out = tmp_path / "out"
+    ran = gpusim("render", file, "demo", "--out", out, "--no-noise", "--dry-run")
+    assert ran.code == 0, ran.err
+    assert not asked and not out.exists()
+    assert max(map(len, ran.out.splitlines())) <= 100
+    words = " ".join(ran.out.split())
+    for shown in ("run paint", "skip noise", "noise is switched off", "chosen ", "too dear"):
+        assert shown in words
+    assert LAVAPIPE.source in words
 
 
 def test_the_memory_and_the_rectangle_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
@@ -143,6 +165,10 @@ def test_the_screen_shows_adapter_stages_certificate_and_files(
         "RMS error 1.4e-03 of the local signal (0.01 sigma of the noise)",
         "worst of 2 probes 2.0e-03 of the local signal (0.014 sigma of the noise)",
         "at row 40, column 60",
+        "2.0e-04",  # predicted error and time of rows, beside what was measured
+        "1 s",
+        "convolved by fft & <whole> PSFs",
+        "not fft, <4> samples: too dear: 3.25 s against 1.75 s",
         "BEYOND the tolerance of 0.001",
         *(str(tmp_path / name) for name in FILES),
     ):
@@ -187,6 +213,7 @@ def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
         ("--tolerance", "-0.001", ("tolerance", "-0.001")),
         ("--tolerance", "nan", ("tolerance", "nan")),
         ("--tolerance", "0.1 sigmas", ("tolerance", "0.1 sigmas", "0.001sigma to 10sigma")),
+        ("--method", "magic", ("method", "magic", "fft, direct, modes")),
         ("--luminance", "0", ("luminance", "0", "above 0")),
         ("--luminance", "-5", ("luminance", "-5", "above 0")),
         ("--keep", "electrons,volts", ("--keep", "volts", "electrons, rate")),

@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from fake_capture import COLS, POINTS, ROWS, STAGES, fake_capture
+from fake_capture import COLS, POINTS, ROWS, RUNNERS_UP, STAGES, fake_capture
 from PIL import Image
 
 from gpusim import report
@@ -99,6 +99,8 @@ def test_facts_are_json_and_have_every_parameter(facts: dict):
     assert facts["versions"]["wgpu"] == "0.32.0"
     assert [stage["reason"] for stage in facts["plan"]["stages"]] == [s.reason for s in STAGES]
     assert facts["plan"]["scales"][0]["length"] == 256
+    assert facts["plan"]["runners_up"] == plain(RUNNERS_UP)
+    assert (facts["plan"]["predicted_s"], facts["plan"]["rates"]) == (1.75, "rates of a test")
     assert facts["times_s"]["rows"] == 1.5
     assert [point["truth"] for point in facts["certificate"]["points"]] == [100.0, 50.0]
     assert facts["files"] == FILES
@@ -153,6 +155,11 @@ def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
         "a word on confidence",
         "lens 125 ms",
         "US 2,673,491",
+        "fft & <whole> PSFs",
+        "rates of a test",
+        "1.75 s",  # predicted, of all
+        "too dear: 3.25 s against 1.75 s",
+        "error of its cut",
         "gpusim render <i>camera</i> demo",
     ):
         assert words in text, words
@@ -172,7 +179,7 @@ def test_a_tolerance_in_sigmas_is_judged_in_sigmas():
 
 
 def test_what_others_wrote_is_escaped(page: str):
-    assert "<chart>" not in page
+    assert "<chart>" not in page and "<whole>" not in page and "<4>" not in page
     assert "<i>camera" not in page
 
 

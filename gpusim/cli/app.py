@@ -81,6 +81,16 @@ def render(
     keep: Annotated[
         str, typer.Option(metavar="PLANES", help="Planes to keep as EXR: electrons,rate.")
     ] = "",
+    method: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="fft, direct or modes; planned if not given."),
+    ] = None,
+    noise: Annotated[
+        bool, typer.Option(help="Draw noise and fixed patterns; else the mean signal.")
+    ] = True,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Show the plan; render and write nothing.")
+    ] = False,
     adapter: Adapter = None,
 ) -> None:
     """Render a capture: raw.dng, developed.png, report.json and report.html."""
@@ -101,6 +111,9 @@ def render(
         tile_px=tile_size,
         memory=memory,
         keep=keep,
+        noise=noise,
+        method=method,
+        dry_run=dry_run,
     )
 
 
@@ -210,11 +223,16 @@ def stress(
 
 
 @app.command()
-def devices() -> None:
-    """List the graphics adapters and their limits."""
+def devices(
+    calibrate: Annotated[
+        bool,
+        typer.Option("--calibrate", help="Measure the planner's rates again: a few seconds."),
+    ] = False,
+) -> None:
+    """List the graphics adapters, their limits, and the measured rates that plans are made from."""
     from gpusim.cli.devices import run
 
-    run()
+    run(calibrate)
 
 
 def choose_adapter(name: str | None) -> None:

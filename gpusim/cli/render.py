@@ -21,7 +21,9 @@ from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import check_filter_array, write_dng
-from gpusim.plan import Accuracy
+from gpusim.plan import Accuracy, plan_optics
+from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.signal import brightest_e
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -46,8 +48,14 @@ def run(
     tile_px: int | None,
     memory: str | None,
     keep: str,
+    noise: bool,
+    method: str | None,
+    dry_run: bool,
 ) -> None:
-    """Render one capture into the folder `out` and show what was done."""
+    """Render one capture into the folder `out` and show what was done.
+
+    `dry_run`: show the plan, and neither render nor write.
+    """
     exposure_s = exposure_seconds(exposure)
     planes = kept_planes(keep)
     rectangle = None if tile is None else rectangle_of(tile)
@@ -56,7 +64,18 @@ def run(
     camera = load_camera(camera_name)
     check_filter_array(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2)
-    default_device()
+    device = default_device()
+    if dry_run:
+        with screen.progress_bar() as progress:
+            bank = camera.bank(lambda done, total: progress("lens", done, total))
+            costs = adapter_costs(
+                device, progress=lambda done, total: progress("calibrate", done, total)
+            )
+        sensor = camera.sensor
+        brightest = brightest_e(bank, sensor, scene, exposure_s)
+        relative = accuracy.relative(brightest, sensor.temporal_dark_noise_e, sensor.full_well_e)
+        print(plan_optics(bank, sensor, scene, relative, costs, noise, method).text())
+        return
     with staging(out) as folder:
         with (
             screen.progress_bar() as progress,
@@ -74,6 +93,8 @@ def run(
                 tile_px=tile_px,
                 keep=planes,
                 folder=Path(work),
+                noise=noise,
+                method=method,
                 progress=progress,
             )
             progress("files", 0, 1)

@@ -15,6 +15,8 @@ from rich.text import Text
 from gpusim.errors import UserError
 from gpusim.report.words import duration, error, mebibytes, sigmas, tolerance
 
+RUNNERS_UP_SHOWN = 3  # the report has all
+
 
 def show_error(mistake: UserError) -> None:
     """Print the error's screen on stderr; long paths are not broken, so that they can be copied."""
@@ -61,6 +63,10 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
     device, certificate = facts["device"], facts["certificate"]
     console.print(f"{device['adapter']}, {device['driver']}, {device['backend']}", markup=False)
     console.print(stages(facts))
+    plan = facts["plan"]
+    console.print(f"convolved by {plan['name']}", markup=False, highlight=False)
+    for other in plan["runners_up"][:RUNNERS_UP_SHOWN]:
+        console.print(f"  not {other['name']}: {other['lost']}", markup=False, highlight=False)
     if certificate is None:
         console.print("certificate: none, no probes were asked for")
     else:
@@ -83,23 +89,32 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
 
 
 def stages(facts: Mapping[str, Any]) -> Table:
-    """Return each stage with its time, or with the reason why it was left out."""
-    table = Table("stage", "time", "", box=None, header_style="bold", pad_edge=False)
-    table.columns[1].justify = "right"
+    """Return each stage: predicted error, predicted and measured time, and why it runs or not."""
+    columns = ("stage", "error", "planned", "time", "")
+    table = Table(*columns, box=None, header_style="bold", pad_edge=False)
+    for column in table.columns[1:4]:
+        column.justify = "right"
     for name, seconds in facts["prepare_s"].items():
-        table.add_row(f"prepare: {name}", duration(seconds))
+        table.add_row(f"prepare: {name}", "", "", duration(seconds))
     for stage in facts["plan"]["stages"]:
-        time = duration(facts["times_s"].get(stage["name"])) if stage["runs"] else "left out"
-        style = "" if stage["runs"] else "dim"
-        table.add_row(stage["name"], time, Text(stage["reason"]), style=style)
+        table.add_row(
+            stage["name"],
+            error(stage["predicted_error"]) if stage["runs"] else "",
+            duration(stage["predicted_cost_s"]) if stage["runs"] else "",
+            duration(facts["times_s"].get(stage["name"])) if stage["runs"] else "left out",
+            Text(stage["reason"]),
+            style="" if stage["runs"] else "dim",
+        )
+    planned, seconds = facts["plan"]["predicted_s"], facts["capture"]["wall_s"]
+    table.add_row("render", "", duration(planned), duration(seconds), "wall clock", style="bold")
     if "kernels" in facts["times_s"]:
-        table.add_row("kernels", duration(facts["times_s"]["kernels"]), "made tile by tile")
-    table.add_row("render", duration(facts["capture"]["wall_s"]), "wall clock", style="bold")
+        seconds = duration(facts["times_s"]["kernels"])
+        table.add_row("kernels", "", "", seconds, "made tile by tile")
     if facts["certificate"] is not None:
-        table.add_row("certificate", duration(facts["certificate"]["seconds"]), "apart")
+        table.add_row("certificate", "", "", duration(facts["certificate"]["seconds"]), "apart")
     memory = facts["memory"]
     budget = f"of the GPU at most, of a budget of {mebibytes(memory['budget_bytes'])}"
-    table.add_row("memory", mebibytes(memory["peak_bytes"]), budget)
+    table.add_row("memory", "", "", mebibytes(memory["peak_bytes"]), budget)
     return table
 
 

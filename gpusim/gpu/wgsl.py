@@ -35,6 +35,16 @@ def shaders_root() -> Path:
     return packaged if packaged.is_dir() else package.parent / "shaders"
 
 
+def shaders_sha256() -> str:
+    """Return one digest over the names and texts of all shaders."""
+    digest = hashlib.sha256()
+    root = shaders_root()
+    for path in sorted(root.rglob("*.wgsl")):
+        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
 @dataclass(frozen=True)
 class Source:
     """Composed WGSL: the text and, for each of its lines, where that line was written."""

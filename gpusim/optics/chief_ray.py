@@ -10,6 +10,7 @@ from gpusim.errors import UserError
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.plane_map import PlaneMap
+from gpusim.optics.grid import SimGrid
 
 # Error of the fit that the design allows at any image height (a thousandth of a pixel of 1 um).
 FIT_ERROR_UM = 1e-3
@@ -122,7 +123,7 @@ def outline(
     Parameters
     ----------
     chief_ray : ChiefRayMap
-    corner : ndarray (2,)
+    corner : ndarray (..., 2)
         x, y from the axis, sim samples.
     size : (float, float)
         Width and height, sim samples.
@@ -130,7 +131,7 @@ def outline(
 
     Returns
     -------
-    ndarray (36, 2)
+    ndarray (..., 36, 2)
         x, y, sim samples.
     """
     side = np.linspace(0, 1, 9)
@@ -171,3 +172,35 @@ def _radial(bank: Bank) -> RadialMap:
             allowed=f"at most {FIT_ERROR_UM} um",
         )
     return RadialMap(coefficients, float(radius[-1]))
+
+
+def block_bounds_um(
+    grid: SimGrid, pitch_um: float, chief_ray: ChiefRayMap, margin: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where the blocks of a sim grid lie on the ideal plane, and which of them see light.
+
+    Parameters
+    ----------
+    grid : SimGrid
+    pitch_um : float
+        Of the sim grid.
+    chief_ray : ChiefRayMap
+    margin : float
+        By which each block is taken to be larger on every side, samples.
+
+    Returns
+    -------
+    low, high : ndarray (blocks, 2)
+        Corners of the boxes that hold them, um; the index of x runs fastest.
+    lit : ndarray (blocks,) of bool
+        Whether a part of the block lies within the image circle.
+    """
+    columns, rows = (np.arange(count) for count in grid.blocks)
+    index = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    corner = index * grid.block - grid.half_size - np.array(grid.centre) - margin
+    size = np.array(grid.block) + 2 * margin
+    ideal = outline(chief_ray, corner[:, None], size, pitch_um) * pitch_um
+    circle = np.array(chief_ray.centre_um) / pitch_um
+    nearest = np.maximum(np.maximum(corner - circle, circle - corner - size), 0.0) * pitch_um
+    lit = np.hypot(*nearest.T) < chief_ray.radius_um
+    return ideal.min(axis=1) - pitch_um, ideal.max(axis=1) + pitch_um, lit

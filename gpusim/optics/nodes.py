@@ -31,6 +31,14 @@ class Scale:
     sigma : float
         Gaussian low-pass of the sampled scene, sim samples.
     kernels : FieldKernels
+    method : str
+        One of gpusim.optics.methods.METHODS.
+    support : int
+        Of the direct sum: sim samples from a photosite's centre to the last tap.
+    map_cells : (int, int)
+        Of modes: cells of their maps in x and in y.
+    rank_error : float
+        Of modes: as many are kept as this error of an edge response takes.
     """
 
     name: str
@@ -38,6 +46,10 @@ class Scale:
     pitch_um: float
     sigma: float
     kernels: FieldKernels
+    method: str = "fft"
+    support: int = 0
+    map_cells: tuple[int, int] = (1, 1)
+    rank_error: float = 0.0
 
 
 @dataclass(frozen=True)

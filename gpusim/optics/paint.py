@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, Resident
-from gpusim.optics.chief_ray import ChiefRayMap, outline
+from gpusim.optics.chief_ray import ChiefRayMap, block_bounds_um
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.scene.chart import Chart, Disc
@@ -50,28 +50,52 @@ def primitives_by_block(
     seen : dict of ndarray
         Indices of primitives, in painter's order, by block.
     needed : dict of int
-        By block: planes beyond these have no coefficient in it.
+        By block: planes beyond these have no coefficient in it; beyond the image circle, all.
     """
     bounds_um = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]).reshape(
         -1, 3
     )
     material = np.array([shape.material for shape in chart.primitives], int)
     last_plane = np.array([np.flatnonzero(row)[-1] + 1 if row.any() else 0 for row in coefficients])
-    seen, needed = {}, {}
-    size = tuple(side + 2 * REACH for side in grid.block)
-    for y in range(grid.blocks[1]):
-        for x in range(grid.blocks[0]):
-            corner = np.array(grid.block_origin((x, y))) - grid.centre - REACH
-            ideal = outline(chief_ray, corner, size, pitch_um) * pitch_um
-            low, high = ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um
-            near = np.all(
-                (bounds_um[:, :2] + bounds_um[:, 2:] > low)
-                & (bounds_um[:, :2] - bounds_um[:, 2:] < high),
-                axis=1,
-            )
-            seen[x, y] = np.flatnonzero(near)
-            needed[x, y] = int(max(last_plane[chart.background], *last_plane[material[near]], 0))
-    return seen, needed
+    low, high, lit = block_bounds_um(grid, pitch_um, chief_ray, REACH)
+    near = np.all(
+        (bounds_um[:, :2] + bounds_um[:, 2:] > low[:, None])
+        & (bounds_um[:, :2] - bounds_um[:, 2:] < high[:, None]),
+        axis=2,
+    )
+    planes = np.max(near * last_plane[material], axis=1, initial=last_plane[chart.background])
+    across = grid.blocks[0]
+    blocks = [(index % across, index // across) for index in range(len(near))]
+    seen = {block: np.flatnonzero(row) for block, row in zip(blocks, near, strict=True)}
+    return seen, dict(zip(blocks, (planes * lit).tolist(), strict=True))
+
+
+def samples_at_edges(chart: Chart, half_um: tuple[float, float], pitch_um: float) -> float:
+    """Estimate the work at edges: samples of tiles that see one, counted for each primitive.
+
+    Parameters
+    ----------
+    chart : Chart
+        Placed, in um on the ideal plane.
+    half_um : (float, float)
+        Half the width and height of the frame.
+    pitch_um : float
+        Of the sim grid.
+    """
+    near_um = (TILE / np.sqrt(2) + 6 * SIGMA) * pitch_um
+    area = 0.0
+    for shape in chart.primitives:
+        disc = isinstance(shape, Disc)
+        half = (shape.radius, shape.radius) if disc else (shape.half_w, shape.half_h)
+        band = 4.0 * np.prod([side + near_um for side in half])
+        band -= 4.0 * np.prod([max(side - near_um, 0.0) for side in half])
+        # Of its box, what lies in the frame.
+        box = [
+            (min(at + shape.reach, end) - max(at - shape.reach, -end)) / (2 * shape.reach)
+            for at, end in zip((shape.cx, shape.cy), half_um, strict=True)
+        ]
+        area += band * (np.pi / 4 if disc else 1.0) * max(box[0], 0.0) * max(box[1], 0.0)
+    return float(area) / pitch_um**2
 
 
 def tiles_by_block(

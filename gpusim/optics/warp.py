@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, Resident
 from gpusim.gpu.pool import size_class
-from gpusim.optics.chief_ray import ChiefRayMap, outline
+from gpusim.optics.chief_ray import ChiefRayMap, block_bounds_um, outline
 from gpusim.optics.convolve import Scale
+from gpusim.optics.grid import SimGrid
 from gpusim.scene.raster import PlacedRaster
 
 # Raster samples around what a block's outline sees: the spline's reach (2), rounding to f32, and
@@ -77,6 +79,57 @@ def low_pass(points: int) -> np.ndarray:
     return weights / weights.sum()
 
 
+# Raster samples by which a sample's spline reaches on: 0.27^24 = 2e-14 of it is left there.
+SPLINE_REACH = 24
+
+
+@lru_cache(maxsize=2)  # of one raster for each scale; the planner asks again and again
+def _bright(raster: PlacedRaster) -> np.ndarray:
+    """Return how many bright samples lie above and left of each: a box's are four of these."""
+    _, rows, cols = raster.planes.shape
+    total = np.zeros((rows + 1, cols + 1), np.int32)
+    np.cumsum(np.any(raster.planes, axis=0), axis=0, out=total[1:, 1:])
+    return np.cumsum(total, axis=1, out=total)
+
+
+def planes_by_block(
+    raster: PlacedRaster,
+    coefficients: np.ndarray,
+    grid: SimGrid,
+    pitch_um: float,
+    chief_ray: ChiefRayMap,
+) -> dict[tuple[int, int], int]:
+    """Count the planes that each block of a sim grid needs.
+
+    Parameters
+    ----------
+    raster : PlacedRaster
+    coefficients : ndarray (M, J)
+        Of the scene's spectra in the reduced basis.
+    grid : SimGrid
+    pitch_um : float
+        Of the sim grid.
+    chief_ray : ChiefRayMap
+
+    Returns
+    -------
+    dict of int
+        By block; none where the raster is black, and beyond the image circle.
+    """
+    low, high, lit = block_bounds_um(grid, pitch_um, chief_ray, REACH)
+    total = _bright(raster)
+    rows, cols = raster.planes.shape[1:]
+    corner = np.array([raster.x0_um, raster.y0_um])
+    # Beyond the raster its border goes on.
+    first = np.clip((low - corner) // raster.pitch_um - SPLINE_REACH, 0, (cols - 1, rows - 1))
+    last = np.clip((high - corner) // raster.pitch_um + SPLINE_REACH, 0, (cols - 1, rows - 1)) + 1
+    (x0, y0), (x1, y1) = first.astype(int).T, last.astype(int).T
+    any_light = total[y1, x1] - total[y0, x1] - total[y1, x0] + total[y0, x0] > 0
+    planes = coefficients.shape[1] * (any_light & lit)
+    across = grid.blocks[0]
+    return {(index % across, index // across): int(n) for index, n in enumerate(planes)}
+
+
 class Warp:
     """A raster scene, of which the device holds what the blocks at hand see.
 
@@ -111,8 +164,7 @@ class Warp:
             np.matmul(
                 coefficients.T, of_spectra[:, row], out=self.splines[:, row], casting="same_kind"
             )
-        blocks = self.grid.blocks
-        self.needed = {(x, y): shape[0] for y in range(blocks[1]) for x in range(blocks[0])}
+        self.needed = planes_by_block(raster, coefficients, scale.grid, scale.pitch_um, chief_ray)
         self.size = (shape[2], shape[1])
         self.scale = scale.pitch_um / raster.pitch_um
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)

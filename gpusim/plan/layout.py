@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,10 +15,47 @@ from gpusim.sensor.sensor import Sensor
 # Of the kernels around one block: half of the 1 GiB that the device may use.
 BLOCK_BYTES = 512 << 20
 TRANSFORMS = (256, 512, 1024)  # lengths that shaders/common/line_fft takes
-# Measured on lavapipe with 2 cores (2028 x 1520 pixels, 3 planes, 3 channels, transforms of 256):
-# ns for each sample of a transform and its log2, of a block's planes and its inverse; for each
-# sample of a kernel's spectrum, and of the kernel in space, as it is made on the host.
-TRANSFORM_NS, SPECTRUM_NS, KERNEL_NS = 3.6, 7.5, 30.0
+
+Needed = dict[tuple[int, int], int]
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes of the kernels around a block, and of the largest buffer."""
+
+    block_bytes: int
+    largest_bytes: int
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A grid and the work on it.
+
+    Attributes
+    ----------
+    grid : SimGrid
+    needed : dict of int
+        Planes that each block needs.
+    seconds : dict of float
+        Predicted for a frame, by stage; "dispatch" for what the dispatches cost beside.
+    kernels_s : float
+        Predicted for the kernels, which are made once.
+    """
+
+    grid: SimGrid
+    needed: Needed
+    seconds: dict[str, float]
+    kernels_s: float
+
+    @property
+    def frame_s(self) -> float:
+        """Predicted seconds of a frame."""
+        return sum(self.seconds.values())
+
+    @property
+    def cost_s(self) -> float:
+        """Predicted seconds of the first frame, its kernels included."""
+        return self.frame_s + self.kernels_s
 
 
 def cheapest_grid(
@@ -26,47 +64,65 @@ def cheapest_grid(
     period: int,
     reach: float,
     cells: tuple[int, int],
-    needed: Callable[[SimGrid], dict[tuple[int, int], int]],
-) -> SimGrid:
-    """Return the grid that takes the least time for one frame, its kernels included.
+    needed: Callable[[SimGrid], Needed],
+    work: Callable[[SimGrid, Needed], dict[str, float]],
+    memory: Callable[[SimGrid, Needed], Memory],
+    preparation: Callable[[SimGrid, Needed], float],
+) -> Layout:
+    """Return the grid that takes the least time for one frame, among those that fit the memory.
 
-    `reach` of the kernels in sim samples; `cells` are the fewest that the tolerance allows;
-    `needed` returns the planes that each block of a grid needs.
+    Parameters
+    ----------
+    sensor : Sensor
+    stride, period : int
+        See `SimGrid`.
+    reach : float
+        Of the kernels, sim samples.
+    cells : (int, int)
+        The fewest that the tolerance allows.
+    needed : callable
+        Returns the planes that each block of a grid needs.
+    work : callable
+        Returns the predicted seconds by stage.
+    memory : callable
+        Returns what the kernels take.
+    preparation : callable
+        Returns the predicted seconds for the kernels.
+
+    Raises
+    ------
+    UserError
+        When none fits.
     """
+    aligned = max(stride, 4)  # see SimGrid.alignment
     # 8 samples: half an aperture, half a sample to the pixel's centre, and the ringing of the
     # band's end.
-    half_size = int(np.ceil((reach + 8) / stride)) * stride
-    outputs = len(sensor.channels) if stride % period == 0 else period**2
+    half_size = int(np.ceil((reach + 8) / aligned)) * aligned
     best = None
     for length in TRANSFORMS:
-        step = max(stride, 4)  # see SimGrid.alignment
-        largest = (length - 2 * half_size) // step * step
+        largest = (length - 2 * half_size) // aligned * aligned
         if largest < 8 * stride:
             continue
-        node_bytes = outputs * (length // 2 + 1) * length * 8  # a plane
-        kernel_ns = outputs * (SPECTRUM_NS * length**2 + KERNEL_NS * (2 * half_size) ** 2)
-        for blocks in range(1, 5):
-            extent = SimGrid(
-                sensor.rows, sensor.cols, stride, period, length, half_size, cells
-            ).extent
-            finer = tuple(
+        extent = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, cells).extent
+        # As few cells as are allowed, in so many blocks each way; more cells take fewer blocks.
+        choices = {
+            tuple(
                 max(count, -(-size // (blocks * largest)))
                 for count, size in zip(cells, extent, strict=True)
             )
+            for blocks in range(1, 5)
+        }
+        for finer in sorted(choices):
             if any(n * 2 * stride > size for n, size in zip(finer, extent, strict=True)):
                 continue
             grid = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, finer)
             planes = needed(grid)
-            most = max(planes.values())
-            if most * node_bytes > MAX_BINDING_BYTES or 4 * most * node_bytes > BLOCK_BYTES:
+            taken = memory(grid, planes)
+            if taken.block_bytes > BLOCK_BYTES or taken.largest_bytes > MAX_BINDING_BYTES:
                 continue
-            # The inverse transforms and the products of a block cost about as much as the forward
-            # ones of a plane.
-            transforms = sum(1 + count for count in planes.values() if count)
-            at_nodes = sum(grid.planes_at(node, planes) for node in np.ndindex(grid.nodes))
-            work_ns = TRANSFORM_NS * transforms * length**2 * np.log2(length) + kernel_ns * at_nodes
-            if best is None or work_ns < best[0]:
-                best = (work_ns, grid)
+            found = Layout(grid, planes, work(grid, planes), preparation(grid, planes))
+            if best is None or found.cost_s < best.cost_s:
+                best = found
     if best is None:
         raise UserError(
             "The kernels of this lens do not fit: its PSF is too wide or changes too fast.",
@@ -75,4 +131,15 @@ def cheapest_grid(
             allowed=f"{TRANSFORMS[-1] - 8 * stride} samples, {BLOCK_BYTES >> 20} MiB of kernels "
             f"around a block, nodes at least {2 * stride} samples apart: a looser tolerance",
         )
-    return best[1]
+    return best
+
+
+def planes_at_nodes(grid: SimGrid, needed: Needed) -> np.ndarray:
+    """Return the planes of each node's kernels: the most that a block around it needs."""
+    across, down = grid.blocks_per_cell
+    planes = np.zeros(grid.blocks, int)
+    planes[tuple(np.array(list(needed)).T)] = list(needed.values())
+    by_cell = planes.reshape(grid.cells[0], across, grid.cells[1], down).max(axis=(1, 3))
+    around = np.pad(by_cell, 1)
+    corners = [around[x:, y:][: grid.nodes[0], : grid.nodes[1]] for x in (0, 1) for y in (0, 1)]
+    return np.maximum.reduce(corners)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
-from gpusim.optics.chief_ray import chief_ray_map
-from gpusim.optics.convolve import Scale
-from gpusim.optics.fold import MAX_PLANES, edge_responses, reduce_spectra, spectral_weights
+from gpusim.lens.places import Places
+from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
+from gpusim.optics.direct import MARGIN, direct_work, support_within
+from gpusim.optics.fold import MAX_PLANES, Basis, edge_responses, reduce_spectra, spectral_weights
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import (
     FieldKernels,
@@ -17,13 +22,19 @@ from gpusim.optics.kernels import (
     field_images,
     field_kernels,
 )
-from gpusim.optics.paint import SIGMA, primitives_by_block
-from gpusim.optics.warp import is_identity
+from gpusim.optics.methods import METHODS
+from gpusim.optics.modes import Decomposition, mode_decomposition
+from gpusim.optics.nodes import Scale
+from gpusim.optics.paint import SIGMA, primitives_by_block, samples_at_edges
+from gpusim.optics.warp import is_identity, planes_by_block
 from gpusim.plan.accuracy import Accuracy
-from gpusim.plan.layout import cheapest_grid
+from gpusim.plan.candidates import Candidate, Part, choose
+from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.layout import TRANSFORMS, Memory, Needed, cheapest_grid, planes_at_nodes
 from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.stages import Plan, describe
 from gpusim.scene.chart import Chart
+from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
@@ -41,10 +52,43 @@ CONTRAST = 20.0
 ALIAS_TO_RMS = 2.3
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
+CUTS_TRIED = 3  # the smallest that meet the tolerance: a larger core only costs more
+OVERSAMPLINGS = (2, 4)
+MODES_SHARE = 0.5  # of the tolerance; with that of the nodes in the squares, 0.94 of it
+# What is looked at to guess how many modes there are: the PSFs as far, sim samples, and at so many
+# nodes.
+MODES_REACH = 32
+MODES_CELLS = (6, 4)
+MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
+DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
 
-def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Plan:
+def plan_optics(
+    bank: FieldBank,
+    sensor: Sensor,
+    scene: Scene,
+    accuracy: Accuracy,
+    costs: Costs = LAVAPIPE,
+    noise: bool = True,
+    method: str | None = None,
+    force: Collection[str] = (),
+) -> Plan:
     """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
+
+    Parameters
+    ----------
+    bank : FieldBank
+    sensor : Sensor
+    scene : Scene
+    accuracy : Accuracy
+    costs : Costs
+        Rates of the adapter that is to render.
+    noise : bool
+        Whether the sensor's noise and fixed patterns are asked for.
+    method : str, optional
+        One of METHODS, instead of the cheapest.
+    force : collection of str
+        Stages of the plan that are to run though nothing needs them: for tests.
 
     Raises
     ------
@@ -52,7 +96,6 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
         When a PSF is wider than the longest transform allows, the CFA period is no power of two, or
         a part of the error cannot be as small as the tolerance asks: which, and how small it is.
     """
-    is_chart = isinstance(scene.source, Chart)
     period = sensor.period[0]
     if period not in (1, 2, 4) or sensor.period[1] != period:
         raise UserError(
@@ -61,15 +104,14 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
             value=f"{sensor.period[0]} x {sensor.period[1]}",
             allowed="1 x 1, 2 x 2 or 4 x 4",
         )
-    worst = WORST_TO_RMS * accuracy.tolerance
     basis = reduce_spectra(
         scene.spectra,
         spectral_weights(bank, sensor),
         edge_responses(bank),
-        worst,
+        0.0 if "spectra" in force else WORST_TO_RMS * accuracy.tolerance,
         _commonest_first(scene),
     )
-    if basis.residual > worst:
+    if basis.residual > WORST_TO_RMS * accuracy.tolerance:
         raise UserError(
             "The tolerance cannot be met: the planes of the scene's spectra cannot err by less.",
             field="tolerance",
@@ -77,106 +119,453 @@ def plan_optics(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accurac
             allowed=f"{basis.residual / WORST_TO_RMS:.1e} or more: the shaders carry {MAX_PLANES} "
             "planes, and this camera tells more spectra of this scene apart",
         )
-    sigma = SIGMA if is_chart else 0.0
-    half_um = (sensor.cols * sensor.pixel_pitch_um / 2, sensor.rows * sensor.pixel_pitch_um / 2)
-    # Sources around the sensor count too, and so do the nodes beyond them.
-    reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
-    farthest_um = float(np.hypot(*half_um) + np.sqrt(2) * reach_um)
-    images, places = field_images(bank, basis.weights, farthest_um)
-    everything = np.ones(images.shape[-2:])
-
-    if is_chart:
-        chief_ray, placed = chief_ray_map(bank), scene.source.placed(half_um[1])
-
-    def needed(grid: SimGrid, pitch_um: float) -> dict[tuple[int, int], int]:
-        if is_chart:
-            return primitives_by_block(placed, basis.coefficients, grid, pitch_um, chief_ray)[1]
-        return dict.fromkeys(np.ndindex(grid.blocks), basis.coefficients.shape[1])
-
-    for oversampling in (2, 4):
-        alias = 0.0
-        if is_chart:
-            alias = ALIAS_TO_RMS * alias_error(bank, oversampling, sensor, sigma)
-        if alias <= accuracy.tolerance or oversampling * period == 8:
-            break
-    if alias > accuracy.tolerance:
+    problem = _Problem(bank, sensor, scene, accuracy, costs, basis)
+    if method not in (None, *METHODS):
         raise UserError(
-            "The tolerance cannot be met: the alias of edges on the sim grid cannot be less.",
-            field="tolerance",
-            value=accuracy.tolerance,
-            allowed=f"{alias:.1e} or more: {oversampling} samples a pixel are the most, and the "
-            "lens's PSFs hold finer detail than these carry",
+            "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
         )
-    pitch_um = sensor.pixel_pitch_um / oversampling
-
-    # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
-    # kernels of its own, and shaders/optics/columns sums four.
-    coarse_stride = 4 if period == 4 else 1
-    coarse_pitch_um = sensor.pixel_pitch_um * period / coarse_stride
-    cut = None
-    probes = images[list(places.probes)]
-    for cut_um in CUTS_UM:
-        lost = cut_error(probes, bank.pitch_um, coarse_pitch_um, sensor, cut_um)
-        if lost <= accuracy.tolerance / CONTRAST and cut_um < reach_um / 2:
-            cut = cut_um
-            break
-    core = (
-        everything
-        if cut is None
-        else core_window(distances_um(len(everything), bank.pitch_um), cut)
-    )
-    kernels = field_kernels(images, places, bank.pitch_um, pitch_um, core)
-    # Green, or the only channel: the middle of the list.
-    middle = len(sensor.channels) // 2
-
-    def first(of: FieldKernels) -> FieldKernels:
-        return FieldKernels(of.splines[:, :1, middle : middle + 1], places, bank.pitch_um)
-
-    # 20 um hold 98 % of the energy at f/2.8.
-    cells, nodes = cells_within(
-        first(kernels), pitch_um, 20.0, half_um, NODE_SHARE * accuracy.tolerance
+    methods = METHODS if method is None else (method,)
+    chosen, runners_up = choose(problem.candidates(methods, "tail" in force))
+    scales = problem.scales(chosen)
+    identity = problem.identity(scales[0])
+    stages = describe(chosen, basis, sensor, scene, costs, identity, noise, force)
+    of_sensor = ("mosaic", "exposure", "noise", "adc")
+    return Plan(
+        basis=basis,
+        scales=scales,
+        stages=stages,
+        name=chosen.name,
+        predicted_s=sum(part.layout.frame_s for part in chosen.parts)
+        + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
+        kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
+        rates=costs.source,
+        runners_up=runners_up,
     )
 
-    grid = cheapest_grid(
-        sensor,
-        oversampling * period,
-        period,
-        (cut or reach_um) / pitch_um,
-        cells,
-        lambda g: needed(g, pitch_um),
-    )
-    scales = [Scale("core" if cut else "whole", grid, pitch_um, sigma, kernels)]
-    if cut is not None:
-        tail = field_kernels(images, places, bank.pitch_um, coarse_pitch_um, everything - core)
-        # The tail holds some per cent of the energy, and its error counts as much less.
-        whole = images[:, 0, middle].sum(axis=(1, 2))
-        share = float(((images[:, 0, middle] * (everything - core)).sum(axis=(1, 2)) / whole).max())
-        few, lag = cells_within(
-            first(tail),
-            coarse_pitch_um,
-            reach_um,
-            half_um,
-            TAIL_SHARE * accuracy.tolerance / share,
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is to be convolved, and how well."""
+
+    bank: FieldBank
+    sensor: Sensor
+    scene: Scene
+    accuracy: Accuracy
+    costs: Costs
+    basis: Basis
+
+    def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
+        """Return the ways to convolve, worked out as far as they may be chosen.
+
+        `cut`: of those that the tolerance allows, only those that cut the PSFs.
+        """
+        tolerance, period = self.accuracy.tolerance, self.sensor.period[0]
+        allowed = [n for n in OVERSAMPLINGS if n * period <= 8]
+        found: list[Candidate] = []
+        for oversampling in allowed:
+            alias = self._alias(oversampling)
+            if alias > tolerance and oversampling != allowed[-1]:
+                name = f"{oversampling} samples a pixel"
+                errors, limits = {"alias": alias}, {"alias": tolerance}
+                found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
+                continue
+            if alias > tolerance and not any(one.parts for one in found):
+                raise UserError(
+                    "The tolerance cannot be met: the alias of edges on the sim grid cannot be "
+                    "less.",
+                    field="tolerance",
+                    value=tolerance,
+                    allowed=f"{alias:.1e} or more: {oversampling} samples a pixel are the most, "
+                    "and the lens's PSFs hold finer detail than these carry",
+                )
+            # A finer grid than is needed only costs more: it is tried where it costs least.
+            first = not any(one.parts for one in found)
+            cuts = list(self._tails)[: CUTS_TRIED if first else 1]
+            whole = [] if cut and cuts else [None]
+            for radius in (*whole, *cuts):
+                found += self._candidates(
+                    methods if first else methods[:1], oversampling, alias, radius
+                )
+        return found
+
+    def scales(self, chosen: Candidate) -> tuple[Scale, ...]:
+        """Return the parts of a candidate with their kernels, of all planes and channels."""
+        return tuple(
+            Scale(
+                part.name,
+                part.layout.grid,
+                part.pitch_um,
+                self.sigma,
+                field_kernels(self.images, self.places, self.bank.pitch_um, part.pitch_um, weight),
+                part.method,
+                **part.options,
+            )
+            for part, weight in zip(chosen.parts, self._parts(chosen.cut_um), strict=True)
         )
-        nodes = float(np.hypot(nodes, lag * share))
-        coarse = cheapest_grid(
-            sensor,
-            coarse_stride,
+
+    def _candidates(
+        self, methods: Sequence[str], oversampling: int, alias: float, cut_um: float | None
+    ) -> list[Candidate]:
+        """Work out each method on one sim grid; with a cut, the tails by whatever is cheapest."""
+        tolerance, period = self.accuracy.tolerance, self.sensor.period[0]
+        pitch_um = self.sensor.pixel_pitch_um / oversampling
+        weights = self._parts(cut_um)
+        # 20 um hold 98 % of the energy at f/2.8.
+        cells, nodes = cells_within(
+            self._first(weights[0], pitch_um), pitch_um, 20.0, self.half_um, NODE_SHARE * tolerance
+        )
+        errors = {"alias": alias, "nodes": nodes}
+        limits = {knob: tolerance for knob in ("alias", "nodes", "modes")}
+        limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
+        tail = None
+        if cut_um is not None:
+            lag, few = self._tails[cut_um]
+            errors |= {"nodes": float(np.hypot(nodes, lag)), "cut": self._lost[cut_um]}
+            tail = self._tail(methods, weights[1], few)
+        kind, how = (
+            ("whole", "whole PSFs") if cut_um is None else ("core", f"PSFs cut at {cut_um:g} um")
+        )
+        found = []
+        for method in methods:
+            name = f"{method}, {oversampling} samples a pixel, {how}"
+            own, parts, obstacle = {}, (), None
+            try:
+                core, own = self._part(
+                    kind,
+                    method,
+                    oversampling * period,
+                    pitch_um,
+                    cut_um or self.reach_um,
+                    weights[0],
+                    cells,
+                )
+                name += f", {core.text}"
+                parts = (core,)
+                if isinstance(tail, UserError):
+                    raise tail
+                if tail is not None:
+                    name += f"; tail by {tail.method}, {tail.text}"
+                    parts = (core, tail)
+            except UserError as error:
+                parts, obstacle = (), error
+            found.append(
+                Candidate(
+                    name, oversampling, cut_um, self.sigma, errors | own, limits, parts, obstacle
+                )
+            )
+        return found
+
+    def _tail(
+        self, methods: Sequence[str], weight: np.ndarray, cells: tuple[int, int]
+    ) -> Part | UserError:
+        """Return the cheapest way to convolve the tails, or why there is none."""
+        found = []
+        where = (self.coarse_stride, self.coarse_pitch_um, self.reach_um, weight, cells)
+        for method in methods:
+            try:
+                part, _ = self._part("tail", method, *where)
+            except UserError as error:
+                obstacle = error
+            else:
+                found.append(part)
+        return min(found, key=lambda part: part.layout.cost_s) if found else obstacle
+
+    def _part(
+        self,
+        name: str,
+        method: str,
+        stride: int,
+        pitch_um: float,
+        reach_um: float,
+        weight: np.ndarray,
+        cells: tuple[int, int],
+    ) -> tuple[Part, dict[str, float]]:
+        """Return a scale by one method, and the errors that this adds.
+
+        Raises
+        ------
+        UserError
+            Where the method cannot do it.
+        """
+        period = self.sensor.period[0]
+        outputs = len(self.sensor.channels) if stride % period == 0 else period**2
+        options: dict[str, object] = {}
+        errors: dict[str, float] = {}
+        rank = 0
+        reach = reach_um / pitch_um
+        if method == "modes":
+            found = self._decomposed(stride, pitch_um, reach, name, weight, cells)
+            allowed = MODES_SHARE * self.accuracy.tolerance
+            rank, errors["modes"] = found.rank_within(allowed)
+            if rank > MODES_MOST:
+                raise UserError(
+                    "The PSFs change too much over the field to be sums of few modes.",
+                    field="method",
+                    value=f"more than {MODES_MOST} modes",
+                    allowed=f"{MODES_MOST} modes",
+                )
+            options = {"map_cells": cells, "rank_error": allowed}
+            cells = (1, 1)
+        elif method == "direct":
+            if reach > DIRECT_REACH:
+                raise UserError(
+                    "The direct sum is for small supports.",
+                    field="method",
+                    value=f"PSFs of {2 * reach:.0f} sim samples",
+                    allowed=f"{2 * DIRECT_REACH} samples",
+                )
+            limit = self.accuracy.tolerance / CONTRAST
+            support, errors["support"] = self._support(pitch_um, reach_um, weight, limit)
+            options = {"support": support}
+            reach = max(support - 4, 0)
+
+        def work(grid: SimGrid, needed: Needed) -> dict[str, float]:
+            lit = np.array([count for count in needed.values() if count], int)
+            if method == "direct":
+                madds = direct_work(grid, support, needed, self.sites, False)
+                seconds = {"direct": self.costs.seconds("direct", madds)}
+            else:
+                of_modes = rank if method == "modes" else None
+                seconds = self.costs.transforms(grid, outputs, lit, of_modes)
+            seconds |= self._source_s(grid, needed, edges_s)
+            # The source's two, and those of the method.
+            dispatches = (2 + (1 if method == "direct" else 3)) * len(lit)
+            return seconds | {"dispatch": self.costs.seconds("dispatch", dispatches)}
+
+        channels = len(self.sensor.channels)
+
+        def preparation(grid: SimGrid, needed: Needed) -> float:
+            size, spectra = (2 * grid.half_size) ** 2, grid.length**2
+            if method == "modes":
+                nodes = np.prod(np.add(options["map_cells"], 3))
+                made = nodes * max(needed.values(), default=0)
+                transformed = rank * made / nodes
+            else:
+                made = transformed = planes_at_nodes(grid, needed).sum()
+            if method == "direct":
+                size, spectra = (2 * (support + MARGIN)) ** 2, (2 * (support + 2 * MARGIN)) ** 2
+            return self.costs.seconds("kernels", channels * size * made) + self.costs.seconds(
+                "spectra", outputs * spectra * transformed
+            )
+
+        def memory(grid: SimGrid, needed: Needed) -> Memory:
+            half = (grid.length // 2 + 1) * grid.length * 8 * outputs
+            most = max(needed.values(), default=0)
+            if method == "modes":
+                pairs = -(-most * rank // 2)
+                lines = pairs * grid.block[1] * grid.length * 8
+                return Memory(2 * pairs * half, max(pairs * half, lines))
+            if method == "direct":
+                half = self.sensor.period[0] ** 2 * (2 * support + 12) ** 2 * 8
+            return Memory(4 * most * half, most * half)
+
+        edges_s = 0.0
+        if self.is_chart:
+            edges = samples_at_edges(self._placed, self.half_um, pitch_um)
+            edges_s = self.costs.seconds("edges", edges)
+        layout = cheapest_grid(
+            self.sensor,
+            stride,
             period,
-            reach_um / coarse_pitch_um,
-            few,
-            lambda g: needed(g, coarse_pitch_um),
+            reach,
+            cells,
+            lambda grid: self._needed(grid, pitch_um),
+            work,
+            memory,
+            preparation,
         )
-        scales.append(Scale("tail", coarse, coarse_pitch_um, sigma, tail))
-    predicted = {"planes": basis.residual, "alias": alias, "nodes": nodes, "cut": lost}
-    # A raster of another pitch is never identical, and placing a finer one takes a while.
-    identity = (
-        not is_chart
-        and bool(np.isclose(scene.source.pitch_um(*half_um), pitch_um, rtol=1e-9))
-        and is_identity(scene.source.placed(*half_um, pitch_um), scales[0], chief_ray_map(bank))
-    )
-    described = describe(scales, basis, sensor, scene, predicted, identity)
-    return Plan(basis, tuple(scales), described)
+        return Part(name, pitch_um, layout, method, options, rank), errors
+
+    def _decomposed(
+        self,
+        stride: int,
+        pitch_um: float,
+        reach: float,
+        name: str,
+        weight: np.ndarray,
+        cells: tuple[int, int],
+    ) -> Decomposition:
+        """Decompose the first plane's kernels, to guess how many modes all planes take.
+
+        Cores are guessed alike, however they are cut: what is looked at lies within the cuts.
+        """
+        half_size = int(min(reach + 8, MODES_REACH)) // 8 * 8
+        grid = SimGrid(
+            self.sensor.rows,
+            self.sensor.cols,
+            stride,
+            self.sensor.period[0],
+            TRANSFORMS[-1],
+            half_size,
+            (1, 1),
+        )
+        few = tuple(min(count, most) for count, most in zip(cells, MODES_CELLS, strict=True))
+        key = (pitch_um, few) if name != "tail" else (pitch_um, few, float(weight.sum()))
+        if key not in self._guesses:
+            kernels = self._channels(weight, pitch_um)
+            self._guesses[key] = mode_decomposition(kernels, grid, pitch_um, few, 1)
+        return self._guesses[key]
+
+    @cached_property
+    def _guesses(self) -> dict[tuple, Decomposition]:
+        return {}
+
+    def _support(
+        self, pitch_um: float, reach_um: float, weight: np.ndarray, limit: float
+    ) -> tuple[int, float]:
+        """Return the smallest support of the direct sum, and the error it leaves."""
+        sensor = self.sensor
+        return support_within(
+            self._channels(weight, pitch_um),
+            pitch_um,
+            reach_um,
+            self.half_um,
+            limit,
+            oversampling=sensor.pixel_pitch_um / pitch_um,
+            aperture_um=sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor),
+            sigma=self.sigma,
+        )
+
+    @property
+    def sites(self) -> list[int]:
+        """Channel of each CFA site."""
+        channels = list(self.sensor.channels)
+        return [channels.index(name) for name in self.sensor.site_channels()]
+
+    # The scene
+
+    @cached_property
+    def is_chart(self) -> bool:
+        return isinstance(self.scene.source, Chart)
+
+    @property
+    def sigma(self) -> float:
+        return SIGMA if self.is_chart else 0.0
+
+    @cached_property
+    def half_um(self) -> tuple[float, float]:
+        sensor = self.sensor
+        return tuple(n * sensor.pixel_pitch_um / 2 for n in (sensor.cols, sensor.rows))
+
+    @cached_property
+    def _chief_ray(self) -> ChiefRayMap:
+        return chief_ray_map(self.bank)
+
+    @cached_property
+    def _placed(self) -> Chart | PlacedRaster:
+        if self.is_chart:
+            return self.scene.source.placed(self.half_um[1])
+        return self.scene.source.placed(*self.half_um, 0.0)
+
+    def identity(self, scale: Scale) -> bool:
+        """Return whether the raster's samples are those of the sim grid.
+
+        One of another pitch is never identical, and placing a finer one takes a while.
+        """
+        return (
+            not self.is_chart
+            and bool(np.isclose(self._placed.pitch_um, scale.pitch_um, rtol=1e-9))
+            and is_identity(
+                self.scene.source.placed(*self.half_um, scale.pitch_um), scale, self._chief_ray
+            )
+        )
+
+    def _needed(self, grid: SimGrid, pitch_um: float) -> Needed:
+        where = (self._placed, self.basis.coefficients, grid, pitch_um, self._chief_ray)
+        return primitives_by_block(*where)[1] if self.is_chart else planes_by_block(*where)
+
+    def _source_s(self, grid: SimGrid, needed: Needed, edges_s: float) -> dict[str, float]:
+        block = grid.block[0] * grid.block[1]
+        if not self.is_chart:
+            return {"warp": self.costs.seconds("warp", block * sum(needed.values()))}
+        lit = sum(count > 0 for count in needed.values())
+        return {"paint": self.costs.seconds("paint", block * lit) + edges_s}
+
+    # The PSFs
+
+    @cached_property
+    def _images(self) -> tuple[np.ndarray, Places]:
+        # Sources around the sensor count too, and so do the nodes beyond them.
+        farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
+        return field_images(self.bank, self.basis.weights, farthest_um)
+
+    @property
+    def images(self) -> np.ndarray:
+        return self._images[0]
+
+    @property
+    def places(self) -> Places:
+        return self._images[1]
+
+    @cached_property
+    def reach_um(self) -> float:
+        return self.bank.psf.shape[-1] / 2 * self.bank.pitch_um + self.bank.lateral_um
+
+    @property
+    def coarse_stride(self) -> int:
+        # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
+        # kernels of its own, and shaders/optics/columns sums four.
+        return 4 if self.sensor.period[0] == 4 else 1
+
+    @property
+    def coarse_pitch_um(self) -> float:
+        return self.sensor.pixel_pitch_um * self.sensor.period[0] / self.coarse_stride
+
+    @cached_property
+    def _lost(self) -> dict[float, float]:
+        """Return what cuts cost, by radius."""
+        fit = [cut for cut in CUTS_UM if cut < self.reach_um / 2]
+        where = (self.bank.pitch_um, self.coarse_pitch_um, self.sensor)
+        probes = self.images[list(self.places.probes)]
+        return {cut: cut_error(probes, *where, cut) for cut in fit}
+
+    @cached_property
+    def _tails(self) -> dict[float, tuple[float, tuple[int, int]]]:
+        """Return what the tails' nodes cost and the fewest cells between them, by cut to try."""
+        limit = self.accuracy.tolerance / CONTRAST
+        fit = [cut for cut, lost in self._lost.items() if lost <= limit]
+        return {cut: self._tail_nodes(cut) for cut in fit[:CUTS_TRIED]}
+
+    def _alias(self, oversampling: int) -> float:
+        """Return what the sim grid costs; a photograph is smooth on it."""
+        if not self.is_chart:
+            return 0.0
+        return ALIAS_TO_RMS * alias_error(self.bank, oversampling, self.sensor, self.sigma)
+
+    def _parts(self, cut_um: float | None) -> list[np.ndarray]:
+        """Return the weights of the samples of the PSFs in each scale."""
+        n = self.images.shape[-1]
+        if cut_um is None:
+            return [np.ones((n, n))]
+        core = core_window(distances_um(n, self.bank.pitch_um), cut_um)
+        return [core, 1 - core]
+
+    def _first(self, weight: np.ndarray, pitch_um: float) -> FieldKernels:
+        """Return kernels of the first plane in green, or the only channel: the list's middle."""
+        middle = len(self.sensor.channels) // 2
+        images = self.images[:, :1, middle : middle + 1]
+        return field_kernels(images, self.places, self.bank.pitch_um, pitch_um, weight)
+
+    def _channels(self, weight: np.ndarray, pitch_um: float) -> FieldKernels:
+        """Return kernels of the first plane in all channels."""
+        images = self.images[:, :1]
+        return field_kernels(images, self.places, self.bank.pitch_um, pitch_um, weight)
+
+    def _tail_nodes(self, cut_um: float) -> tuple[float, tuple[int, int]]:
+        """Return the error that the tails' nodes leave, and the fewest cells between them."""
+        weight = self._parts(cut_um)[1]
+        middle = len(self.sensor.channels) // 2
+        # The tail holds some per cent of the energy, and its error counts as much less.
+        images = self.images[:, 0, middle]
+        share = float(((images * weight).sum(axis=(1, 2)) / images.sum(axis=(1, 2))).max())
+        few, lag = cells_within(
+            self._first(weight, self.coarse_pitch_um),
+            self.coarse_pitch_um,
+            self.reach_um,
+            self.half_um,
+            TAIL_SHARE * self.accuracy.tolerance / share,
+        )
+        return lag * share, few
 
 
 def _commonest_first(scene: Scene) -> np.ndarray:

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import textwrap
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 
-from gpusim.optics.convolve import Scale
 from gpusim.optics.fold import Basis
+from gpusim.optics.nodes import Scale
+from gpusim.plan.candidates import Candidate, Part, RunnerUp
+from gpusim.plan.costs import Costs
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
-# Measured on lavapipe with 2 cores, ns for each sample that a stage touches; only the order of
-# magnitude is meant.
-NS_PER_SAMPLE = {
-    "paint": 30.0,
-    "warp": 25.0,
-    "rows": 8.0,
-    "columns": 8.0,
-    "lattice": 20.0,
-    "splat": 300.0,
-    "mosaic": 3.0,
-    "exposure": 20.0,
-    "noise": 60.0,
-    "adc": 3.0,
-}
+COLUMNS = 100  # of the plan's text
+REASON = 60  # of which a reason may take
 
 
 @dataclass(frozen=True)
 class PlanStage:
-    """One stage of the chain: whether it runs, and why."""
+    """One stage of the chain, or a part of its work: whether it runs, and why."""
 
     name: str
     runs: bool
@@ -49,64 +41,96 @@ class Plan:
         The core of the PSFs on the sim grid; their tail, where it is cut off, on a coarse one.
     stages : tuple of PlanStage
         In the order that light takes.
+    name : str
+        How the convolution is done, in a line.
+    predicted_s : float
+        Of one frame, everything together.
+    kernels_s : float
+        Of the kernels, which are made once.
+    rates : str
+        Whose rates the predictions are made from.
+    runners_up : tuple of RunnerUp
+        Other ways to convolve, and why each lost.
     """
 
     basis: Basis
     scales: tuple[Scale, ...]
     stages: tuple[PlanStage, ...]
+    name: str
+    predicted_s: float
+    kernels_s: float
+    rates: str
+    runners_up: tuple[RunnerUp, ...]
+
+    def runs(self, name: str) -> bool:
+        """Return whether a stage runs."""
+        return any(stage.runs for stage in self.stages if stage.name == name)
 
     def text(self) -> str:
-        """Return the plan as lines of text."""
-        lines = []
+        """Return the plan as lines of text, at most 100 columns wide."""
+        lines = [f"{'':18}{'':{REASON}}{'error':>10}{'time':>11}"]
         for stage in self.stages:
-            error = "" if stage.predicted_error is None else f", error {stage.predicted_error:.1e}"
-            cost = "" if stage.predicted_cost_s is None else f", {stage.predicted_cost_s:.2f} s"
-            lines.append(
-                f"{'run ' if stage.runs else 'skip'} {stage.name:9} {stage.reason}{error}{cost}"
+            state = "run" if stage.runs else "skip"
+            first = f"{state:5}{stage.name}"
+            lines += _row(first, stage.reason, stage.predicted_error, stage.predicted_cost_s)
+        lines += _row("", "with all dispatches", None, self.predicted_s)
+        lines += _row("", "kernels, made once", None, self.kernels_s)
+        lines += ["", *_row("chosen", self.name, None, None)]
+        for other in self.runners_up:
+            lines += _row(
+                "lost",
+                f"{other.name}: {other.lost}",
+                other.predicted_error,
+                other.predicted_cost_s,
             )
-        return "\n".join(lines)
+        return "\n".join([*lines, "", f"Times from {self.rates}."])
+
+
+def _row(first: str, reason: str, error: float | None, cost_s: float | None) -> list[str]:
+    """Return a reason in as many lines as it needs, the numbers on the first of them."""
+    lines = textwrap.wrap(reason, REASON)
+    numbers = ("" if error is None else f"{error:.1e}", "" if cost_s is None else f"{cost_s:.3f} s")
+    lines[0] = f"{first:18}{lines[0]:{REASON}}{numbers[0]:>10}{numbers[1]:>11}".rstrip()
+    return [lines[0], *(f"{'':18}{line}" for line in lines[1:])]
 
 
 def describe(
-    scales: list[Scale],
+    chosen: Candidate,
     basis: Basis,
     sensor: Sensor,
     scene: Scene,
-    predicted: dict[str, float],
+    costs: Costs,
     identity: bool,
+    noise: bool,
+    force: Collection[str],
 ) -> tuple[PlanStage, ...]:
     """Describe the chain, stage by stage; ``identity``: of the warp onto the first grid."""
     planes = basis.coefficients.shape[1]
     is_chart = isinstance(scene.source, Chart)
-    pixels = sensor.rows * sensor.cols
-    grids = [scale.grid for scale in scales]
-    blocks = [grid.blocks[0] * grid.blocks[1] for grid in grids]
+    layouts = [part.layout for part in chosen.parts]
+    counts = [count for layout in layouts for count in layout.needed.values()]
+    dark = counts.count(0)
 
-    def cost(stage: str, samples: float) -> float:
-        return NS_PER_SAMPLE[stage] * samples * 1e-9
+    def cost(stage: str) -> float:
+        return sum(layout.seconds.get(stage, 0.0) for layout in layouts)
+
+    def part(name: str, needed: bool, used: str, unused: str) -> PlanStage:
+        """Describe a stage or a part of one that nothing needs where it changes nothing."""
+        forced = not needed and name in force
+        return PlanStage(name, needed or forced, used if needed else unused + ", forced" * forced)
 
     source = f"{planes} of {len(scene.spectra)} spectra are told apart by the camera"
-    areas = sum(b * g.block[0] * g.block[1] for b, g in zip(blocks, grids, strict=True))
-    fine = grids[0]
-    tail = (
-        f"; tail on a grid of {scales[1].pitch_um:.3g} um, reach {grids[1].half_size} samples"
-        if len(scales) > 1
-        else "; whole PSF on one grid"
-    )
-    glare = sensor.veiling_glare
     highlights = 0 if is_chart else len(scene.source.split.rows)
-    # Pixels that one highlight lights.
-    lit = (2 * grids[-1].half_size / grids[-1].oversampling) ** 2
     return (
         PlanStage("illumination", False, "the target is lit evenly"),
         PlanStage(
             "paint",
             is_chart,
-            f"chart low-passed by {scales[0].sigma} samples; {source}"
+            f"chart low-passed by {chosen.sigma} samples; {source}"
             if is_chart
             else "the scene is a raster",
-            predicted["planes"] if is_chart else None,
-            cost("paint", areas) if is_chart else None,
+            basis.residual if is_chart else None,
+            cost("paint") if is_chart else None,
         ),
         PlanStage(
             "warp",
@@ -116,39 +140,24 @@ def describe(
             else f"identity: no distortion, and the grid is the raster's own; {source}"
             if identity
             else f"cubic spline; {source}",
-            None if is_chart or identity else predicted["planes"],
-            None if is_chart or identity else cost("warp", areas * planes),
+            None if is_chart or identity else basis.residual,
+            None if is_chart or identity else cost("warp"),
         ),
         PlanStage(
-            "rows",
-            True,
-            f"{sum(blocks)} blocks, {fine.oversampling:g} samples a pixel, transforms of "
-            + " and ".join(str(length) for length in sorted({grid.length for grid in grids})),
-            predicted["alias"],
-            cost(
-                "rows",
-                sum(b * g.block[1] * g.length * planes for b, g in zip(blocks, grids, strict=True)),
-            ),
+            "dark blocks",
+            False,
+            f"{dark} of {len(counts)} see no light, or lie beyond the image circle"
+            if dark
+            else f"none: all {len(counts)} see light",
         ),
+        *_convolution_stages(chosen, cost),
         PlanStage(
-            "columns",
-            True,
-            f"{fine.nodes[0]} x {fine.nodes[1]} PSF nodes, reach {fine.half_size} samples{tail}",
-            predicted["nodes"] + predicted["cut"] * (len(scales) > 1),
-            cost(
-                "columns",
-                sum(2 * b * g.length**2 * planes for b, g in zip(blocks, grids, strict=True)),
-            ),
-        ),
-        PlanStage(
-            "lattice",
-            True,
-            "inverse transform at the photosites only; pixel aperture folded into the kernels",
-            None,
-            cost(
-                "lattice",
-                sum(b * g.sites * g.window**2 for b, g in zip(blocks, grids, strict=True)),
-            ),
+            "tail",
+            len(layouts) > 1,
+            f"PSFs beyond {chosen.cut_um:g} um on a grid of {chosen.parts[1].pitch_um:.3g} um"
+            if len(layouts) > 1
+            else "whole PSFs on one grid cost less, or the tolerance allows no cut",
+            chosen.errors.get("cut"),
         ),
         PlanStage(
             "splat",
@@ -156,10 +165,75 @@ def describe(
             f"{highlights} highlights, each with the PSF of its own place"
             if highlights
             else "no part of the scene outshines the rest",
-            None,
-            cost("splat", highlights * lit) if highlights else None,
         ),
-        PlanStage("mosaic", True, f"{fine.sites} CFA sites", None, cost("mosaic", pixels)),
+        *_sensor_stages(sensor, costs, noise, part),
+    )
+
+
+def _convolution_stages(chosen: Candidate, cost: Callable[[str], float]) -> tuple[PlanStage, ...]:
+    """Describe the passes of the methods that the scales take."""
+
+    def scales(*methods: str) -> str:
+        """Say what a pass works on: each scale that has it, and how."""
+        return "; ".join(
+            f"{part.name}: {_blocks(part)}" for part in chosen.parts if part.method in methods
+        )
+
+    transformed = scales("fft", "modes")
+    used = {
+        "rows": (scales("fft"), "no scale is convolved by PSF nodes and transforms"),
+        "modes": (scales("modes"), "no scale has PSFs that are sums of few modes"),
+        "columns": (transformed and "products with the kernels' spectra", "no transforms"),
+        "lattice": (transformed and "inverse transform at the photosites only", "no transforms"),
+        "direct": (scales("direct"), "no scale has a support that is small enough"),
+    }
+    errors = {
+        "rows": chosen.errors["alias"],
+        "modes": chosen.errors.get("modes"),
+        "columns": chosen.errors["nodes"],
+        "direct": max(chosen.errors["nodes"], chosen.errors.get("support", 0.0)),
+    }
+    return tuple(
+        PlanStage(name, True, text, errors.get(name), cost(name))
+        if text
+        else PlanStage(name, False, otherwise)
+        for name, (text, otherwise) in used.items()
+    )
+
+
+def _blocks(part: Part) -> str:
+    """Say how one scale is cut into blocks, and how its PSFs vary."""
+    grid = part.layout.grid
+    lit = sum(count > 0 for count in part.layout.needed.values())
+    nodes = part.options.get("map_cells", grid.cells)
+    return (
+        f"{lit} blocks at {part.pitch_um:.3g} um, {part.text}, {nodes[0] + 1} x {nodes[1] + 1} "
+        f"PSF nodes, reach {grid.half_size} samples"
+    )
+
+
+def _sensor_stages(
+    sensor: Sensor,
+    costs: Costs,
+    noise: bool,
+    part: Callable[[str, bool, str, str], PlanStage],
+) -> tuple[PlanStage, ...]:
+    """Describe what comes after the light."""
+
+    def timed(stage: PlanStage) -> PlanStage:
+        cost_s = costs.seconds(stage.name, sensor.rows * sensor.cols) if stage.runs else None
+        return replace(stage, predicted_cost_s=cost_s)
+
+    off = "noise is switched off"
+    glare, sites = sensor.veiling_glare, len(sensor.site_channels())
+    mosaic = part(
+        "mosaic",
+        sites > 1 or glare > 0,
+        f"{sites} CFA sites" if sites > 1 else "adds the veiling glare",
+        "a sensor without filters or veiling glare: the plane is the frame",
+    )
+    return (
+        timed(mosaic),
         PlanStage(
             "flare",
             glare > 0,
@@ -168,8 +242,28 @@ def describe(
             else "the sensor file gives none",
         ),
         PlanStage("cross-talk", False, "the sensor file gives none"),
-        PlanStage("exposure", True, "PRNU, dark current, DSNU", None, cost("exposure", pixels)),
-        PlanStage("noise", True, "Poisson, full well, read noise", None, cost("noise", pixels)),
+        part(
+            "prnu",
+            noise and sensor.prnu_percent > 0,
+            f"{sensor.prnu_percent:g} % of the signal, in exposure",
+            "all pixels respond alike" if noise else off,
+        ),
+        timed(
+            PlanStage("exposure", True, "exposure time, dark current" + ", full well" * (not noise))
+        ),
+        timed(PlanStage("noise", noise, "Poisson, full well" if noise else off)),
+        part(
+            "dsnu",
+            noise and sensor.dsnu_e > 0,
+            f"{sensor.dsnu_e:g} e-, in noise",
+            "all pixels have the same offset" if noise else off,
+        ),
+        part(
+            "read noise",
+            noise and sensor.temporal_dark_noise_e > 0,
+            f"{sensor.temporal_dark_noise_e:g} e-, in noise",
+            "the sensor has no temporal dark noise" if noise else off,
+        ),
         PlanStage("smear, cti", False, "a CMOS sensor does not shift its charge"),
-        PlanStage("adc", True, f"{sensor.bit_depth} bit", None, cost("adc", pixels)),
+        timed(PlanStage("adc", True, f"{sensor.bit_depth} bit")),
     )

@@ -29,8 +29,9 @@ def exposure(
     dark_current_e_per_s: float,
     serial_number: int,
     origin: tuple[int, int] = (0, 0),
+    limit_e: float = np.inf,
 ) -> np.ndarray:
     """Return the mean electrons of a rectangle of pixels from rates in electrons/s."""
     row, col = np.indices(rate.shape)
     light = rate * response(row + origin[0], col + origin[1], serial_number, prnu)
-    return exposure_s * (np.maximum(light, 0) + dark_current_e_per_s)
+    return np.minimum(exposure_s * (np.maximum(light, 0) + dark_current_e_per_s), limit_e)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gpusim
-from gpusim.gpu import wgsl
+from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.scene import Chart
 
 if TYPE_CHECKING:
@@ -81,16 +81,6 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
     }
 
 
-def shaders_sha256() -> str:
-    """Return one digest over the names and texts of all shaders."""
-    digest = hashlib.sha256()
-    root = wgsl.shaders_root()
-    for path in sorted(root.rglob("*.wgsl")):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0")
-        digest.update(path.read_bytes() + b"\0")
-    return digest.hexdigest()
-
-
 def _camera(camera: Camera) -> dict[str, Any]:
     lens = plain(camera.lens.model_dump())
     changes = plain(camera.lens.history)
@@ -126,7 +116,15 @@ def _plan(plan: Plan) -> dict[str, Any]:
         for scale in plan.scales
     ]
     planes = plan.basis.coefficients.shape[1]
-    return {"planes": planes, "scales": scales, "stages": plain(plan.stages)}
+    return {
+        "name": plan.name,
+        "predicted_s": float(plan.predicted_s),
+        "rates": plan.rates,
+        "planes": planes,
+        "scales": scales,
+        "stages": plain(plan.stages),
+        "runners_up": plain(plan.runners_up),
+    }
 
 
 def plain(value: object) -> Any:

@@ -162,10 +162,10 @@ which show each pixel as it is.</figcaption></figure>
 
 def _stages(facts: Mapping[str, Any]) -> str:
     """Return the plan and what became of it: one row a stage, in the order that light takes."""
-    times = facts["times_s"]
+    times, plan = facts["times_s"], facts["plan"]
     longest = max(times.values(), default=0.0) or 1.0
     rows = ""
-    for stage in facts["plan"]["stages"]:
+    for stage in plan["stages"]:
         seconds = times.get(stage["name"])
         width = 0.0 if seconds is None else 100 * seconds / longest
         bar = f'<i style="width:{width:.1f}%"></i>' if width else ""
@@ -184,12 +184,31 @@ def _stages(facts: Mapping[str, Any]) -> str:
 <thead><tr><th>Stage</th><th>Reason</th><th class="number">Predicted error</th>
 <th class="number">Predicted time</th><th class="number">Time</th><th></th></tr></thead>
 <tbody>{rows}</tbody>
-<tfoot><tr><td colspan="4">Render, wall clock</td>
+<tfoot><tr><td colspan="3">Render, wall clock</td>
+<td class="number">{duration(plan["predicted_s"])}</td>
 <td class="number">{duration(facts["capture"]["wall_s"])}</td><td></td></tr></tfoot>
 </table></div>
 <p class="soft">Before, and not again for further frames of this scene: {escape(prepared)}.
 GPU memory at most {escape(held)}; {facts["work"]["tiles"]} tiles, {facts["work"]["blocks"]} blocks,
-kernels at {facts["work"]["nodes"]} points of the field.</p>"""
+kernels at {facts["work"]["nodes"]} points of the field.</p>
+{_runners_up(plan)}"""
+
+
+def _runners_up(plan: Mapping[str, Any]) -> str:
+    """Return how the convolution is done, and how else it could have been."""
+    rows = "".join(
+        f"""<tr><td>{escape(other["name"])}</td>
+<td class="number">{error(other["predicted_error"])}</td>
+<td class="number">{duration(other["predicted_cost_s"])}</td>
+<td class="reason">{escape(other["lost"])}</td></tr>"""
+        for other in plan["runners_up"]
+    )
+    return f"""<p>Convolved by {escape(plan["name"])}. Predicted times: {escape(plan["rates"])}.</p>
+<details><summary>{len(plan["runners_up"])} other ways, and why each lost</summary>
+<div class="scroll"><table>
+<thead><tr><th>Way</th><th class="number">Predicted error</th>
+<th class="number">Predicted time</th><th>Why it lost</th></tr></thead>
+<tbody>{rows}</tbody></table></div></details>"""
 
 
 def _certificate(facts: Mapping[str, Any]) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Kernel, Recording
 from gpusim.sensor.sensor import Sensor
@@ -19,13 +21,15 @@ def record_exposure(
     temperature_c: float | None = None,
     origin: tuple[int, int] = (0, 0),
     label: str = "mean",
+    prnu: bool = True,
+    limit_e: float = float(np.finfo(np.float32).max),
 ) -> Array:
     """Record the exposure of a rectangle of pixels.
 
     Parameters
     ----------
     rec : Recording
-    rate : Array (rows, cols), f32
+    rate : Array (rows, cols) or (1, rows, cols), f32
         Electrons/s.
     sensor : Sensor
         Gives PRNU and dark current.
@@ -36,6 +40,10 @@ def record_exposure(
         Row and column of the first pixel.
     label : str
         Of the buffer that is returned.
+    prnu : bool
+        Whether to draw the pixels' responses: a sensor without PRNU does not need it.
+    limit_e : float
+        Where the mean is clipped, electrons: the full well where no noise is drawn after it.
 
     Returns
     -------
@@ -56,9 +64,9 @@ def record_exposure(
         )
     if temperature_c is None:
         temperature_c = sensor.reference_temperature_c
-    mean = rec.buffer(label, rate.shape, "f4")
-    kernel = Kernel("sensor/exposure")
-    rows, cols = rate.shape
+    rows, cols = rate.shape[-2:]
+    mean = rec.buffer(label, (rows, cols), "f4")
+    kernel = Kernel("sensor/exposure", PRNU=prnu)
     row0, col0 = origin[0] + sensor.first_row, origin[1] + sensor.first_col
     params = {
         "serial": words(sensor.serial_number),
@@ -69,6 +77,7 @@ def record_exposure(
         "exposure_s": exposure_s,
         "prnu": sensor.prnu_percent / 100,
         "dark_e": exposure_s * sensor.dark_current_at(temperature_c),
+        "limit_e": limit_e,
     }
     kernel.record(rec, kernel.cover(quads(col0, cols), rows), params, rate=rate, mean=mean)
     return mean

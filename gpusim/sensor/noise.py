@@ -16,6 +16,8 @@ def record_noise(
     frame: int = 0,
     origin: tuple[int, int] = (0, 0),
     label: str = "electrons",
+    dsnu: bool = True,
+    read_noise: bool = True,
 ) -> Array:
     """Record shot noise, full well, fixed offset and temporal dark noise of a rectangle of pixels.
 
@@ -34,6 +36,9 @@ def record_noise(
         Row and column of the first pixel.
     label : str
         Of the buffer that is returned.
+    dsnu, read_noise : bool
+        Whether to draw the pixels' offsets and the temporal dark noise: a sensor without them does
+        not need it.
 
     Returns
     -------
@@ -41,7 +46,7 @@ def record_noise(
         Electrons; may be negative.
     """
     electrons = rec.buffer(label, mean.shape, "f4")
-    kernel = Kernel("sensor/noise")
+    kernel = Kernel("sensor/noise", DSNU=dsnu, READ_NOISE=read_noise)
     rows, cols = mean.shape
     row0, col0 = origin[0] + sensor.first_row, origin[1] + sensor.first_col
     params = {

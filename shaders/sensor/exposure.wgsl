@@ -1,13 +1,16 @@
 // Exposure: the mean number of electrons that each pixel has collected when it is read (EMVA 1288 R3.1, sections 2.1, 3 and 4.1):
-//   mean = max(0, t (1 + PRNU z) rate) + dark,   dark = t mu_I,   z ~ N(0, 1), the same in every frame
+//   mean = min(max(0, t (1 + PRNU z) rate) + dark, limit),   dark = t mu_I,   z ~ N(0, 1), the same in every frame
 // Photo response non-uniformity thus comes before the shot noise. dark is the dark current at the sensor's temperature
-// times the exposure time; the host works it out. z is keyed by the sensor's serial number and the pixel.
+// times the exposure time; the host works it out. z is keyed by the sensor's serial number and the pixel; without PRNU
+// it is not drawn. limit is the full well where no noise stage follows, which clips after the shot noise.
 // Units: rate electrons per second, exposure_s seconds, dark_e and mean electrons, prnu a fraction of the signal.
 // In: rate (rows, cols). Out: mean (rows, cols): the rectangle of pixels from (row0, col0).
 // Dispatch: ceil((col0 mod 4 + cols)/128) x ceil(rows/2) workgroups of 32 x 2, four neighbouring pixels each,
 // which share a call of the generator. Lavapipe, 2 cores: 256 MP/s.
 #include "philox"
 #include "gaussian"
+
+override PRNU: bool = true;   // the pixels respond unlike
 
 struct Params {
     serial: vec2u,   // serial number, low and high word
@@ -18,6 +21,7 @@ struct Params {
     exposure_s: f32,
     prnu: f32,
     dark_e: f32,
+    limit_e: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -30,13 +34,19 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let quad = params.col0 / 4u + id.x;
-    let words = philox(vec4u(quad, params.row0 + id.y, 0u, PURPOSE_PRNU), params.serial);
+    var words = vec4u(0u);
+    if (PRNU) {
+        words = philox(vec4u(quad, params.row0 + id.y, 0u, PURPOSE_PRNU), params.serial);
+    }
     for (var i = 0u; i < 4u; i++) {
         let col = 4u * quad + i - params.col0;   // wraps to a huge number left of the rectangle
         if (col < params.cols) {
             let at = id.y * params.cols + col;
-            let gain = params.exposure_s * (1.0 + params.prnu * gaussian(words[i]));
-            mean[at] = max(gain * rate[at], 0.0) + params.dark_e;
+            var gain = params.exposure_s;
+            if (PRNU) {
+                gain *= 1.0 + params.prnu * gaussian(words[i]);
+            }
+            mean[at] = min(max(gain * rate[at], 0.0) + params.dark_e, params.limit_e);
         }
     }
 }

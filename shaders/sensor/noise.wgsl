@@ -2,7 +2,7 @@
 //   electrons = min(Poisson(mean), full_well) + DSNU z_1 + sigma_d z_2,   z_1, z_2 ~ N(0, 1)
 // The Poisson number holds photon and dark shot noise together. The dark signal non-uniformity z_1 is an offset of
 // the read-out, without shot noise, keyed by the sensor's serial number, the same in every frame; z_2 is the temporal
-// dark noise. The rest is keyed by seed and frame. The charge may be negative after read-out.
+// dark noise. The rest is keyed by seed and frame. The charge may be negative after read-out. What is zero is not drawn.
 // Units: electrons, in and out.
 // In: mean (rows, cols). Out: electrons (rows, cols): the rectangle of pixels from (row0, col0).
 // Dispatch: ceil((col0 mod 4 + cols)/128) x ceil(rows/2) workgroups of 32 x 2, four neighbouring pixels each,
@@ -11,6 +11,9 @@
 #include "philox"
 #include "gaussian"
 #include "poisson"
+
+override DSNU: bool = true;         // the pixels' offsets differ
+override READ_NOISE: bool = true;   // there is temporal dark noise
 
 const MEAN_LIMIT = 1.6e7;   // e-; the count must fit i32; the largest full well, 1e7, lies 1500 sigmas below
 
@@ -38,8 +41,14 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     }
     let row = params.row0 + id.y;
     let quad = params.col0 / 4u + id.x;
-    let dark_words = philox(vec4u(quad, row, params.frame, PURPOSE_READ), params.seed);
-    let dsnu_words = philox(vec4u(quad, row, 0u, PURPOSE_DSNU), params.serial);
+    var dark_words = vec4u(0u);
+    if (READ_NOISE) {
+        dark_words = philox(vec4u(quad, row, params.frame, PURPOSE_READ), params.seed);
+    }
+    var dsnu_words = vec4u(0u);
+    if (DSNU) {
+        dsnu_words = philox(vec4u(quad, row, 0u, PURPOSE_DSNU), params.serial);
+    }
     for (var i = 0u; i < 4u; i++) {
         let col = 4u * quad + i;
         let out_col = col - params.col0;   // wraps to a huge number left of the rectangle
@@ -47,9 +56,14 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let at = id.y * params.cols + out_col;
             let counter = vec4u(col, row, params.frame, PURPOSE_SHOT);
             let count = f32(poisson(min(mean[at], MEAN_LIMIT), counter, params.seed));
-            electrons[at] = min(count, params.full_well_e)
-                + params.dsnu_e * gaussian(dsnu_words[i])
-                + params.temporal_dark_noise_e * gaussian(dark_words[i]);
+            var charge = min(count, params.full_well_e);
+            if (DSNU) {
+                charge += params.dsnu_e * gaussian(dsnu_words[i]);
+            }
+            if (READ_NOISE) {
+                charge += params.temporal_dark_noise_e * gaussian(dark_words[i]);
+            }
+            electrons[at] = charge;
         }
     }
 }

@@ -398,7 +398,14 @@ def test_a_chart_without_shapes_needs_its_backgrounds_planes():
     chart = scene(background=2).source.placed(50.0)
     coefficients = np.array([[1.0, 1.0], [1.0, 1.0], [0.5, 0.0], [1.0, 1.0]])
     seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray_map(LENS))
-    assert set(needed.values()) == {1} and not any(len(numbers) for numbers in seen.values())
+    assert set(needed.values()) == {0, 1} and not any(len(numbers) for numbers in seen.values())
+    # None where no sample of the block, nor of its margin, lies within the image circle.
+    radius_um = chief_ray_map(LENS).radius_um
+    for block, planes in needed.items():
+        corner = np.array(GRID.block_origin(block)) - GRID.centre
+        line = [np.linspace(c - 8, c + b + 8, 200) for c, b in zip(corner, GRID.block, strict=True)]
+        nearest = np.hypot(*np.meshgrid(*line)).min() * PITCH_UM
+        assert planes == (nearest < radius_um) or abs(nearest - radius_um) < PITCH_UM
 
 
 def test_tiles_know_their_ground_and_their_edges():

@@ -464,3 +464,27 @@ def test_the_defaults_are_of_the_default_grid(device: Device):
     stage.release()
     assert Kernel("optics/warp").overrides == stage.kernels[False].overrides
     assert stage.kernels[True].workgroup_size == (16, 16, 1)
+
+
+def test_black_and_unlit_blocks_need_no_plane(device: Device):
+    """What a block is said not to need is black when it is computed; and some are needed."""
+    chief_ray = chief_ray_map(bank(circle_um=50.0))
+    planes = np.zeros((2, 96, 128), F32)
+    planes[:, 40:44, 30:34] = 1.0
+    grid = SimGrid(96, 128, 4, 2, 256, 20, (4, 4))
+    placed = Raster(planes).placed(64 * 0.775, 48 * 0.775, 0.3875)
+    scale = Scale("test", grid, 0.3875, 0.0, NO_KERNELS)
+    stage = Warp(device, placed, np.eye(2), scale, chief_ray)
+    found = {}
+    for block in stage.needed:
+        rec = Recording(device)
+        out = rec.buffer("planes", (2, grid.block[1], grid.block[0]), F32)
+        rec.clear(out)
+        stage.load([block])
+        stage.record(rec, block, out)
+        label = rec.download(out)
+        found[block] = np.abs(rec.run()[label]).max()
+    stage.release()
+    assert set(stage.needed.values()) == {0, 2}
+    assert max(found[block] for block, count in stage.needed.items() if not count) < 1e-9
+    assert max(found.values()) > 0.5

@@ -22,7 +22,15 @@ LEVEL = 1e-3  # of each statistical test; the seeds are fixed
 
 
 def on_device(
-    rate: np.ndarray, origin=(0, 0), exposure_s=0.02, prnu=0.01, dark_e=0.3, spare=0, serial=SERIAL
+    rate: np.ndarray,
+    origin=(0, 0),
+    exposure_s=0.02,
+    prnu=0.01,
+    dark_e=0.3,
+    spare=0,
+    serial=SERIAL,
+    limit_e=1e30,
+    draws=True,
 ) -> np.ndarray:
     rows, cols = rate.shape
     params = {
@@ -34,6 +42,7 @@ def on_device(
         "exposure_s": exposure_s,
         "prnu": prnu,
         "dark_e": dark_e,
+        "limit_e": limit_e,
     }
     result = run_stage(
         "sensor/exposure",
@@ -41,6 +50,7 @@ def on_device(
         params,
         {"rate": rate},
         {"mean": (rows * cols + spare, F32)},
+        PRNU=draws,
     )
     return result["mean"]
 
@@ -73,6 +83,31 @@ def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: 
     found = on_device(rate, (7, col0), spare=300)
     assert unwritten(found[rate.size :]).all()
     assert_close(found[: rate.size].reshape(shape), whole[part].copy(), atol=0)
+
+
+def test_without_prnu_nothing_is_drawn_and_nothing_changes():
+    rate = rates((37, 131))
+    drawn = on_device(rate, (3, 2), prnu=0.0)
+    assert_close(on_device(rate, (3, 2), prnu=0.0, draws=False), drawn, atol=0)
+    # The control: where there is PRNU, what is not drawn is missed.
+    assert np.any(on_device(rate, (3, 2), draws=False) != on_device(rate, (3, 2)))
+
+
+def test_the_mean_is_clipped_where_nothing_is_drawn_after_it():
+    rate = rates((20, 64))
+    clipped, whole = on_device(rate, limit_e=700.0), on_device(rate)
+    assert_close(clipped, np.minimum(whole, F32(700.0)), atol=0)
+    assert np.any(clipped < whole)
+    expected = exposure(
+        rate.astype(float),
+        0.02,
+        prnu=0.01,
+        dark_current_e_per_s=15.0,
+        serial_number=SERIAL,
+        limit_e=700.0,
+    )
+    assert expected.max() == 700.0
+    assert_close(clipped.reshape(rate.shape), expected, rtol=6 * 2.0**-24 + 5e-8)
 
 
 def test_light_is_never_negative_but_dark_signal_stays():

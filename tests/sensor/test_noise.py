@@ -29,6 +29,7 @@ def on_device(
     seed=SEED,
     serial=SERIAL,
     spare=0,
+    **overrides,
 ) -> np.ndarray:
     rows, cols = mean.shape
     params = {
@@ -49,6 +50,7 @@ def on_device(
         params,
         {"mean": mean},
         {"electrons": (rows * cols + spare, F32)},
+        **overrides,
     )
     electrons = result["electrons"]
     return electrons if spare else electrons.reshape(mean.shape)
@@ -177,6 +179,17 @@ def test_purposes_are_unrelated_even_under_one_key():
 
 def test_read_noise_is_normal():
     assert kstest(part_of_noise("read").ravel(), "norm").pvalue > LEVEL
+
+
+@pytest.mark.parametrize(
+    ("what", "override"), [("dsnu_e", "DSNU"), ("temporal_dark_noise_e", "READ_NOISE")]
+)
+def test_what_is_zero_is_not_drawn_and_nothing_changes(what: str, override: str):
+    mean = means((37, 131))
+    drawn = on_device(mean, (3, 2), **{what: 0.0})
+    assert_close(on_device(mean, (3, 2), **{what: 0.0, override: False}), drawn, atol=0)
+    # The control: where it is not zero, what is not drawn is missed.
+    assert np.any(on_device(mean, (3, 2), **{override: False}) != on_device(mean, (3, 2)))
 
 
 # --- the host ---

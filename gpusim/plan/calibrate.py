@@ -1,0 +1,324 @@
+"""Measure an adapter's rates for the cost model, once, and keep them in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu.wgsl import shaders_sha256
+from gpusim.lens.places import Heights
+from gpusim.optics.chief_ray import RadialMap
+from gpusim.optics.convolve import Convolve
+from gpusim.optics.direct import Direct, direct_work
+from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
+from gpusim.optics.methods import Convolution
+from gpusim.optics.modes import Decomposition, Modes
+from gpusim.optics.nodes import Scale
+from gpusim.optics.paint import SIGMA, TILE, Paint
+from gpusim.optics.warp import Warp
+from gpusim.plan.costs import UNITS, Costs
+from gpusim.plan.layout import TRANSFORMS
+from gpusim.scene.chart import Chart, Disc
+from gpusim.scene.raster import PlacedRaster
+from gpusim.sensor.adc import record_adc
+from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.mosaic import record_mosaic
+from gpusim.sensor.noise import record_noise
+from gpusim.sensor.sensor import load_sensor
+
+BLOCKS = 3  # that one run convolves: a pass of one dispatch is mostly its beginning and end
+RUNS = 5  # of which the fastest counts
+SIDE = 512  # of the frame for the sensor's stages, pixels
+PLANES = 3
+SUPPORT = 12  # of the direct sum, sim samples
+FLAT = RadialMap(np.array([1.0, 0.01, 0, 0, 0, 0, 0, 0]), 1e4)
+NOTHING = """
+struct Params { number: u32 }
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> found: array<u32>;
+@compute @workgroup_size(1, 1, 1)
+fn main() { found[0] = params.number; }
+"""
+Progress = Callable[[int, int], None]
+
+
+def adapter_costs(
+    device: Device, *, again: bool = False, progress: Progress | None = None
+) -> Costs:
+    """Return the rates of a device, from the cache or measured now.
+
+    Parameters
+    ----------
+    device : Device
+    again : bool
+        Measure even if the cache has them.
+    progress : callable, optional
+        Called with (measurements done, measurements in all).
+
+    Notes
+    -----
+    The cache is ``$XDG_CACHE_HOME/gpusim/costs`` (``~/.cache`` where unset). The key is a hash of
+    the adapter, its driver, the shaders and this file. Where the cache cannot be written the rates
+    are measured every time.
+    """
+    path = _path(device)
+    found = None if again else _read(path)
+    if found is None:
+        found = measure(device, progress)
+        content = {"source": found.source, "ns": found.ns, "lengths": found.lengths}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_suffix(f".{os.getpid()}.part")
+            part.write_text(json.dumps(content, indent=1))
+            part.replace(path)
+        except OSError:
+            pass  # the next process measures again
+    return found
+
+
+def cached_costs(device: Device) -> Costs | None:
+    """Return the rates of a device if they were measured before."""
+    return _read(_path(device))
+
+
+def _path(device: Device) -> Path:
+    report = device.report()
+    digest = hashlib.sha256(shaders_sha256().encode() + Path(__file__).read_bytes())
+    for name in ("adapter", "driver", "backend", "wgpu"):
+        digest.update(str(report[name]).encode() + b"\0")
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "costs"
+    return folder / f"{digest.hexdigest()[:32]}.json"
+
+
+def _read(path: Path) -> Costs | None:
+    """Return what a file holds, or None if it is no whole set of rates."""
+    try:
+        content = json.loads(path.read_text())
+        costs = Costs(
+            str(content["source"]),
+            {name: float(content["ns"][name]) for name in UNITS},
+            {length: float(content["lengths"][str(length)]) for length in TRANSFORMS},
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return costs if all(np.isfinite(rate) for rate in costs.ns.values()) else None
+
+
+def measure(device: Device, progress: Progress | None = None) -> Costs:
+    """Time every stage on a small piece of its work."""
+    tell = progress or (lambda done, total: None)
+    parts = (_host, _source, _transforms, _others, _sensor, _dispatch)
+    ns: dict[str, float] = {}
+    lengths: dict[int, float] = {}
+    for number, part in enumerate(parts):
+        tell(number, len(parts))
+        rates = part(device)
+        lengths |= {key: float(rates.pop(key)) for key in TRANSFORMS if key in rates}
+        ns |= {name: float(rate) for name, rate in rates.items()}
+    tell(len(parts), len(parts))
+    return Costs(f"measured on {device.report()['adapter']}", ns, lengths)
+
+
+def _fastest(rec: Recording) -> dict[str, float]:
+    """Return the least seconds of each stage over some runs."""
+    rec.run()  # compiles, and fills the pool
+    runs = [rec.run().times_s for _ in range(RUNS)]
+    return {stage.rpartition("/")[2]: min(run[stage] for run in runs) for stage in runs[0]}
+
+
+def _grid(length: int, period: int) -> SimGrid:
+    """Return a sim grid of one block, which takes three quarters of the transform."""
+    stride = 2 * period
+    half_size = length // 8
+    side = (length - 4 * half_size) // 2
+    return SimGrid(side, side, stride, period, length, half_size, (1, 1))
+
+
+def _scale(grid: SimGrid, channels: int = 1) -> Scale:
+    places = Heights(np.array([0.0, 1.0]))
+    nothing = FieldKernels(np.zeros((2, 1, channels, 4, 4), np.float32), places, 0.5)
+    return Scale("calibration", grid, 1.0, SIGMA, nothing)
+
+
+def _host(device: Device) -> dict[str | int, float]:
+    """Time the making of kernels, on all cores."""
+    count, half_size, length = 8 * (os.cpu_count() or 1), 32, 256
+    kernels = _scale(_grid(length, 2)).kernels
+    kernels = replace(kernels, splines=np.ones((2, 1, 1, 128, 128), np.float32))
+
+    def sample(number: int) -> np.ndarray:
+        return sampled_kernels(kernels, 0.2, 0.01 * number, 0.775, half_size, 1)
+
+    def spectra(sampled: np.ndarray) -> np.ndarray:
+        return kernel_spectra(sampled, length, 2.0, SIGMA, [(0, 0.5, 0.5)])
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        spectra(sample(0))  # what is made once
+        times = [time.perf_counter()]
+        sampled = list(pool.map(sample, range(count)))
+        times.append(time.perf_counter())
+        list(pool.map(spectra, sampled))
+        times.append(time.perf_counter())
+    of_kernels, of_spectra = np.diff(times) / count
+    return {
+        "kernels": 1e9 * of_kernels / (2 * half_size) ** 2,
+        "spectra": 1e9 * of_spectra / length**2,
+    }
+
+
+def _source(device: Device) -> dict[str | int, float]:
+    """Time paint on tiles with and without edges, and warp."""
+    scale = _scale(_grid(512, 2))
+    samples = BLOCKS * np.prod(scale.grid.block)
+    half = 256 / TILE
+    dots = tuple(
+        Disc(TILE * (x + 0.5), TILE * (y + 0.5), TILE / 3, 1)
+        for y in np.arange(-half, half)
+        for x in np.arange(-half, half)
+    )
+    coefficients = np.array([[1.0], [0.5]])
+    times = []
+    for primitives in ((), dots):
+        chart = Chart(("white", "grey"), 0, primitives)
+        stage = Paint(device, chart, coefficients, scale, FLAT)
+        times.append(_stage_time(device, stage)["paint"])
+        tiles = device.read(stage.lists[0])
+        touched = int(tiles[:, 2].sum()) * TILE**2 * BLOCKS
+        stage.release()
+    raster = PlacedRaster(np.ones((1, 256, 256), np.float32), 2.0, -256.0, -256.0, "")
+    warp = Warp(device, raster, np.eye(1), scale, FLAT)
+    warp_s = _stage_time(device, warp)["warp"]
+    warp.release()
+    return {
+        "paint": 1e9 * times[0] / samples,
+        "edges": 1e9 * max(times[1] - times[0], 0.1 * times[0]) / touched,
+        "warp": 1e9 * warp_s / samples,
+    }
+
+
+def _stage_time(device: Device, stage: Paint | Warp) -> dict[str, float]:
+    stage.prepare([(0, 0)])
+    stage.load([(0, 0)])
+    rec = Recording(device)
+    planes = rec.buffer("planes", (1, *stage.grid.block[::-1]), np.float32)
+    for _ in range(BLOCKS):
+        stage.record(rec, (0, 0), planes)
+    return _fastest(rec)
+
+
+def _transforms(device: Device) -> dict[str | int, float]:
+    """Time rows, columns and lattice: by planes, channels and length."""
+    at_512 = {
+        (channels, planes): _convolved(device, 512, channels, planes)
+        for channels in (1, 3)
+        for planes in (1, PLANES)
+    }
+    others = {length: _convolved(device, length, 3, 1) for length in TRANSFORMS if length != 512}
+    # The three rates of columns from four times, each counted by its share.
+    work, times = [], []
+    grid = _grid(512, 2)
+    unit = {name: 1e9 if name in ("columns", "products", "fold") else 0.0 for name in UNITS}
+    for (channels, planes), found in at_512.items():
+        count = np.array([planes])
+        work.append(
+            [
+                Costs(
+                    "", unit | {other: 0.0 for other in unit if other != name}, {512: 1.0}
+                ).transforms(grid, channels, count)["columns"]
+                for name in ("columns", "products", "fold")
+            ]
+        )
+        times.append(found["columns"])
+    share = 1 / np.array(times)
+    rates, _ = nnls(np.array(work) * share[:, None], np.ones(len(times)))
+    units = Costs("", dict.fromkeys(UNITS, 1e9), {512: 1.0}).transforms(grid, 3, np.array([PLANES]))
+    ns = {stage: 1e9 * at_512[3, PLANES][stage] / units[stage] for stage in ("rows", "lattice")}
+    ns |= dict(zip(("columns", "products", "fold"), 1e9 * rates, strict=True))
+    alike = Costs("", dict.fromkeys(UNITS, 0.0) | ns, dict.fromkeys(TRANSFORMS, 1.0))
+    lengths = {512: 1.0}
+    for length, found in others.items():
+        expected = alike.transforms(_grid(length, 2), 3, np.array([1]))
+        lengths[length] = sum(found.values()) / sum(expected.values())
+    return ns | lengths
+
+
+def _others(device: Device) -> dict[str | int, float]:
+    """Time the forward pass of modes, and the direct sum."""
+    grid, sites = _grid(512, 2), [0, 1, 1, 2]
+    size = (2, 1, 3, 2 * grid.half_size, 2 * grid.half_size)
+    two = Decomposition(np.zeros(size, np.float32), np.ones((2, 2, 2)), np.ones(2), np.zeros(2))
+    modes = Modes(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, two)
+    direct = Direct(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, SUPPORT)
+    for one in (modes, direct):
+        one.load([(0, 0)])
+    times = [_blocks_time(device, one, 1) for one in (modes, direct)]
+    madds = direct_work(grid, SUPPORT, {(0, 0): 1}, sites, False)
+    samples = grid.block[1] * grid.length * np.log2(grid.length)
+    return {"modes": 1e9 * times[0]["modes"] / samples, "direct": 1e9 * times[1]["direct"] / madds}
+
+
+def _convolved(device: Device, length: int, channels: int, planes: int) -> dict[str, float]:
+    """Return the seconds of rows, columns and lattice for one block of a Bayer pattern."""
+    grid = _grid(length, 2)
+    sites = [0, 1, 1, 2] if channels == 3 else [0] * 4
+    convolution = Convolve(device, _scale(grid, channels), {}, 1.0, sites)
+    size = planes * (length // 2 + 1) * length * channels * 2
+    for node in np.ndindex(grid.nodes):
+        convolution.nodes[node] = device.resident("node", np.zeros(size, np.float32))
+    return _blocks_time(device, convolution, planes)
+
+
+def _blocks_time(device: Device, convolution: Convolution, planes: int) -> dict[str, float]:
+    """Return the seconds of each pass for a block of zeros."""
+    grid = convolution.grid
+    rec = Recording(device)
+    scratch = convolution.scratch(rec, planes)
+    rates = rec.buffer("rates", (4, grid.rows // 2, grid.cols // 2), np.float32)
+    rec.clear(scratch.planes)
+    rec.clear(rates)
+    for _ in range(BLOCKS):
+        rect = (0, 0, grid.rows, grid.cols)
+        convolution.record(rec, (0, 0), planes, scratch, rates, rect)
+    found = _fastest(rec)
+    convolution.release()
+    return {stage: seconds / BLOCKS for stage, seconds in found.items()}
+
+
+def _sensor(device: Device) -> dict[str | int, float]:
+    """Time mosaic, exposure, noise and adc at a mid-grey."""
+    sensor = load_sensor("imx477").roi(SIDE, SIDE)
+    rec = Recording(device)
+    planes = rec.buffer("planes", (4, SIDE // 2, SIDE // 2), np.float32)
+    glare = rec.buffer("glare", 4, np.float32)
+    rec.upload(planes, np.full(planes.shape, 1e5, np.float32))
+    rec.clear(glare)
+    rate = record_mosaic(rec, planes, glare, sensor, (SIDE, SIDE))
+    mean = record_exposure(rec, rate, sensor, 0.01)
+    record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
+    return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
+
+
+def _dispatch(device: Device) -> dict[str | int, float]:
+    """Time what a dispatch of next to nothing costs, in a pass of its own, host and device."""
+    kernels = [Kernel.from_text(f"calibration/{name}", NOTHING) for name in ("this", "that")]
+    spans = []
+    for _ in range(RUNS + 1):
+        started = time.perf_counter()
+        rec = Recording(device)
+        found = rec.buffer("found", 1, np.uint32)
+        for number in range(64):
+            kernels[number % 2].record(rec, (1, 1, 1), {"number": number}, found=found)
+        rec.run()
+        spans.append((time.perf_counter() - started) / 64)
+    return {"dispatch": 1e9 * min(spans)}

@@ -1,0 +1,114 @@
+"""The cost model: seconds of each stage from counts of its work, at an adapter's rates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.optics.grid import SimGrid
+
+# Unit of work of each rate: what the planner counts and gpusim.plan.calibrate measures.
+UNITS = {
+    "kernels": "sample of a PSF that is made for a node, on the host",
+    "spectra": "sample of such a PSF's spectrum, on the host",
+    "paint": "sample of the sim grid",
+    "edges": "sample and primitive, where a tile sees its edge",
+    "warp": "sample and plane",
+    "rows": "complex sample of a transform, and log2 of its length",
+    "modes": "complex sample of a transform, and log2 of its length",
+    "columns": "complex sample of a transform, and log2 of its length",
+    "products": "complex product with a kernel, in the columns pass",
+    "fold": "complex sample that the columns pass folds",
+    "lattice": "complex sample of a transform, and log2 of its length",
+    "direct": "multiply-add of a source sample and a tap",
+    "mosaic": "pixel",
+    "exposure": "pixel",
+    "noise": "pixel",
+    "adc": "pixel",
+    "dispatch": "dispatch, recorded and submitted",
+}
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What work costs on an adapter.
+
+    Attributes
+    ----------
+    source : str
+        Whose rates these are, for the report.
+    ns : mapping of str to float
+        Nanoseconds for each unit of work: see UNITS.
+    lengths : mapping of int to float
+        By transform length: what rows, columns and lattice cost relative to transforms of 512.
+    """
+
+    source: str
+    ns: Mapping[str, float]
+    lengths: Mapping[int, float]
+
+    def seconds(self, stage: str, work: float) -> float:
+        """Return the time of so many units of work."""
+        return 1e-9 * self.ns[stage] * work
+
+    def transforms(
+        self, grid: SimGrid, outputs: int, planes: np.ndarray, rank: int | None = None
+    ) -> dict[str, float]:
+        """Return the time of rows, columns and lattice; of modes, columns and lattice.
+
+        Parameters
+        ----------
+        grid : SimGrid
+        outputs : int
+            Channels, or sites, in a node's kernels.
+        planes : ndarray of int
+            That each block needs; a block that needs none is left out.
+        rank : int, optional
+            Modes; without it, PSF nodes around each block.
+        """
+        if rank is None:
+            # Left and right node share a line, upper and lower have a transform each.
+            first, lines, transforms, products = "rows", int(np.sum(planes)), 2, 4
+        else:
+            first, lines = "modes", int(np.sum(-(-planes * rank // 2)))
+            transforms, products = 1, min(2, rank * int(np.max(planes, initial=0)))
+        blocks = np.count_nonzero(planes)
+        length, window, pairs = grid.length, grid.window, -(-grid.sites // 2)
+        samples = (window // 2 + 1) * grid.stride * length
+        columns = self.seconds("columns", transforms * lines * samples * np.log2(length))
+        columns += self.seconds("products", products * outputs * lines * samples)
+        columns += self.seconds("fold", blocks * pairs * samples)
+        seconds = {
+            first: self.seconds(first, lines * grid.block[1] * length * np.log2(length)),
+            "columns": columns,
+            "lattice": self.seconds("lattice", blocks * pairs * window**2 * np.log2(window)),
+        }
+        return {stage: self.lengths[length] * time for stage, time in seconds.items()}
+
+
+# What gpusim.plan.calibrate measured on lavapipe with 2 cores: for plans without a device.
+LAVAPIPE = Costs(
+    "table: lavapipe, 2 cores",
+    {
+        "kernels": 30.0,
+        "spectra": 7.5,
+        "paint": 1.6,
+        "edges": 4.8,
+        "warp": 12.5,
+        "rows": 0.85,
+        "modes": 1.1,
+        "columns": 1.4,
+        "products": 2.3,
+        "fold": 4.4,
+        "lattice": 1.45,
+        "direct": 0.15,
+        "mosaic": 3.7,
+        "exposure": 3.9,
+        "noise": 18.0,
+        "adc": 2.5,
+        "dispatch": 110e3,
+    },
+    {256: 1.0, 512: 1.0, 1024: 1.1},
+)

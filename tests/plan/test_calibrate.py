@@ -1,0 +1,113 @@
+"""The calibration: what it measures, and when it is taken from the cache."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import gpusim
+
+from gpusim.gpu import Device
+from gpusim.plan import calibrate
+from gpusim.plan.costs import LAVAPIPE, UNITS, Costs
+from gpusim.plan.layout import TRANSFORMS
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path / "gpusim" / "costs"
+
+
+@pytest.fixture
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[Costs]:
+    """Put a table in the place of the measurement, each time another one; return those given."""
+    given: list[Costs] = []
+
+    def measure(device: Device, progress: object) -> Costs:
+        ns = dict.fromkeys(UNITS, 1.0 + len(given))
+        given.append(Costs("a test", ns, dict.fromkeys(TRANSFORMS, 1.0)))
+        return given[-1]
+
+    monkeypatch.setattr(calibrate, "measure", measure)
+    return given
+
+
+def test_every_rate_is_measured_and_none_is_nothing(device: Device, monkeypatch):
+    monkeypatch.setattr(calibrate, "RUNS", 2)
+    before, steps = device.pool.in_use, []
+    costs = calibrate.measure(device, lambda done, total: steps.append((done, total)))
+    assert costs.ns.keys() == UNITS.keys() and costs.lengths.keys() == set(TRANSFORMS)
+    # Two of the three rates of columns may drown in each other; not both, and no other.
+    in_columns = ("columns", "products", "fold")
+    assert all(rate > 0 for name, rate in costs.ns.items() if name not in in_columns)
+    assert min(costs.ns.values()) >= 0 and costs.ns["columns"] + costs.ns["products"] > 0
+    assert all(0.1 < slower < 10 for slower in costs.lengths.values())
+    assert device.report()["adapter"] in costs.source
+    assert steps[0][0] == 0 and steps[-1][0] == steps[-1][1]
+    assert device.pool.in_use == before
+
+
+def test_rates_are_measured_once(device: Device, cache: Path, measured: list[Costs]):
+    assert calibrate.cached_costs(device) is None
+    first = calibrate.adapter_costs(device)
+    assert calibrate.adapter_costs(device) == first == calibrate.cached_costs(device)
+    assert len(measured) == 1 and len(list(cache.iterdir())) == 1
+    again = calibrate.adapter_costs(device, again=True)
+    assert len(measured) == 2 and again != first
+    assert calibrate.cached_costs(device) == again
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", "[]", "null", json.dumps({"source": "x", "ns": {}, "lengths": {}}), "\x00"],
+)
+def test_a_spoilt_file_is_measured_again(device: Device, cache, measured, text: str):
+    calibrate.adapter_costs(device)
+    (file,) = cache.iterdir()
+    file.write_text(text)
+    assert calibrate.cached_costs(device) is None
+    calibrate.adapter_costs(device)
+    assert len(measured) == 2 and calibrate.cached_costs(device) == measured[1]
+
+
+def test_a_rate_that_is_no_number_is_refused(device: Device, cache: Path, measured):
+    calibrate.adapter_costs(device)
+    (file,) = cache.iterdir()
+    file.write_text(file.read_text().replace("1.0", "NaN", 1))
+    assert calibrate.cached_costs(device) is None
+
+
+def test_other_shaders_or_another_driver_have_rates_of_their_own(
+    device: Device, cache: Path, measured, monkeypatch
+):
+    calibrate.adapter_costs(device)
+    monkeypatch.setattr(calibrate, "shaders_sha256", lambda: "others")
+    assert calibrate.cached_costs(device) is None
+    monkeypatch.undo()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache.parents[1]))
+    assert calibrate.cached_costs(device) is not None
+    report = device.report() | {"driver": "a newer one"}
+    monkeypatch.setattr(Device, "report", lambda self: report)
+    assert calibrate.cached_costs(device) is None
+
+
+def test_without_a_cache_to_write_it_is_measured_each_time(device: Device, measured, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
+    for count in (1, 2):
+        assert calibrate.adapter_costs(device).ns["rows"] == count
+
+
+def test_devices_shows_the_rates_and_measures_them_again(cache: Path, measured: list[Costs]):
+    ran = gpusim("devices")
+    assert ran.code == 0 and "not measured yet" in ran.out and not measured
+    ran = gpusim("devices", "--calibrate")
+    assert ran.code == 0 and len(measured) == 1
+    for name in (*UNITS, "by length"):
+        assert name in ran.out
+    assert gpusim("devices").out == ran.out and len(measured) == 1
+
+
+def test_the_tables_lengths_are_the_planners():
+    assert LAVAPIPE.lengths.keys() == set(TRANSFORMS)
