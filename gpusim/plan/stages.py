@@ -15,6 +15,7 @@ from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
+SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 REASON = 60  # of which a reason may take
 
 
@@ -121,6 +122,8 @@ def describe(
 
     source = f"{planes} of {len(scene.spectra)} spectra are told apart by the camera"
     highlights = 0 if is_chart else len(scene.source.split.rows)
+    last = layouts[-1].grid
+    lit = (2 * last.half_size / last.oversampling) ** 2  # pixels that one highlight lights
     return (
         PlanStage("illumination", False, "the target is lit evenly"),
         PlanStage(
@@ -165,6 +168,8 @@ def describe(
             f"{highlights} highlights, each with the PSF of its own place"
             if highlights
             else "no part of the scene outshines the rest",
+            None,
+            1e-9 * SPLAT_NS * highlights * lit if highlights else None,
         ),
         *_sensor_stages(sensor, costs, noise, part),
     )
