@@ -57,10 +57,18 @@ class RadialMap:
     @property
     def stretch(self) -> float:
         """Largest factor by which the map stretches: along the radius, or across it."""
+        return float(np.max(self._factors()))
+
+    @property
+    def least_stretch(self) -> float:
+        """Smallest factor by which the map stretches."""
+        return float(np.min(self._factors()))
+
+    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factors across and along the radius, from the axis to the rim."""
         g = np.polynomial.Polynomial(self.coefficients)
         rho2 = np.linspace(0, 1, 257)
-        along = g(rho2) + 2 * rho2 * g.deriv()(rho2)
-        return float(np.maximum(np.abs(g(rho2)), np.abs(along)).max())
+        return np.abs(g(rho2)), np.abs(g(rho2) + 2 * rho2 * g.deriv()(rho2))
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,11 @@ class GeneralMap:
     def stretch(self) -> float:
         """Largest factor by which the map stretches."""
         return float(np.linalg.norm(self.plane.jacobian(), ord=2, axis=(1, 2)).max())
+
+    @property
+    def least_stretch(self) -> float:
+        """Smallest factor by which the map stretches."""
+        return float(np.linalg.norm(self.plane.jacobian(), ord=-2, axis=(1, 2)).min())
 
 
 ChiefRayMap = RadialMap | GeneralMap

@@ -58,6 +58,8 @@ def test_of_a_lens_without_an_axis_the_shaders_get_a_polynomial_in_both_coordina
     # A double Jacobian's largest stretch, at these points and everywhere.
     norms = np.linalg.norm(jacobian, ord=2, axis=(1, 2))
     assert norms.max() <= chief_ray.stretch < 1.2 * norms.max()
+    least = np.linalg.norm(jacobian, ord=-2, axis=(1, 2)).min()
+    assert least / 1.2 < chief_ray.least_stretch <= least
 
 
 def test_of_a_lens_with_an_axis_the_host_has_the_same_stretch_as_the_twin():
@@ -66,3 +68,5 @@ def test_of_a_lens_with_an_axis_the_host_has_the_same_stretch_as_the_twin():
     _, jacobian = twin(real, chief_ray.coefficients, chief_ray.radius_um)
     norms = np.linalg.norm(jacobian, ord=2, axis=(1, 2))
     assert norms.max() <= chief_ray.stretch * (1 + 1e-9) and chief_ray.stretch < 1.05 * norms.max()
+    least = np.linalg.norm(jacobian, ord=-2, axis=(1, 2)).min()
+    assert least / 1.05 < chief_ray.least_stretch <= least * (1 + 1e-9)

@@ -4,8 +4,9 @@ Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a r
 distance to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of
 the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
 Gaussian of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The
-width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc: the shader's first-order
-term leaves 0.1 (s/R)^2 of the Rice integral (for R > 4 s) besides; so discs are 12 s and more.
+width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the
+shader's first-order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A
+smaller one is cut into strips, which leave 3e-6.
 Weights act on differences of materials, and at most two shapes have an edge at one place.
 """
 
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
 from optics.made import DEFAULT_GRID, bank, bent, scene, shader_terms, shapes
-from scipy.special import ndtr
+from scipy.special import i0e, ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.lens.places import Heights
@@ -21,7 +22,17 @@ from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
-from gpusim.optics.paint import PRIMITIVE, SIGMA, Paint, primitives_by_block, tiles_by_block
+from gpusim.optics.paint import (
+    DISC_KIND,
+    PRIMITIVE,
+    SIGMA,
+    SMALL_DISC,
+    Paint,
+    primitive_row,
+    primitives_by_block,
+    tiles_by_block,
+)
+from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
 from gpusim.scene.chart import Chart, Disc, Rect
 
@@ -48,6 +59,7 @@ def on_device(
     radius: float = 1e4,
     circle: tuple[float, float] = (0.0, 0.0),
     needed: int | None = None,
+    least_stretch: float = 1.0,
 ) -> np.ndarray:
     """Paint shapes in the order given; in the table they lie in another order, among others.
 
@@ -58,15 +70,9 @@ def on_device(
     rows = np.zeros(len(shapes) + 3, PRIMITIVE)
     rows["half_size"] = rows["axis"] = np.nan  # of those that the block does not see
     for at, one in zip(place, shapes, strict=True):
-        disc = isinstance(one, Disc)
-        angle = 0.0 if disc else one.angle_rad
-        rows[at] = (
-            (one.cx, one.cy),
-            (one.radius, np.nan) if disc else (one.half_w, one.half_h),
-            (np.cos(angle), np.sin(angle)),
-            disc,
-            one.material,
-        )
+        rows[at] = primitive_row(one, 1.0, sigma, least_stretch)
+        if rows[at]["kind"] == DISC_KIND:
+            rows[at]["half_size"][1] = np.nan
     eight = np.full((len(table), 8), np.nan, F32)
     eight[:, : table.shape[1]] = table
     planes = table.shape[1]
@@ -164,13 +170,44 @@ def test_discs(sigma: float):
 
 
 def test_what_the_curvature_leaves():
-    """The first-order term against the Rice integral, over all distances: the shader's header."""
-    for ratio in (4.0, 6.0, 10.0, 30.0):
-        r = np.linspace(0, ratio + 8, 2000)
-        shaded = ndtr(ratio - r - 0.5 / ratio)
-        assert np.abs(shaded - disc_coverage(r, ratio, 1.0)).max() < 0.1 / ratio**2
-        without = np.abs(ndtr(ratio - r) - disc_coverage(r, ratio, 1.0)).max()
+    """The first-order term against the Gaussian's integral, over all distances: for large discs."""
+    for ratio in (SMALL_DISC, 24.0, 40.0):
+        r = np.linspace(max(ratio - 8, 0), ratio + 8, 200)
+        exact = np.array([disc_coverage(np.array([x, 0.0]), ratio, np.eye(2)) for x in r])
+        assert np.abs(ndtr(ratio - r - 0.5 / ratio) - exact).max() < 0.07 / ratio**2
+        without = np.abs(ndtr(ratio - r) - exact).max()
         assert without > 0.19 / ratio  # a control: 0.4 / (2 R) without the term
+
+
+def test_the_twins_disc_is_rices_integral():
+    """int_0^R q exp(-(q^2 + r^2)/2) I_0(q r) dq (Rice 1945, eq. 3.10-11), at an angle."""
+    for ratio, r in ((0.5, 0.0), (1.0, 1.2), (6.0, 5.0), (20.0, 20.5)):
+        q = np.linspace(0, ratio, 20001)
+        rice = np.trapezoid(q * np.exp(-((q - r) ** 2) / 2) * i0e(q * r), q)
+        found = disc_coverage(r * np.array([0.6, -0.8]), ratio, np.eye(2))
+        assert found == pytest.approx(rice, abs=2e-7)  # the trapezia: (R/20000)^2/12
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.6, 1.5, 4.0, 9.0])
+def test_small_discs_under_a_map_that_shears(radius: float):
+    """Far from the axis and between its directions, where the Gaussian is an oblique ellipse.
+
+    Strips leave 3e-6, Phi twice 1e-6; a disc's coverage changes by at most 0.4 / s along a position
+    that is off by 30 roundings of 200 samples, 4e-4, as in the header.
+    """
+    bend = {"distortion": np.array([0.95, -0.15, 0, 0, 0, 0, 0, 0]), "radius": 150.0}
+    middle = np.array([91.3, 66.8])
+    centre, jacobian = chief_ray_twin(middle, **bend)
+    least = np.linalg.svd(jacobian, compute_uv=False)[-1]
+    assert 0.6 < least < 0.7  # across it is 0.86
+    disc = [Disc(*centre, radius, 1)]
+    half = int(1.5 * radius + 5)
+    origin, shape = tuple(middle.round() - half), (2 * half, 2 * half + 1)
+    table = np.array([[0.0], [1.0]])
+    found = on_device(disc, table, origin, shape, **bend, least_stretch=least)
+    expected = reference(disc, table, origin, shape, **bend)
+    assert expected.max() > 0.02
+    assert_close(found, expected, atol=WEIGHT)
 
 
 def test_a_disc_has_no_hole_where_a_sample_meets_its_centre():
@@ -281,15 +318,15 @@ def test_tiles_far_from_the_first_know_where_they_are():
 
 
 def test_the_term_of_the_curvature():
-    """A disc of two sigma, where the term is large; against the formula itself."""
+    """Discs just large enough for it; against the formula itself."""
     x = np.stack(np.meshgrid(np.arange(19), np.arange(17)), axis=-1) + 0.5
     r = np.hypot(*np.moveaxis(x - [9.2, 7.7], -1, 0))
-    for radius in (6.0, 9.0):
+    for radius in (6.5, 8.0):
         disc = [Disc(9.2, 7.7, radius, 1)]
-        found = on_device(disc, np.array([[0.0], [1.0]]), (0.5, 0.5), (17, 19), sigma=3.0)[0]
-        expected = ndtr((radius - r) / 3.0 - 0.5 * 3.0 / radius)
-        # Phi to 1e-6; positions to 30 * 2^-24 * 30 samples, over 3 of sigma.
-        assert_close(found, expected, atol=1e-5)
+        found = on_device(disc, np.array([[0.0], [1.0]]), (0.5, 0.5), (17, 19), sigma=0.4)[0]
+        expected = ndtr((radius - r) / 0.4 - 0.5 * 0.4 / radius)
+        # Phi to 1e-6; positions to 30 * 2^-24 * 30 samples, over 0.4 of sigma. The term is 1e-2.
+        assert_close(found, expected, atol=6e-5)
 
 
 def test_the_defaults_are_of_the_default_grid(device: Device):
