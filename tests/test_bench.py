@@ -60,7 +60,7 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    whole = [*FRAMES, "psf-bank", "psf-refocus", "blur-1mp"]
+    whole = [*FRAMES, "tolerances", "psf-bank", "psf-refocus", "blur-1mp"]
     assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)
 
