@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gpusim.lens.bank import Bank
 from gpusim.plan import Accuracy
@@ -135,8 +136,8 @@ def true_rates(
     centre = np.array([sensor.rows, sensor.cols]) / 2
     order = np.argsort(np.hypot(*(pixels - centre).T))
     rates = np.empty(len(pixels))
-    # NumPy and SciPy let go of the interpreter in their loops.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         found = pool.map(lambda number: evaluate(placed, pixels[number : number + 1])[0], order)
         for done, (number, rate) in enumerate(zip(order, found, strict=True), start=1):
             rates[number] = rate
