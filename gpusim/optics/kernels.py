@@ -270,11 +270,12 @@ def kernel_spectra(
         divided by T^2 for the inverse transforms, which are not normalised.
     """
     half = length // 2 + 1
-    spectra = scipy.fft.rfft2(sampled.astype(np.float32), s=(length, length))
+    # Of the rows that are there, not of the padding's.
+    rows = scipy.fft.rfft(sampled.astype(np.float32), length)
+    spectra = scipy.fft.fft(np.ascontiguousarray(rows.swapaxes(-1, -2)), length, overwrite_x=True)
     result = np.empty((len(sampled), half, length // 64, len(outputs), 4, 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
-        aperture = _aperture_spectra(length, width, sigma, shift_x, shift_y)
-        one = (spectra[:, channel] * aperture).swapaxes(1, 2)
+        one = spectra[:, channel] * _aperture_spectra(length, width, sigma, shift_x, shift_y)
         lanes = one.reshape(-1, half, 4, 2, length // 64, 8)
         result[:, :, :, place] = lanes.transpose(0, 1, 4, 2, 5, 3)
     return result
@@ -284,7 +285,7 @@ def kernel_spectra(
 def _aperture_spectra(
     length: int, width: float, sigma: float, shift_x: float, shift_y: float
 ) -> np.ndarray:
-    """Return the aperture's spectrum in y and x, (T, T/2+1), over T^2."""
-    along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None] / length**2
-    along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1]
-    return (along_y * along_x).astype(np.complex64)
+    """Return the aperture's spectrum in x and y, (T/2+1, T), over T^2."""
+    along_y = aperture_spectrum(length, width, sigma, shift_y) / length**2
+    along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1, None]
+    return (along_x * along_y).astype(np.complex64)
