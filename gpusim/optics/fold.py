@@ -172,4 +172,5 @@ def _commonest_first(coefficients: np.ndarray) -> np.ndarray:
             directions.append(rest / np.linalg.norm(rest))
         if len(directions) == len(row):
             break
-    return np.stack(directions, axis=1)
+    # Of a scene that no channel sees one plane is left, of zeros.
+    return np.stack(directions or [np.eye(coefficients.shape[1])[0]], axis=1)

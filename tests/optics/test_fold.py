@@ -155,3 +155,16 @@ def test_the_shader_carries_no_more_planes_than_it_can_and_the_residual_says_so(
     assert basis.coefficients.shape[1] == MAX_PLANES == 8
     assert check_honest(spectra, basis) == pytest.approx(basis.residual, rel=1e-6)
     assert basis.residual > 1e-12
+
+
+def test_a_scene_that_no_channel_sees_is_one_black_plane():
+    lens = bank()
+    found = reduce_spectra(
+        np.zeros((3, 61)),
+        spectral_weights(lens, sensor()),
+        edge_responses(lens),
+        1e-3,
+        np.arange(3),
+    )
+    assert found.coefficients.shape == (3, 1) and not found.weights.any()
+    assert found.residual == 0
