@@ -216,9 +216,8 @@ class Renderer:
         started = time.perf_counter()
         self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
         started = self._spent("lens", started)
-        self.plan = plan or plan_optics(
-            self.bank, sensor, scene, self._relative(), costs, noise, method, force
-        )
+        self._costs, self._noise = costs, noise
+        self.plan = plan or self.planned(method, force)
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
@@ -249,6 +248,13 @@ class Renderer:
             convolve = convolution(self.device, scale, source.needed, aperture_um, sites)
             self.convolutions.append(convolve)
         self._spent("scene", started)
+
+    def planned(self, method: str | None = None, force: Collection[str] = ()) -> Plan:
+        """Return the plan for a method, or for the cheapest: see `gpusim.plan.plan_optics`."""
+        accuracy, sensor = self._relative(), self.camera.sensor
+        return plan_optics(
+            self.bank, sensor, self.scene, accuracy, self._costs, self._noise, method, force
+        )
 
     def _relative(self) -> Accuracy:
         """Return the relative accuracy that the plan is made for."""

@@ -22,6 +22,7 @@ from gpusim.lens.places import Places
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
+from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.optics import ALIAS_TO_RMS, WORST_TO_RMS
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
@@ -126,6 +127,9 @@ def variants(accuracy: Accuracy, sensor_period: int) -> Iterator[Variant]:
             except UserError:  # beyond the range
                 continue
             yield Variant(CHOSEN, f"tolerance {other.text}", other)
+    for method in METHODS:
+        if method != "fft":  # the chosen plan's
+            yield Variant("method", method, accuracy, _method(method))
     for factor in NODE_FACTORS:
         yield Variant("PSF nodes", f"{factor:g} x the nodes", accuracy, _nodes(factor))
     for oversampling in OVERSAMPLINGS:
@@ -135,6 +139,15 @@ def variants(accuracy: Accuracy, sensor_period: int) -> Iterator[Variant]:
     for cut_um in CUTS_UM:
         yield Variant("cut of the PSF", f"core of {cut_um:g} um", accuracy, _cut(cut_um))
     yield Variant("cut of the PSF", "not cut", accuracy, _cut(None))
+
+
+def _method(method: str) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:
+    """Return what plans for another method, whatever it costs."""
+
+    def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
+        return renderer.planned(method), {}
+
+    return change
 
 
 def _nodes(factor: float) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:

@@ -405,6 +405,22 @@ def even_photograph(rows: int, cols: int, values: np.ndarray) -> tuple:
     return compared(rate, np.ones((rows, cols)), 2e-3, "1 everywhere")
 
 
+def sun_in_the_frame() -> tuple:
+    """Where no PSF brings light from the sun, the photograph is as bright as without it."""
+    bank, sensor = gaussian_bank(), mono()
+    values = np.ones((sensor.rows, sensor.cols), np.float32)
+    values[20, 20] = 1e9
+    scene = Scene("sun", FLAT[None], Raster(values[None]), "E", FLAT)
+    rate = rate_of(camera_of(bank, sensor), scene) / white_rate(bank, sensor)
+    row, col = np.indices(rate.shape)
+    # The PSFs' window, to its corners, and the texel.
+    reach = bank.psf.shape[-1] * bank.pitch_um / np.sqrt(2) / sensor.pixel_pitch_um + 3
+    far = np.hypot(row - 20, col - 20) > reach
+    expected, got, right = compared(rate[far], np.ones(int(far.sum())), 2e-3, "1 in the shadows")
+    least = float(rate.min())
+    return f"{expected}, none negative", f"{got}, least {least:.4f}", right and least > 0
+
+
 def sizes(rows: int, cols: int) -> Callable[[], tuple]:
     """Return the case of a sensor of some size that sees an even field."""
 
@@ -514,6 +530,7 @@ CASES: tuple[tuple[str, Callable[[], tuple], str | None], ...] = (
     ("optical paths of 1e5 waves", path_lengths, None),
     ("Poisson at a mean of 1e-6", poisson_at_a_millionth, None),
     ("Poisson at a mean of 9e6", poisson_at_ten_million, None),
+    ("sun of 1e9 : 1 in a photograph", sun_in_the_frame, None),
     ("photograph with NaN", photograph_with(np.nan), "scene.exr"),
     ("photograph with an infinity", photograph_with(np.inf), "scene.exr"),
     ("photograph with a negative", photograph_with(-1.0), "scene.exr"),

@@ -54,7 +54,7 @@ def test_the_chosen_plan_comes_first_and_every_kind_is_there():
     names = [variant.name for variant in everything]
     assert len(set(names)) == len(names)
     families = {variant.family for variant in everything}
-    assert families == {CHOSEN, "PSF nodes", "oversampling", "cut of the PSF"}
+    assert families == {CHOSEN, "method", "PSF nodes", "oversampling", "cut of the PSF"}
     assert "4 samples a pixel" not in [variant.name for variant in variants(ASKED, 4)]
     sigmas = [v.accuracy for v in variants(Accuracy(0.1, 8, "sigma"), 2) if v.family == CHOSEN]
     assert {one.unit for one in sigmas} == {"sigma"} and len(sigmas) == 6
