@@ -42,7 +42,7 @@ from gpusim.sensor.sensor import Sensor
 WORST_TO_RMS = 5.0
 # Share of the tolerance that is left to the nodes; a photograph's contrast is larger than a
 # chart's.
-NODE_SHARE = 0.8
+NODE_SHARE = 0.7
 TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
 # side.
