@@ -63,11 +63,11 @@ def primitives_by_block(
     material = np.array([shape.material for shape in chart.primitives], int)
     last_plane = np.array([np.flatnonzero(row)[-1] + 1 if row.any() else 0 for row in coefficients])
     low, high, lit = block_bounds_um(grid, pitch_um, chief_ray, REACH)
-    near = np.all(
-        (bounds_um[:, :2] + bounds_um[:, 2:] > low[:, None])
-        & (bounds_um[:, :2] - bounds_um[:, 2:] < high[:, None]),
-        axis=2,
-    )
+    # One axis after the other: pairs along a third axis take seven times as long.
+    near = np.ones((len(low), len(bounds_um)), bool)
+    for axis in (0, 1):
+        near &= bounds_um[:, axis] + bounds_um[:, 2] > low[:, axis, None]
+        near &= bounds_um[:, axis] - bounds_um[:, 2] < high[:, axis, None]
     planes = np.max(near * last_plane[material], axis=1, initial=last_plane[chart.background])
     across = grid.blocks[0]
     blocks = [(index % across, index // across) for index in range(len(near))]
