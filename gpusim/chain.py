@@ -51,10 +51,7 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.adc import record_adc
-from gpusim.sensor.exposure import record_exposure
-from gpusim.sensor.mosaic import record_mosaic
-from gpusim.sensor.noise import record_noise
+from gpusim.sensor.readout import Shot, record_readout
 
 Progress = Callable[[str, int, int], None]
 
@@ -497,7 +494,7 @@ class _Shot:
         frame: int,
     ) -> None:
         self.renderer, self.rect = renderer, rect
-        self.exposure_s, self.seed, self.frame = exposure_s, seed, frame
+        self.shot = Shot(exposure_s, seed, frame)
         self.planes = {
             name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
         }
@@ -629,38 +626,18 @@ class _Shot:
 
     def _strip(self, strip: Rect, rates: Resident, tile: Rect) -> None:
         """Take a strip of rows from the planes of the sites to digital numbers, and to the host."""
-        renderer, sensor = self.renderer, self.renderer.camera.sensor
+        renderer = self.renderer
         rec = Recording(renderer.device)
-        origin = strip[:2]
-        runs = renderer.plan.runs
-        rate = rates
-        # Of a sensor without filters a tile's plane is its frame, where one strip takes it whole.
-        if runs("mosaic") or strip != tile:
-            rate = record_mosaic(
-                rec,
-                rates,
-                renderer.resident_glare,
-                sensor,
-                strip[2:],
-                origin=origin,
-                cell_origin=(tile[0] // renderer.period, tile[1] // renderer.period),
-            )
-        clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
-        electrons = record_exposure(
-            rec, rate, sensor, self.exposure_s, origin=origin, prnu=runs("prnu"), **clipped
+        outputs = record_readout(
+            rec,
+            rates,
+            renderer.resident_glare,
+            renderer.camera.sensor,
+            strip,
+            tile,
+            self.shot,
+            renderer.plan.runs,
         )
-        if runs("noise"):
-            electrons = record_noise(
-                rec,
-                electrons,
-                sensor,
-                seed=self.seed,
-                frame=self.frame,
-                origin=origin,
-                dsnu=runs("dsnu"),
-                read_noise=runs("read noise"),
-            )
-        outputs = {"rate": rate, "electrons": electrons, "dn": record_adc(rec, electrons, sensor)}
         labels = {name: rec.download(outputs[name]) for name in self.planes}
         result = self._run(rec)
         row, col = strip[0] - self.rect[0], strip[1] - self.rect[1]

@@ -76,7 +76,7 @@ def check_filter_array(sensor: Sensor) -> None:
     UserError
         When it is not 2 x 2 of R, G and B.
     """
-    pattern = sensor.cfa.pattern
+    pattern = sensor.cfa.letters
     if np.shape(pattern) != (2, 2) or set(chain.from_iterable(pattern)) != set(CHANNELS):
         raise UserError(
             "no DNG reader has this filter array",
@@ -111,7 +111,7 @@ def write_dng(
         Filter array of 2 x 2, of R, G and B; black level, bit depth, gain, full well, read noise,
         quantum efficiencies.
     white_e : dict of str to float
-        Mean electrons that the scene's white makes on the axis in each channel, by letter.
+        Mean electrons that the scene's white makes on the axis by channel.
     exposure_s : float
         Exposure time, s.
     transmission : ndarray (61,), optional
@@ -125,11 +125,12 @@ def write_dng(
     from tifffile import imwrite
 
     path = Path(path)
-    pattern = sensor.cfa.pattern
+    pattern = sensor.cfa.letters
     check_filter_array(sensor)
     rows, cols = raw.shape
-    camera = response(sensor.qe, transmission)
-    neutral = np.array([white_e[channel] for channel in CHANNELS], np.float64)
+    camera = response(sensor.colour_qe, transmission)
+    white = sensor.by_colour(white_e)
+    neutral = np.array([white[colour] for colour in CHANNELS], np.float64)
     brightest_dn = sensor.system_gain_dn_per_e * neutral.max()
     exposure_ev = math.log2((saturation_dn(sensor) - sensor.black_level_dn) / brightest_dn)
     exposure_ev = min(max(exposure_ev, -MAX_EXPOSURE_EV), MAX_EXPOSURE_EV)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
 from functools import cached_property
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 import yaml
@@ -28,6 +29,8 @@ CFA_LETTERS = "RGBCMYW"
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
 
+Value = TypeVar("Value", float, np.ndarray)
+
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 
@@ -37,18 +40,27 @@ class _Strict(BaseModel):
 
 
 class ColourFilterArray(_Strict):
-    """The filter pattern, from the upper left pixel: one letter for each photosite, row by row."""
+    """The filter pattern, from the upper left pixel: a channel for each photosite, row by row.
+
+    A channel is a letter of :data:`CFA_LETTERS`, which is the colour of its filter, and may have
+    more after it: Gr and Gb are green photosites of unlike response.
+    """
 
     pattern: list[list[str]]
+
+    @property
+    def letters(self) -> list[list[str]]:
+        """The pattern of the filters' colours."""
+        return [[name[0] for name in row] for row in self.pattern]
 
     @field_validator("pattern")
     @classmethod
     def _rectangle_of_letters(cls, pattern: list[list[str]]) -> list[list[str]]:
         if not pattern or not pattern[0] or any(len(row) != len(pattern[0]) for row in pattern):
             raise _wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
-        for letter in chain(*pattern):
-            if letter not in tuple(CFA_LETTERS):
-                raise _wrong(f"unknown filter colour {letter!r}", ", ".join(CFA_LETTERS))
+        for name in chain(*pattern):
+            if name[:1] not in tuple(CFA_LETTERS):
+                raise _wrong(f"unknown filter colour {name!r}", ", ".join(CFA_LETTERS))
         return pattern
 
 
@@ -149,7 +161,7 @@ class Sensor(_Strict):
             raise _wrong(
                 f"the filter pattern has {', '.join(sorted(letters))}, "
                 f"quantum_efficiency has {', '.join(sorted(curves))}",
-                "the same letters in both",
+                "the same channels in both",
             )
         if self.black_level_dn >= self.max_dn:
             raise _wrong(
@@ -168,8 +180,13 @@ class Sensor(_Strict):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Channels by letter, in the order of :data:`CFA_LETTERS`."""
-        return tuple(letter for letter in CFA_LETTERS if letter in self.quantum_efficiency.channels)
+        """Channels, by the colours of their filters in the order of :data:`CFA_LETTERS`."""
+        return tuple(
+            sorted(
+                self.quantum_efficiency.channels,
+                key=lambda name: (CFA_LETTERS.index(name[0]), name),
+            )
+        )
 
     @property
     def period(self) -> tuple[int, int]:
@@ -191,6 +208,19 @@ class Sensor(_Strict):
             )
             curves[name].flags.writeable = False
         return curves
+
+    @property
+    def colour_qe(self) -> dict[str, np.ndarray]:
+        """Mean quantum efficiency of the photosites of each filter colour, by letter: (61,)."""
+        return self.by_colour(self.qe)
+
+    def by_colour(self, of_channel: Mapping[str, Value]) -> dict[str, Value]:
+        """Return the mean over the photosites of each filter colour, by letter."""
+        sites = self.site_channels()
+        return {
+            letter: np.mean([of_channel[name] for name in sites if name[0] == letter], axis=0)
+            for letter in dict.fromkeys(name[0] for name in self.channels)
+        }
 
     def dark_current_at(self, temperature_c: float) -> float:
         """Return the dark current at a temperature, electrons per second (EMVA 1288, section 3.2).

@@ -106,6 +106,25 @@ def test_a_monochrome_sensor_has_one_site(tmp_path: Path):
     assert (sensor.period, sensor.site_channels(), sensor.channels) == ((1, 1), ("W",), ("W",))
 
 
+def test_unlike_photosites_of_one_colour_are_channels_of_their_own(tmp_path: Path):
+    data = yaml.safe_load(IMX477.read_text())
+    data["cfa"] = {"pattern": [["B", "Gb"], ["Gr", "R"]]}
+    curves = {"R": 0.3, "Gr": 0.5, "Gb": 0.4, "B": 0.2}
+    data["quantum_efficiency"] = {
+        "wavelengths_nm": [400, 700],
+        "channels": {name: [value, value] for name, value in curves.items()},
+    }
+    file = tmp_path / "unlike.yaml"
+    file.write_text(yaml.safe_dump(data))
+    sensor = load_sensor(file)
+    assert sensor.channels == ("R", "Gb", "Gr", "B")
+    assert sensor.site_channels() == ("B", "Gb", "Gr", "R")
+    assert sensor.cfa.letters == [["B", "G"], ["G", "R"]]
+    assert {name: curve[7] for name, curve in sensor.colour_qe.items()} == pytest.approx(
+        {"R": 0.3, "G": 0.45, "B": 0.2}
+    )
+
+
 def test_dark_current_doubles(sensor: Sensor):
     assert sensor.dark_current_at(25) == 1.0
     assert sensor.dark_current_at(25 + 5.9) == pytest.approx(2.0, rel=1e-12)
@@ -158,7 +177,7 @@ def test_quads_touched(col0: int, cols: int, count: int):
         (("cfa", "pattern"), [["R", "G"], ["G", "X"]], "cfa.pattern", "R, G, B, C, M, Y, W"),
         (("cfa", "pattern"), [["R", "G"], ["G"]], "cfa.pattern", "equal length"),
         (("cfa", "pattern"), [], "cfa.pattern", "equal length"),
-        (("cfa", "pattern"), [["R", "G"], ["G", "W"]], None, "same letters"),
+        (("cfa", "pattern"), [["R", "G"], ["G", "W"]], None, "same channels"),
         (("full_well_e",), 0, "full_well_e", "greater than 0"),
         (("full_well_e",), 1e9, "full_well_e", "less than or equal to 10000000"),
         (("bit_depth",), 0, "bit_depth", "greater than or equal to 1"),

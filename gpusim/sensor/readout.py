@@ -1,0 +1,99 @@
+"""The sensor on one screen: what happens to the signal, in this order.
+
+1. mosaic: each photosite's own light, and the veiling glare
+2. exposure: response of each pixel (PRNU), exposure time, dark current
+3. noise: shot noise of light and dark current, full well; then the read-out's offset (DSNU) and
+   temporal dark noise
+4. adc: system gain, black level, quantisation, clip
+
+The order is part of the contract: response before shot noise, so that it does not change the
+slope of the photon transfer; all that moves charge before all that is added when it is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gpusim.gpu import Array, Recording
+from gpusim.sensor.adc import record_adc
+from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.mosaic import record_mosaic
+from gpusim.sensor.noise import record_noise
+from gpusim.sensor.sensor import Sensor
+
+Rect = tuple[int, int, int, int]  # first row and column, rows and columns
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What one frame is taken with.
+
+    Attributes
+    ----------
+    exposure_s : float
+    seed : int
+        Of the temporal noise, 0 to 2^64 - 1.
+    frame : int
+        Frames of one seed have independent noise.
+    """
+
+    exposure_s: float
+    seed: int
+    frame: int
+
+
+def record_readout(
+    rec: Recording,
+    sites: Array,
+    glare: Array,
+    sensor: Sensor,
+    rect: Rect,
+    lit: Rect,
+    shot: Shot,
+    runs: Callable[[str], bool],
+) -> dict[str, Array]:
+    """Record what the sensor makes of the light on a rectangle of pixels.
+
+    Parameters
+    ----------
+    rec : Recording
+    sites : Array (S, rows, cols), f32
+        Electrons/s of each site of the filter pattern, row by row.
+    glare : Array (S,), f32
+        Veiling glare of each site, electrons/s.
+    sensor : Sensor
+    rect : (row, col, rows, cols)
+        The rectangle.
+    lit : (row, col, rows, cols)
+        The pixels that ``sites`` hold, whole filter patterns.
+    shot : Shot
+    runs : callable
+        Whether a stage runs, by its name in the plan.
+
+    Returns
+    -------
+    dict of str to Array
+        ``rate`` (electrons/s) and ``electrons``, f32, and ``dn``, u32: each (rows, cols).
+    """
+    origin, rate = rect[:2], sites
+    # Of a sensor without filters the plane is the frame, where one strip takes it whole.
+    if runs("mosaic") or rect != lit:
+        cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
+        rate = record_mosaic(rec, sites, glare, sensor, rect[2:], origin=origin, cell_origin=cell)
+    clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
+    electrons = record_exposure(
+        rec, rate, sensor, shot.exposure_s, origin=origin, prnu=runs("prnu"), **clipped
+    )
+    if runs("noise"):
+        electrons = record_noise(
+            rec,
+            electrons,
+            sensor,
+            seed=shot.seed,
+            frame=shot.frame,
+            origin=origin,
+            dsnu=runs("dsnu"),
+            read_noise=runs("read noise"),
+        )
+    return {"rate": rate, "electrons": electrons, "dn": record_adc(rec, electrons, sensor)}
