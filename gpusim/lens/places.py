@@ -58,7 +58,8 @@ class Places(Protocol):
     probes : tuple of int
         Fields that stand for all where errors are predicted: the middle and the rim.
     quadrants : tuple of (int, int)
-        Signs of x and y of the quadrants that differ.
+        Signs of x and y of the quadrants that differ; one where all are the mirror images of it,
+        if only the PSFs are symmetric about their x axis.
     """
 
     probes: tuple[int, ...]

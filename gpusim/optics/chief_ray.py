@@ -210,7 +210,7 @@ def block_bounds_um(
     """
     columns, rows = (np.arange(count) for count in grid.blocks)
     index = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    corner = index * grid.block - grid.half_size - np.array(grid.centre) - margin
+    corner = index * grid.block + np.array(grid.start) - np.array(grid.centre) - margin
     size = np.array(grid.block) + 2 * margin
     ideal = outline(chief_ray, corner[:, None], size, pitch_um) * pitch_um
     circle = np.array(chief_ray.centre_um) / pitch_um

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class SimGrid:
         """Samples of which blocks hold whole numbers: photosites, and vec4f of the direct sum."""
         return max(self.stride, 4)
 
-    @property
+    @cached_property
     def extent(self) -> tuple[int, int]:
         """Width and height of the source region."""
         return tuple(
@@ -73,7 +74,7 @@ class SimGrid:
             for pixels in (self.cols, self.rows)
         )
 
-    @property
+    @cached_property
     def blocks_per_cell(self) -> tuple[int, int]:
         """Blocks across and down one cell."""
         largest = (self.length - 2 * self.half_size) // self.alignment * self.alignment
@@ -82,7 +83,7 @@ class SimGrid:
             for extent, cells in zip(self.extent, self.cells, strict=True)
         )
 
-    @property
+    @cached_property
     def block(self) -> tuple[int, int]:
         """Width and height of a block: a multiple of `alignment`."""
         return tuple(
@@ -92,14 +93,28 @@ class SimGrid:
             )
         )
 
-    @property
+    @cached_property
     def blocks(self) -> tuple[int, int]:
         """Blocks across and down the source region."""
         return tuple(c * b for c, b in zip(self.cells, self.blocks_per_cell, strict=True))
 
+    @cached_property
+    def start(self) -> tuple[int, int]:
+        """x, y of the first sample of the first block.
+
+        What the blocks hold beyond the source region is shared out to both sides: PSF nodes then
+        lie symmetrically about the axis wherever whole steps of `alignment` allow.
+        """
+        return tuple(
+            -self.half_size - (count * side - extent) // (2 * self.alignment) * self.alignment
+            for count, side, extent in zip(self.blocks, self.block, self.extent, strict=True)
+        )
+
     def block_origin(self, index: tuple[int, int]) -> tuple[int, int]:
         """Return x, y of the first sample of a block."""
-        return tuple(i * b - self.half_size for i, b in zip(index, self.block, strict=True))
+        return tuple(
+            first + i * side for first, i, side in zip(self.start, index, self.block, strict=True)
+        )
 
     def window_origin(self, index: tuple[int, int]) -> tuple[int, int]:
         """Return x, y of the first photosite of a block's window, in photosites of one site."""
@@ -107,10 +122,13 @@ class SimGrid:
 
     def node_position(self, index: tuple[int, int]) -> tuple[int, int]:
         """Return x, y of a PSF node."""
-        return tuple(
-            i * blocks * b - self.half_size
-            for i, blocks, b in zip(index, self.blocks_per_cell, self.block, strict=True)
+        return self.block_origin(
+            tuple(i * count for i, count in zip(index, self.blocks_per_cell, strict=True))
         )
+
+    def mirrored(self, axis: int) -> bool:
+        """Return whether PSF nodes lie symmetrically about the optical axis, in x (0) or y (1)."""
+        return 2 * self.start[axis] + self.blocks[axis] * self.block[axis] == 2 * self.centre[axis]
 
     @property
     def nodes(self) -> tuple[int, int]:
@@ -145,7 +163,8 @@ class SimGrid:
         for axis, first, count in ((0, col0, cols), (1, row0, rows)):
             # The whole window: where the kernels do not reach, it still holds their rounding
             # errors, and the sum of a pixel must not depend on the rectangle.
-            origins = [i * self.block[axis] - 2 * self.half_size for i in range(self.blocks[axis])]
+            start = self.start[axis] - self.half_size
+            origins = [start + i * self.block[axis] for i in range(self.blocks[axis])]
             low, high = first * self.oversampling, (first + count) * self.oversampling
             chosen.append([i for i, o in enumerate(origins) if o < high and o + self.length > low])
         return [(x, y) for y in chosen[1] for x in chosen[0]]

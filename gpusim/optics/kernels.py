@@ -32,6 +32,12 @@ PAD = 32
 # sums of the demonstration camera's kernels change with the azimuth by 0.3, 0.6 and 1.1e-3 in red,
 # green and blue, with quintic ones by 0.8, 3 and 6e-5. Nodes do not help against it.
 DEGREE = 5
+# Of the splines in one sample of the sim grid, where the bank has more: of the demonstration
+# camera's tails (6.2) every second one errs by 5e-5 of the tail's sum, every fourth by 2.5e-4.
+SAMPLES_WITHIN = 3.0
+# Of PSFs, relative to the largest sample, below which both sides count as one. Those that were
+# traced are symmetric to the last bit.
+ASYMMETRY = 1e-6
 # The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a
 # sharp end would ring.
 BAND_EDGE = 0.85
@@ -42,22 +48,25 @@ CUT_EDGE = 0.5
 
 @dataclass(frozen=True)
 class FieldKernels:
-    """Channel kernels at the fields of the bank, in the frame of its PSFs, on the bank's grid.
+    """Channel kernels at the fields of the bank, in the frame of its PSFs.
 
     Attributes
     ----------
     splines : ndarray (F, J, C, n, n)
         Coefficients of splines of degree `DEGREE`, [y, x]: [tangential, radial] of a lens with an
-        axis.
+        axis; the chief ray is at sample n / 2.
     places : Places
         Where the fields lie.
     pitch_um : float
-        Of the grid.
+        Of the grid: the bank's, or a multiple of it.
+    mirrored : bool
+        Whether the kernels of a place are those of its mirror images about both axes, mirrored.
     """
 
     splines: np.ndarray
     places: Places
     pitch_um: float
+    mirrored: bool = False
 
 
 def low_pass(frequency: np.ndarray, sim_pitch_um: float) -> np.ndarray:
@@ -126,6 +135,8 @@ def field_kernels(
 ) -> FieldKernels:
     """Take a part of the channel kernels, end its band at a sim grid's, and make splines of it.
 
+    As many samples are kept as the part is wide, and as far apart as the sim grid's band allows.
+
     Parameters
     ----------
     images, places
@@ -134,20 +145,66 @@ def field_kernels(
     part : ndarray (n, n)
         Weight of each sample: the core, the tail, or all.
     """
-    n = images.shape[-1]
-    fx, fy = scipy.fft.rfftfreq(n, bank_pitch_um), scipy.fft.fftfreq(n, bank_pitch_um)[:, None]
+    step = _step(sim_pitch_um / bank_pitch_um, len(part))
+    within = _around(part, step)
+    part = part[within, within].astype(np.float32)
+    n = len(part)
+    # The band ends below the Nyquist frequency of every step-th sample: the spectrum of those is
+    # its middle.
+    half = n // step // 2
+    rows = np.r_[:half, n - half : n]
+    fx, fy = scipy.fft.rfftfreq(n)[: half + 1], scipy.fft.fftfreq(n)[rows, None]
     # Splines through the samples are the samples with the spectrum of the B-spline's own samples
     # (1, 26, 66, 26, 1) / 120 divided out, along each axis (Unser 1999).
     along_x, along_y = (
-        (33 + 26 * np.cos(2 * np.pi * f) + np.cos(4 * np.pi * f)) / 60
-        for f in (fx * bank_pitch_um, fy * bank_pitch_um)
+        (33 + 26 * np.cos(2 * np.pi * step * f) + np.cos(4 * np.pi * step * f)) / 60
+        for f in (fx, fy)
     )
-    shaping = low_pass(np.hypot(fx, fy), sim_pitch_um) / (along_x * along_y)
-    shaped = scipy.fft.rfft2(images * part.astype(np.float32), workers=2)
-    shaped *= shaping.astype(np.float32)
-    return FieldKernels(
-        scipy.fft.irfft2(shaped, s=(n, n), workers=2, overwrite_x=True), places, bank_pitch_um
+    band = low_pass(np.hypot(fx, fy) / bank_pitch_um, sim_pitch_um)
+    shaping = (band / (along_x * along_y)).astype(np.float32)
+    splines = np.empty((*images.shape[:3], n // step, n // step), np.float32)
+    for of_field, field in zip(splines, images, strict=True):  # what is at hand stays in the cache
+        shaped = scipy.fft.rfft2(field[..., within, within] * part, workers=2)
+        if step > 1:
+            shaped = shaped[..., rows, : half + 1]
+        shaped *= shaping
+        of_field[...] = scipy.fft.irfft2(shaped, s=of_field.shape[-2:], workers=2, overwrite_x=True)
+    return FieldKernels(splines, places, step * bank_pitch_um, mirrored(images[:, 0], places))
+
+
+def mirrored(images: np.ndarray, places: Places) -> bool:
+    """Return whether kernels of mirrored places are mirrored: see `FieldKernels`.
+
+    Parameters
+    ----------
+    images, places
+        As `field_images` returns them.
+    """
+    upper = images[..., 1:, :]  # the first row has no partner
+    return len(places.quadrants) == 1 and np.allclose(
+        upper, upper[..., ::-1, :], rtol=0, atol=ASYMMETRY * images.max()
     )
+
+
+def _step(ratio: float, n: int) -> int:
+    """Return how many of the bank's samples go to one of the splines', of n along an axis.
+
+    At least `SAMPLES_WITHIN` remain in one of the sim grid, and an even number in all.
+    """
+    step = 1
+    while 2 * step * SAMPLES_WITHIN <= ratio and n % (4 * step) == 0:
+        step *= 2
+    return step
+
+
+def _around(part: np.ndarray, step: int) -> slice:
+    """Return which samples, along each axis, hold a part about the middle, and what rings."""
+    n = len(part)
+    far = np.flatnonzero(part[n // 2])
+    half = max(n // 2 - far[0], far[-1] - n // 2) + PAD if len(far) else PAD
+    # A size that is transformed fast, in whole samples of the splines on both sides.
+    half = step * scipy.fft.next_fast_len(-(-half // step), real=True)
+    return slice(n // 2 - half, n // 2 + half) if half < n // 2 else slice(0, n)
 
 
 def distances_um(n: int, pitch_um: float) -> np.ndarray:
@@ -169,7 +226,8 @@ def sampled_kernels(
     Returns
     -------
     ndarray (planes, C, 2 R, 2 R)
-        Index [row, column]; the source sample is at [R, R].
+        Index [row, column]; the source sample is at [R, R]. The first row and column are zero: to
+        the other side there is none as far away.
     """
     channels, n = kernels.splines.shape[2], kernels.splines.shape[-1]
     fields, weights, cos, sin = kernels.places.at(x_um, y_um)
@@ -177,7 +235,8 @@ def sampled_kernels(
     dy = dx[:, None]
     radial = (cos * dx + sin * dy) / kernels.pitch_um
     tangential = (cos * dy - sin * dx) / kernels.pitch_um
-    inside = np.hypot(dx, dy) < (n // 2 - 2) * kernels.pitch_um
+    inside = np.maximum(np.abs(radial), np.abs(tangential)) < n // 2 - 2
+    inside[0] = inside[:, 0] = False
     where = np.stack([tangential[inside], radial[inside]]) + n // 2
     area = (sim_pitch_um / kernels.pitch_um) ** 2
     out = np.zeros((planes, channels, 2 * half_size, 2 * half_size))

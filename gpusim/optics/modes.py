@@ -124,7 +124,7 @@ def mode_decomposition(
     points, sums = _least_squares(cells)
 
     def sample(point: tuple[int, int]) -> np.ndarray:
-        at = np.array(point) * region / cells - grid.half_size - grid.centre
+        at = np.array(point) * region / cells + grid.start - grid.centre
         sampled = sampled_kernels(kernels, *(at * pitch_um), pitch_um, grid.half_size, planes)
         return sampled.astype(np.float32)
 

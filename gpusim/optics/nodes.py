@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import groupby
+from functools import cached_property
+from itertools import groupby, product
 
 import numpy as np
 
@@ -16,6 +18,10 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, node_kernels, sampled_kernels
 
 Node = tuple[int, int]  # x, y of a PSF node
+CROSS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # nodes from which `node_kernels` makes one
+# Of kernels at nodes that are kept on the host: what was made above the axis serves below it. Those
+# of the demonstration take 70 MiB.
+POINTS_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -224,40 +230,80 @@ class NodeStore(KernelStore):
     def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
         """Yield nodes, given row by row, with their kernels as the shaders read them."""
         grid, scale = self.grid, self.scale
-        cross = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))
         points = self._points
 
-        def sample(index: tuple[int, int], planes: int) -> np.ndarray:
+        def sample(index: Node) -> np.ndarray:
             x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
-            size = self.half_size
-            return sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
+            size, planes = self.half_size, self._planes[index]
+            kernels = sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
+            return kernels.astype(np.float32)
 
         def made(node: Node, planes: int) -> np.ndarray:
-            x, y = node
-            return self.made_of(node_kernels(lambda dx, dy: points[x + dx, y + dy][:planes]))
+            def point(dx: int, dy: int) -> np.ndarray:
+                index = (node[0] + dx, node[1] + dy)
+                folded = self._folded(index)
+                kernels = points[folded][:planes]
+                for axis, one, other in zip((-1, -2), index, folded, strict=True):
+                    if one != other:
+                        kernels = _flipped(kernels, axis)
+                return kernels
+
+            return self.made_of(node_kernels(point))
 
         # SciPy and NumPy let go of the interpreter in their loops.
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             for y, of_row in groupby(nodes, key=lambda node: node[1]):
-                # A node needs its neighbours' kernels: those of three rows are at hand at a time.
-                for index in [index for index in points if abs(index[1] - y) > 1]:
-                    del points[index]
                 row = {node: grid.planes_at(node, self.needed) for node in of_row}
-                wanted: dict[Node, int] = {}
-                for (x, _), planes in row.items():
-                    for dx, dy in cross:
-                        index = (x + dx, y + dy)
-                        wanted[index] = max(wanted.get(index, 0), planes)
-                lacking = {i: n for i, n in wanted.items() if len(points.get(i, ())) < n}
-                found = pool.map(sample, lacking.keys(), lacking.values())
-                points.update(zip(lacking, found, strict=True))
+                wanted = {self._folded((x + dx, y + dy)) for x, _ in row for dx, dy in CROSS}
+                self._forget(self._folded((0, y))[1])
+                lacking = wanted - points.keys()
+                points.update(zip(lacking, pool.map(sample, lacking), strict=True))
                 # A few at a time: the spectra of a whole row may be gigabytes.
                 step = 2 * (os.cpu_count() or 1)
                 for first in range(0, len(row), step):
                     part = dict(list(row.items())[first : first + step])
                     yield from zip(part, pool.map(made, part, part.values()), strict=True)
 
+    def _folded(self, index: Node) -> Node:
+        """Return the node whose kernels are those of a node, or their mirror image.
+
+        In each direction that of lower index, of two that lie symmetrically about the axis.
+        """
+        return tuple(
+            min(i, cells - i) if mirrored else i
+            for i, cells, mirrored in zip(index, self.grid.cells, self._mirrored, strict=True)
+        )
+
+    @cached_property
+    def _mirrored(self) -> tuple[bool, bool]:
+        return tuple(self.scale.kernels.mirrored and self.grid.mirrored(axis) for axis in (0, 1))
+
+    @cached_property
+    def _planes(self) -> dict[Node, int]:
+        """Return how many planes kernels have at a node: what is wanted around it, or mirrored."""
+        across, down = self.grid.nodes
+        planes: dict[Node, int] = defaultdict(int)
+        for x, y in product(range(across), range(down)):
+            count = self.grid.planes_at((x, y), self.needed)
+            for dx, dy in CROSS:
+                index = self._folded((x + dx, y + dy))
+                planes[index] = max(planes[index], count)
+        return planes
+
+    def _forget(self, y: int) -> None:
+        """Drop kernels at nodes, first those farthest from a row, until few enough are kept."""
+        held = sum(kernels.nbytes for kernels in self._points.values())
+        for index in sorted(self._points, key=lambda index: -abs(index[1] - y)):
+            if held <= POINTS_BYTES or abs(index[1] - y) <= 1:  # those a row needs are around it
+                break
+            held -= self._points.pop(index).nbytes
+
     def release(self) -> None:
         """Give the device's memory back."""
         super().release()
         self._points.clear()
+
+
+def _flipped(kernels: np.ndarray, axis: int) -> np.ndarray:
+    """Return kernels mirrored about the source sample, R of 2 R; the first has no partner."""
+    return np.roll(np.flip(kernels, axis), 1, axis)

@@ -57,6 +57,22 @@ def primitives_by_block(
     needed : dict of int
         By block: planes beyond these have no coefficient in it; beyond the image circle, all.
     """
+    near, planes = _blocks_and_primitives(chart, coefficients, grid, pitch_um, chief_ray)
+    seen = {block: np.flatnonzero(row) for block, row in zip(planes, near, strict=True)}
+    return seen, planes
+
+
+def planes_by_block(
+    chart: Chart, coefficients: np.ndarray, grid: SimGrid, pitch_um: float, chief_ray: ChiefRayMap
+) -> dict[tuple[int, int], int]:
+    """Count the planes that each block needs: see `primitives_by_block`."""
+    return _blocks_and_primitives(chart, coefficients, grid, pitch_um, chief_ray)[1]
+
+
+def _blocks_and_primitives(
+    chart: Chart, coefficients: np.ndarray, grid: SimGrid, pitch_um: float, chief_ray: ChiefRayMap
+) -> tuple[np.ndarray, dict[tuple[int, int], int]]:
+    """Return whether each block sees each primitive, and the planes that it needs."""
     bounds_um = np.array([(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]).reshape(
         -1, 3
     )
@@ -68,11 +84,12 @@ def primitives_by_block(
     for axis in (0, 1):
         near &= bounds_um[:, axis] + bounds_um[:, 2] > low[:, axis, None]
         near &= bounds_um[:, axis] - bounds_um[:, 2] < high[:, axis, None]
-    planes = np.max(near * last_plane[material], axis=1, initial=last_plane[chart.background])
+    planes = np.full(len(low), last_plane[chart.background])
+    for count in np.unique(last_plane[material]):  # few: one product for all takes longer
+        planes[near[:, last_plane[material] == count].any(axis=1) & (planes < count)] = count
     across = grid.blocks[0]
     blocks = [(index % across, index // across) for index in range(len(near))]
-    seen = {block: np.flatnonzero(row) for block, row in zip(blocks, near, strict=True)}
-    return seen, dict(zip(blocks, (planes * lit).tolist(), strict=True))
+    return near, dict(zip(blocks, (planes * lit).tolist(), strict=True))
 
 
 def samples_at_edges(chart: Chart, half_um: tuple[float, float], pitch_um: float) -> float:

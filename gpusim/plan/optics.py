@@ -11,6 +11,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
+from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, edge_responses, reduce_spectra, spectral_weights
@@ -21,12 +22,11 @@ from gpusim.optics.kernels import (
     distances_um,
     field_images,
     field_kernels,
+    mirrored,
 )
 from gpusim.optics.methods import METHODS
 from gpusim.optics.modes import Decomposition, mode_decomposition
 from gpusim.optics.nodes import Scale
-from gpusim.optics.paint import SIGMA, primitives_by_block, samples_at_edges
-from gpusim.optics.warp import is_identity, planes_by_block
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
@@ -336,16 +336,18 @@ class _Problem:
 
         def preparation(grid: SimGrid, needed: Needed) -> float:
             size, spectra = (2 * grid.half_size) ** 2, grid.length**2
+            share = 1.0
             if method == "modes":
                 nodes = np.prod(np.add(options["map_cells"], 3))
                 made = nodes * max(needed.values(), default=0)
                 transformed = rank * made / nodes
             else:
                 made = transformed = planes_at_nodes(grid, needed).sum()
+                share = 0.5 ** (self._mirrored * sum(grid.mirrored(axis) for axis in (0, 1)))
             if method == "direct":
                 size, spectra = (2 * (support + MARGIN)) ** 2, (2 * (support + 2 * MARGIN)) ** 2
-            return self.costs.seconds("kernels", channels * size * made) + self.costs.seconds(
-                "spectra", outputs * spectra * transformed
+            return self.costs.seconds("kernels", channels * size * share * made) + (
+                self.costs.seconds("spectra", outputs * spectra * transformed)
             )
 
         def memory(grid: SimGrid, needed: Needed) -> Memory:
@@ -361,7 +363,7 @@ class _Problem:
 
         edges_s = 0.0
         if self.is_chart:
-            edges = samples_at_edges(self._placed, self.half_um, pitch_um)
+            edges = paint.samples_at_edges(self._placed, self.half_um, pitch_um)
             edges_s = self.costs.seconds("edges", edges)
         layout = cheapest_grid(
             self.sensor,
@@ -440,7 +442,7 @@ class _Problem:
 
     @property
     def sigma(self) -> float:
-        return SIGMA if self.is_chart else 0.0
+        return paint.SIGMA if self.is_chart else 0.0
 
     @cached_property
     def half_um(self) -> tuple[float, float]:
@@ -465,14 +467,14 @@ class _Problem:
         return (
             not self.is_chart
             and bool(np.isclose(self._placed.pitch_um, scale.pitch_um, rtol=1e-9))
-            and is_identity(
+            and warp.is_identity(
                 self.scene.source.placed(*self.half_um, scale.pitch_um), scale, self._chief_ray
             )
         )
 
     def _needed(self, grid: SimGrid, pitch_um: float) -> Needed:
         where = (self._placed, self.basis.coefficients, grid, pitch_um, self._chief_ray)
-        return primitives_by_block(*where)[1] if self.is_chart else planes_by_block(*where)
+        return (paint if self.is_chart else warp).planes_by_block(*where)
 
     def _source_s(self, grid: SimGrid, needed: Needed, edges_s: float) -> dict[str, float]:
         block = grid.block[0] * grid.block[1]
@@ -496,6 +498,10 @@ class _Problem:
     @property
     def places(self) -> Places:
         return self._images[1]
+
+    @cached_property
+    def _mirrored(self) -> bool:
+        return mirrored(self.images[:, 0], self.places)
 
     @cached_property
     def reach_um(self) -> float:

@@ -1,6 +1,7 @@
 """Geometry of blocks, windows and nodes, against what the words say, over grids of many sizes."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -31,9 +32,13 @@ def spans(grid: SimGrid, axis: int) -> list[range]:
 def test_each_sample_lies_in_one_block(grid: SimGrid):
     for axis, pixels in enumerate((grid.cols, grid.rows)):
         samples = list(itertools.chain(*spans(grid, axis)))
-        assert samples == list(range(-grid.half_size, len(samples) - grid.half_size))
-        # The source region: the sensor and the kernels' reach on both sides.
-        assert samples[-1] + 1 >= pixels * grid.oversampling + grid.half_size
+        assert samples == list(range(samples[0], samples[-1] + 1))
+        # The source region: the sensor and the kernels' reach on both sides; what is beyond it is
+        # shared out evenly, to one step of the alignment on both sides together.
+        before = -grid.half_size - samples[0]
+        after = samples[-1] + 1 - math.ceil(pixels * grid.oversampling) - grid.half_size
+        assert before >= 0 and 0 <= after - before < 2 * grid.alignment
+        assert grid.mirrored(axis) == (samples[0] + samples[-1] + 1 == pixels * grid.oversampling)
 
 
 @EVERY
@@ -66,7 +71,7 @@ def test_weights_rise_evenly_from_node_to_node(grid: SimGrid):
         assert len(nodes) == grid.cells[axis] + 1
         expected = np.interp(np.array(at) + 0.5, nodes, np.arange(len(nodes)))
         assert_close(np.array(seen), expected, atol=1e-12)  # rounding of float64
-        assert nodes[0] == -grid.half_size and nodes[-1] == at[-1] + 1
+        assert nodes[0] == at[0] and nodes[-1] == at[-1] + 1
 
 
 @EVERY

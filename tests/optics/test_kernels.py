@@ -6,6 +6,7 @@ from harness import assert_close
 from optics.made import bank, gaussian, plane_bank
 from scipy.special import ndtr
 
+from gpusim.optics import kernels as optics_kernels
 from gpusim.optics.kernels import (
     BAND_EDGE,
     CUT_EDGE,
@@ -53,10 +54,54 @@ def test_core_and_tail_make_the_whole():
     assert core[64, 64] == 1 and core[64, 64 + 8] == core[64 - 8, 64] == 0  # 8 x 0.5 um, centred
     assert core[64, 64 + 6] == pytest.approx(0.5)
     parts = [field_kernels(images, places, 0.5, 0.775, part) for part in (core, 1 - core)]
-    together = parts[0].splines.astype(float) + parts[1].splines
-    whole = everything(pitch_um=0.775).splines
-    assert_close(together, whole, atol=4 * 2.0**-24 * np.abs(whole).max())
-    assert np.abs(parts[1].splines).max() > 0.01 * np.abs(whole).max()
+    sizes = [part.splines.shape[-1] for part in parts]
+    assert sizes[0] < sizes[1]  # of the core, as many samples as it is wide
+    for height in (0.0, 40.0, 95.0):
+        core, tail, whole = (
+            sampled_kernels(kernels, 0.6 * height, 0.8 * height, 0.775, 40, 2)
+            for kernels in (*parts, everything(pitch_um=0.775))
+        )
+        # What rings beyond 16 um around the core comes in again on the other side: the band's edge,
+        # 0.097 cycles/um wide, rings there with 1 / (2 pi 16 (2 pi 16 0.097)^2) = 1e-4 of what
+        # the sharp end of the core, 0.1 of the peak in 4 um, holds at the band's end.
+        assert_close(core + tail, whole, atol=1e-5 * whole.max())
+        assert tail.max() > 0.01 * whole.max()
+
+
+def test_a_coarse_band_takes_fewer_samples(monkeypatch: pytest.MonkeyPatch):
+    """Of every second or fourth sample the same kernels, where three remain to the sim grid's."""
+    images, places = field_images(LENS, WEIGHTS, 1e9)
+
+    def made(ratio: float) -> tuple[float, np.ndarray]:
+        pitch_um = 0.5 * ratio
+        kernels = field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
+        assert kernels.splines.shape[-1] * kernels.pitch_um == 64.0
+        return kernels.pitch_um, sampled_kernels(
+            kernels, 30.0, 40.0, pitch_um, int(26 / pitch_um), 2
+        )
+
+    for ratio, pitch_um in ((5.9, 0.5), (6.1, 1.0), (12.3, 2.0)):
+        few = made(ratio)
+        with monkeypatch.context() as patch:
+            patch.setattr(optics_kernels, "SAMPLES_WITHIN", 100.0)
+            all_of_them = made(ratio)
+        assert (few[0], all_of_them[0]) == (pitch_um, 0.5)
+        # Quintic splines err by (f / (1 - f))^6 of a wave of f cycles a sample (Unser 1999): 4e-5
+        # at the end of the band, 0.16, along each axis.
+        assert_close(few[1], all_of_them[1], atol=1e-4 * few[1].max())
+
+
+@pytest.mark.parametrize("skew_um", [0.0, 2.0])
+def test_mirrored_places_have_mirrored_kernels(skew_um: float):
+    """If the PSFs are symmetric; and the kernels say whether."""
+    kernels = everything(bank(skew_um=skew_um), pitch_um=0.775)
+    assert kernels.mirrored == (skew_um == 0.0)
+    at = (50.0, 30.0)
+    one = sampled_kernels(kernels, *at, 0.775, 24, 2)
+    for axis, other in ((-1, (-50.0, 30.0)), (-2, (50.0, -30.0))):
+        turned = np.roll(np.flip(sampled_kernels(kernels, *other, 0.775, 24, 2), axis), 1, axis)
+        error = np.abs(turned - one).max() / one.max()
+        assert (error < 1e-6) == (skew_um == 0.0) and (error > 0.01) == (skew_um > 0.0)
 
 
 def test_images_hold_the_energy_of_their_weights():

@@ -132,7 +132,7 @@ def in_space(
 
     def points(x: int, y: int) -> np.ndarray:
         if (x, y) not in nodes:
-            at = np.array([x * spacing[0], y * spacing[1]]) - grid.half_size - grid.centre
+            at = np.array([x * spacing[0], y * spacing[1]]) + grid.start - grid.centre
             at *= scale.pitch_um
             nodes[x, y] = sampled_kernels(
                 scale.kernels, *at, scale.pitch_um, grid.half_size, len(WEIGHTS)
@@ -155,8 +155,8 @@ def in_space(
     result = np.empty((grid.rows, grid.cols))
     # A pixel's centre, in samples from that of the first source sample plus the kernels' reach.
     rows, cols = (
-        (np.arange(count) + 0.5) * grid.oversampling - 0.5 + 2 * grid.half_size
-        for count in (grid.rows, grid.cols)
+        (np.arange(count) + 0.5) * grid.oversampling - 0.5 - first + grid.half_size
+        for count, first in zip((grid.rows, grid.cols), grid.start[::-1], strict=True)
     )
     for channel in range(3):
         back = [np.exp(2j * np.pi * np.outer(at, f)) / size for at in (rows, cols)]
