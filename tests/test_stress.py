@@ -10,7 +10,13 @@ import pytest
 from gpusim import stress
 from gpusim.cli import stress as command
 from gpusim.errors import UserError
-from gpusim.stress import CASES, FAILED, HELD, REFUSED, Row, judged
+from gpusim.stress import CASES, made
+from gpusim.stress.table import FAILED, HELD, REFUSED, Row, judged
+
+
+def test_every_case_has_a_name_of_its_own():
+    names = [case[0] for case in CASES]
+    assert len(set(names)) == len(names)
 
 
 @pytest.mark.parametrize("name", [case[0] for case in CASES])
@@ -42,9 +48,9 @@ def test_a_verdict_is_earned(case, refusal: str | None, verdict: str):
 
 
 def test_a_planted_error_fails_a_case(monkeypatch: pytest.MonkeyPatch):
-    right = stress.rate_of
+    right = made.rate_of
     name = "bank with one wavelength"
-    monkeypatch.setattr(stress, "rate_of", lambda *given, **more: 1.01 * right(*given, **more))
+    monkeypatch.setattr(made, "rate_of", lambda *given, **more: 1.01 * right(*given, **more))
     (row,) = stress.run((name,))
     assert row.verdict == FAILED and "off" in row.got
 

@@ -13,8 +13,8 @@ from rich.text import Text
 from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.gpu import default_device
-from gpusim.stress import FAILED, HELD, Row
 from gpusim.stress import run as run_cases
+from gpusim.stress.table import FAILED, HELD, Row
 
 STYLES = {HELD: "green", FAILED: "bold red"}
 
