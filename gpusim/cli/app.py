@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,7 @@ def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
     # Mesa asks libwayland for a screen, which complains on stderr where this is not set.
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    warnings.showwarning = _show_warning
     try:
         app()
     except UserError as error:
@@ -37,6 +39,13 @@ def main() -> None:
 
         show_error(error)
         sys.exit(2)
+
+
+def _show_warning(message: Warning | str, *_: object) -> None:
+    """Print a warning as the error screen is printed: without the line of code that gave it."""
+    from gpusim.cli.screen import show_warning
+
+    show_warning(str(message))
 
 
 @app.command()

@@ -24,6 +24,12 @@ def show_error(mistake: UserError) -> None:
     Console(stderr=True).print(screen, soft_wrap=True)
 
 
+def show_warning(text: str) -> None:
+    """Print a warning on stderr."""
+    shown = Text("warning: ", style="bold yellow") + Text(text, style="default")
+    Console(stderr=True).print(shown, soft_wrap=True)
+
+
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``."""

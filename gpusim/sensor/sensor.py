@@ -18,10 +18,10 @@ from typing import Annotated, TypeVar
 import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.mistakes import user_error, wrong
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
@@ -57,10 +57,10 @@ class ColourFilterArray(_Strict):
     @classmethod
     def _rectangle_of_letters(cls, pattern: list[list[str]]) -> list[list[str]]:
         if not pattern or not pattern[0] or any(len(row) != len(pattern[0]) for row in pattern):
-            raise _wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
+            raise wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
         for name in chain(*pattern):
             if name[:1] not in tuple(CFA_LETTERS):
-                raise _wrong(f"unknown filter colour {name!r}", ", ".join(CFA_LETTERS))
+                raise wrong(f"unknown filter colour {name!r}", ", ".join(CFA_LETTERS))
         return pattern
 
 
@@ -74,18 +74,20 @@ class QuantumEfficiency(_Strict):
     def _on_one_grid(self) -> QuantumEfficiency:
         grid = self.wavelengths_nm
         if any(b <= a for a, b in pairwise(grid)):
-            raise _wrong("the wavelengths do not rise", "nm, each more than the one before")
+            raise wrong("the wavelengths do not rise", "nm, each more than the one before")
         first, last = WAVELENGTHS_NM[[0, -1]]
         if not grid or grid[0] > first or grid[-1] < last:
-            raise _wrong("the wavelengths end too soon", f"{first:g} to {last:g} nm, or beyond")
+            raise wrong("the wavelengths end too soon", f"{first:g} to {last:g} nm, or beyond")
         for name, curve in self.channels.items():
             if len(curve) != len(grid):
-                raise _wrong(
+                raise wrong(
                     f"channel {name} has {len(curve)} values", f"{len(grid)}, as wavelengths"
                 )
-            if max(curve) > 1:
+            if (most := max(curve)) > 1:
+                at = grid[curve.index(most)]
                 warnings.warn(
-                    f"quantum efficiency of {name} exceeds 1: {max(curve):g}", stacklevel=2
+                    f"the quantum efficiency of {name} exceeds 1: {most:g} at {at:g} nm",
+                    stacklevel=2,
                 )
         return self
 
@@ -158,18 +160,24 @@ class Sensor(_Strict):
     def _consistent(self) -> Sensor:
         letters, curves = set(self.site_channels()), set(self.quantum_efficiency.channels)
         if letters != curves:
-            raise _wrong(
+            raise wrong(
                 f"the filter pattern has {', '.join(sorted(letters))}, "
                 f"quantum_efficiency has {', '.join(sorted(curves))}",
                 "the same channels in both",
+                field="cfa.pattern",
             )
         if self.black_level_dn >= self.max_dn:
-            raise _wrong(
-                f"black_level_dn {self.black_level_dn:g} leaves no range", f"below {self.max_dn}"
+            raise wrong(
+                "the black level leaves no range",
+                f"below {self.max_dn} (DN)",
+                field="black_level_dn",
+                value=self.black_level_dn,
             )
         if unknown := set(self.sources) - set(type(self).model_fields):
-            raise _wrong(
-                f"sources names no field: {', '.join(sorted(unknown))}", "fields of this file"
+            raise wrong(
+                f"sources names no field: {', '.join(sorted(unknown))}",
+                "fields of this file",
+                field="sources",
             )
         return self
 
@@ -284,10 +292,6 @@ class Sensor(_Strict):
         return self.model_copy(update={"cfa": pattern})
 
 
-def _wrong(problem: str, allowed: str) -> PydanticCustomError:
-    return PydanticCustomError("sensor", "{problem}", {"problem": problem, "allowed": allowed})
-
-
 def presets() -> list[str]:
     """Return the names of the sensors that come with the package."""
     return sorted(path.stem for path in PRESETS.glob("*.yaml"))
@@ -318,34 +322,4 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     except yaml.YAMLError as error:
         raise UserError(f"the sensor file is not YAML: {error}", file=path) from error
     except ValidationError as error:
-        raise _user_error(error.errors()[0], path) from error
-
-
-def _user_error(first: ErrorDetails, path: Path) -> UserError:
-    """Return what one finding of pydantic means to the user."""
-    field = ".".join(str(part) for part in first["loc"])
-    match first["type"]:
-        case "sensor":
-            return UserError(
-                first["ctx"]["problem"],
-                file=path,
-                field=field or None,
-                allowed=first["ctx"]["allowed"],
-            )
-        case "missing":
-            return UserError("a field is missing", file=path, field=field)
-        case "extra_forbidden":
-            known = Sensor
-            for part in first["loc"][:-1]:
-                known = known.model_fields[part].annotation
-            return UserError(
-                "unknown field", file=path, field=field, allowed=", ".join(known.model_fields)
-            )
-        case "model_type":
-            return UserError(
-                "not a list of fields", file=path, field=field or None, value=first["input"]
-            )
-    allowed = first["msg"].removeprefix("Input should be ")
-    return UserError(
-        "a field is wrong", file=path, field=field, value=first["input"], allowed=allowed
-    )
+        raise user_error(error, Sensor, path) from error

@@ -1,13 +1,18 @@
 """The sensor model: the preset's figures, regions, and a clear screen for each wrong field."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from command_line import assert_refused, gpusim
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from gpusim.cli import app
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
+from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor, presets
 from gpusim.sensor.words import quads, words
 
@@ -42,7 +47,7 @@ def test_there_are_presets():
 def test_every_figure_of_a_preset_has_a_source(name: str):
     sensor = load_sensor(name)
     own = {"name", "serial_number", "first_row", "first_col", "sources"}
-    assert set(sensor.sources) == set(Sensor.model_fields) - own
+    assert set(sensor.sources) == sensor.model_fields_set - own
     assert all(sensor.sources.values())
 
 
@@ -177,7 +182,7 @@ def test_quads_touched(col0: int, cols: int, count: int):
         (("cfa", "pattern"), [["R", "G"], ["G", "X"]], "cfa.pattern", "R, G, B, C, M, Y, W"),
         (("cfa", "pattern"), [["R", "G"], ["G"]], "cfa.pattern", "equal length"),
         (("cfa", "pattern"), [], "cfa.pattern", "equal length"),
-        (("cfa", "pattern"), [["R", "G"], ["G", "W"]], None, "same channels"),
+        (("cfa", "pattern"), [["R", "G"], ["G", "W"]], "cfa.pattern", "same channels"),
         (("full_well_e",), 0, "full_well_e", "greater than 0"),
         (("full_well_e",), 1e9, "full_well_e", "less than or equal to 10000000"),
         (("bit_depth",), 0, "bit_depth", "greater than or equal to 1"),
@@ -189,7 +194,7 @@ def test_quads_touched(col0: int, cols: int, count: int):
         (("prnu_percent",), float("nan"), "prnu_percent", "finite"),
         (("fill_factor",), 1.2, "fill_factor", "less than or equal to 1"),
         (("reference_temperature_c",), -300, "reference_temperature_c", "greater than -273.15"),
-        (("black_level_dn",), 4095, None, "below 4095"),
+        (("black_level_dn",), 4095, "black_level_dn", "below 4095"),
         (("rows",), "many", "rows", "valid integer"),
         (("serial_number",), 2**64, "serial_number", "less than"),
         (
@@ -215,7 +220,7 @@ def test_quads_touched(col0: int, cols: int, count: int):
         (("gain",), 3, "gain", "system_gain_dn_per_e"),
         (("cfa", "phase"), 3, "cfa.phase", "pattern"),
         (("cfa",), "RGGB", "cfa", None),
-        (("sources", "gain"), "me", None, "fields of this file"),
+        (("sources", "gain"), "me", "sources", "fields of this file"),
     ],
 )
 def test_a_wrong_field_is_named_with_what_is_allowed(tmp_path: Path, path, value, field, allowed):
@@ -223,6 +228,7 @@ def test_a_wrong_field_is_named_with_what_is_allowed(tmp_path: Path, path, value
     with pytest.raises(UserError) as caught:
         load_sensor(file)
     assert (caught.value.file, caught.value.field) == (file, field)
+    assert len(caught.value.screen().splitlines()) <= 5
     assert allowed is None or allowed in caught.value.allowed
 
 
@@ -234,8 +240,82 @@ def test_the_value_is_shown(tmp_path: Path):
 
 def test_a_quantum_efficiency_over_one_warns_by_name(tmp_path: Path):
     file = altered(tmp_path, "quantum_efficiency", "channels", "G", 3, value=1.2)
-    with pytest.warns(UserWarning, match="of G exceeds 1: 1.2"):
+    with pytest.warns(UserWarning, match="of G exceeds 1: 1.2 at 415 nm"):
+        assert load_sensor(file).qe["G"].max() == 1.2
+
+
+def test_a_quantum_efficiency_of_one_does_not_warn(tmp_path: Path):
+    file = altered(tmp_path, "quantum_efficiency", "channels", "G", 3, value=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         load_sensor(file)
+
+
+@pytest.mark.parametrize(
+    ("path", "near"),
+    [
+        (("full_well",), "full_well_e"),
+        (("System_gain_dn_per_e",), "system_gain_dn_per_e"),
+        (("cfa", "patern"), "pattern"),
+        (("quantum_efficiency", "wavelength_nm"), "wavelengths_nm"),
+    ],
+)
+def test_an_unknown_field_is_told_the_nearest_name(tmp_path: Path, path, near: str):
+    with pytest.raises(UserError, match=f"perhaps {near} is meant"):
+        load_sensor(altered(tmp_path, *path, value=3))
+
+
+def test_a_name_like_no_other_is_told_nothing(tmp_path: Path):
+    with pytest.raises(UserError) as caught:
+        load_sensor(altered(tmp_path, "xyzzy", value=3))
+    assert caught.value.problem == "unknown field"
+
+
+class Inner(BaseModel):
+    """A part of a file."""
+
+    model_config = ConfigDict(extra="forbid")
+    depth_e: float = Field(gt=0)
+
+
+class Outer(BaseModel):
+    """A file."""
+
+    model_config = ConfigDict(extra="forbid")
+    one: Inner | None = None
+    many: list[Inner] = []
+
+
+@pytest.mark.parametrize(
+    ("data", "field", "words"),
+    [
+        ({"one": {"dept_e": 3, "depth_e": 1}}, "one.dept_e", "perhaps depth_e is meant"),
+        ({"many": [{"dept_e": 3, "depth_e": 1}]}, "many.0.dept_e", "perhaps depth_e is meant"),
+        ({"one": {}}, "one.depth_e", "all of depth_e"),
+        ({"one": [1]}, "one", "of depth_e"),
+        ({"many": [{"depth_e": -1}]}, "many.0.depth_e", "greater than 0 (electrons)"),
+    ],
+)
+def test_fields_of_parts_are_named_like_others(data, field: str, words: str):
+    with pytest.raises(ValidationError) as found:
+        Outer.model_validate(data)
+    error = user_error(found.value, Outer, Path("sensor.yaml"))
+    assert error.field == field and words in error.screen()
+
+
+def test_a_mistake_in_a_sensor_file_is_one_screen(tmp_path: Path):
+    """What the command line prints: problem, file, field, value, allowed."""
+    altered(tmp_path, "reference_temperature_c", value=-300)
+    camera = tmp_path / "camera.yaml"
+    camera.write_text("title: a\nlens: {mtf: diffraction-limited}\nsensor: {preset: sensor.yaml}\n")
+    ran = gpusim("render", camera, "grey", "--out", tmp_path / "out", "--dry-run")
+    file = tmp_path / "sensor.yaml"
+    assert_refused(ran, file, "reference_temperature_c", "-300", "absolute zero is -273.15")
+
+
+def test_a_warning_of_the_command_line_is_one_line(tmp_path: Path, capsys):
+    app._show_warning(UserWarning("the quantum efficiency of G exceeds 1"), UserWarning, "x.py", 3)
+    assert capsys.readouterr().err == "warning: the quantum efficiency of G exceeds 1\n"
 
 
 def test_a_missing_field_is_named(tmp_path: Path):
@@ -246,6 +326,7 @@ def test_a_missing_field_is_named(tmp_path: Path):
     with pytest.raises(UserError, match="a field is missing") as caught:
         load_sensor(file)
     assert caught.value.field == "rows"
+    assert "full_well_e" in caught.value.allowed and "sources" not in caught.value.allowed
 
 
 @pytest.mark.parametrize(
@@ -253,8 +334,9 @@ def test_a_missing_field_is_named(tmp_path: Path):
     [
         (b"rows: [1", "not YAML"),
         (b"\xff\xfe\x00", "cannot be read"),
-        (b"- 1", "not a list of fields"),
-        (b"", "not a list of fields"),
+        (b"- 1", "no fields with values"),
+        (b"", "no fields with values"),
+        (b"IMX477", "no fields with values"),
         (None, "cannot be read"),
     ],
 )
