@@ -84,11 +84,19 @@ def noise(
     frame: int,
     serial_number: int,
     origin: tuple[int, int] = (0, 0),
+    shot: bool = True,
+    read_out: bool = True,
 ) -> np.ndarray:
-    """Return the electrons read from a rectangle of pixels (rows, cols)."""
+    """Return the electrons read from a rectangle of pixels (rows, cols); or half of the way.
+
+    Without ``read_out`` it is the charge collected; without ``shot``, `mean` is the charge that is
+    read.
+    """
     row, col = np.indices(mean.shape)
     row, col = row + origin[0], col + origin[1]
-    count = poisson(mean, row, col, frame, seed)
+    charge = np.minimum(poisson(mean, row, col, frame, seed), full_well_e) if shot else mean
+    if not read_out:
+        return charge
     offset = dsnu_e * normal(shared_word(row, col, 0, DSNU, serial_number))
     read = temporal_dark_noise_e * normal(shared_word(row, col, frame, READ, seed))
-    return np.minimum(count, full_well_e) + offset + read
+    return charge + offset + read

@@ -16,16 +16,21 @@ def record_noise(
     frame: int = 0,
     origin: tuple[int, int] = (0, 0),
     label: str = "electrons",
+    shot: bool = True,
+    read_out: bool = True,
     dsnu: bool = True,
     read_noise: bool = True,
 ) -> Array:
     """Record shot noise, full well, fixed offset and temporal dark noise of a rectangle of pixels.
 
+    Both halves take one dispatch. Where something moves the charge after it was collected, each
+    half is recorded by itself.
+
     Parameters
     ----------
     rec : Recording
     mean : Array (rows, cols), f32
-        Mean electrons.
+        Mean electrons; the charge that arrives where only the read-out is recorded.
     sensor : Sensor
         Gives full well, DSNU and temporal dark noise.
     seed : int
@@ -36,6 +41,8 @@ def record_noise(
         Row and column of the first pixel.
     label : str
         Of the buffer that is returned.
+    shot, read_out : bool
+        The halves: shot noise and full well; what is added when the charge is read.
     dsnu, read_noise : bool
         Whether to draw the pixels' offsets and the temporal dark noise: a sensor without them does
         not need it.
@@ -46,7 +53,9 @@ def record_noise(
         Electrons; may be negative.
     """
     electrons = rec.buffer(label, mean.shape, "f4")
-    kernel = Kernel("sensor/noise", DSNU=dsnu, READ_NOISE=read_noise)
+    kernel = Kernel(
+        "sensor/noise", SHOT=shot, DSNU=read_out and dsnu, READ_NOISE=read_out and read_noise
+    )
     rows, cols = mean.shape
     row0, col0 = origin[0] + sensor.first_row, origin[1] + sensor.first_col
     params = {

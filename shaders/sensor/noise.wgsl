@@ -3,6 +3,8 @@
 // The Poisson number holds photon and dark shot noise together. The dark signal non-uniformity z_1 is an offset of
 // the read-out, without shot noise, keyed by the sensor's serial number, the same in every frame; z_2 is the temporal
 // dark noise. The rest is keyed by seed and frame. The charge may be negative after read-out. What is zero is not drawn.
+// Where charge moves in between, the stage is dispatched twice: without read-out (DSNU, READ_NOISE off) the charge that
+// each photosite collected, min(Poisson(mean), full_well); without SHOT the charge that arrives, in mean, is read.
 // Units: electrons, in and out.
 // In: mean (rows, cols). Out: electrons (rows, cols): the rectangle of pixels from (row0, col0).
 // Dispatch: ceil((col0 mod 4 + cols)/128) x ceil(rows/2) workgroups of 32 x 2, four neighbouring pixels each,
@@ -12,6 +14,7 @@
 #include "gaussian"
 #include "poisson"
 
+override SHOT: bool = true;         // shot noise, full well
 override DSNU: bool = true;         // the pixels' offsets differ
 override READ_NOISE: bool = true;   // there is temporal dark noise
 
@@ -54,9 +57,11 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         let out_col = col - params.col0;   // wraps to a huge number left of the rectangle
         if (out_col < params.cols) {
             let at = id.y * params.cols + out_col;
-            let counter = vec4u(col, row, params.frame, PURPOSE_SHOT);
-            let count = f32(poisson(min(mean[at], MEAN_LIMIT), counter, params.seed));
-            var charge = min(count, params.full_well_e);
+            var charge = mean[at];
+            if (SHOT) {
+                let counter = vec4u(col, row, params.frame, PURPOSE_SHOT);
+                charge = min(f32(poisson(min(charge, MEAN_LIMIT), counter, params.seed)), params.full_well_e);
+            }
             if (DSNU) {
                 charge += params.dsnu_e * gaussian(dsnu_words[i]);
             }

@@ -192,6 +192,35 @@ def test_what_is_zero_is_not_drawn_and_nothing_changes(what: str, override: str)
     assert np.any(on_device(mean, (3, 2), **{override: False}) != on_device(mean, (3, 2)))
 
 
+# --- the halves ---
+
+
+@pytest.mark.parametrize("half", ["shot", "read_out"])
+def test_a_half_is_that_of_the_reference(half: str):
+    charge = means((37, 131))
+    halves = {"shot": half == "shot", "read_out": half == "read_out"}
+    expected = noise(
+        charge.astype(float),
+        full_well_e=8180.0,
+        temporal_dark_noise_e=3.0,
+        dsnu_e=1.5,
+        seed=SEED,
+        frame=4,
+        serial_number=SERIAL,
+        origin=(3, 2),
+        **halves,
+    )
+    drawn = dict.fromkeys(("DSNU", "READ_NOISE"), halves["read_out"])
+    found = on_device(charge, (3, 2), SHOT=halves["shot"], **drawn)
+    if half == "shot":
+        assert np.array_equal(found, np.floor(found))
+        assert_close(found, expected, atol=0, outliers=1 / charge.size, outlier_atol=1000)
+    else:
+        # Two additions of up to 22 000: 2^-24 * 22 000 * 2
+        assert_close(found, expected, atol=2.8e-3)
+        assert found.max() > 20_000  # the well is no part of the read-out
+
+
 # --- the host ---
 
 
@@ -213,6 +242,17 @@ def test_the_host_adds_the_noise_of_the_sensor(device: Device):
     assert_close(found, direct, atol=0)
     first = recorded(device, mean, sensor, seed=SEED, origin=(3, 9))
     assert_close(first, on_device(mean, (5, 15), 8180.0, 3.0, 1.1, frame=0), atol=0)
+
+
+def test_two_halves_are_the_whole(device: Device):
+    sensor, mean = load_sensor("imx477"), means((33, 70))
+    drawn = {"seed": SEED, "frame": 4, "origin": (3, 9)}
+    rec = Recording(device)
+    buffer = rec.buffer("mean", mean.shape, F32)
+    rec.upload(buffer, mean)
+    charge = record_noise(rec, buffer, sensor, **drawn, label="charge", read_out=False)
+    label = rec.download(record_noise(rec, charge, sensor, **drawn, shot=False))
+    assert_close(rec.run()[label], recorded(device, mean, sensor, **drawn), atol=0)
 
 
 def test_the_dispatch_is_as_the_header_says():
