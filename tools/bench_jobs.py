@@ -22,7 +22,7 @@ from gpusim.camera import Camera, load_camera
 from gpusim.certify import choose_probes, compare, glare_at, true_rates
 from gpusim.chain import Capture, Renderer
 from gpusim.errors import UserError
-from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.bank import Bank, bank_of, default_fields_deg
 from gpusim.lens.generator import Generator
 from gpusim.lens.places import Heights
@@ -671,6 +671,39 @@ def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     return Job(rec.run, plane.size, found, 2 * plane.nbytes, plane.size, peers)
 
 
+def sensor_chain_job(device: Device, frame: tuple[int, int]) -> Job:
+    """Time exposure, noise and adc, one after the other; the error is that of the electrons."""
+    sensor = load_camera("demo").sensor
+    mean = 2000 * np.random.default_rng(1).random(frame, np.float32)
+    rate = mean / np.float32(EXPOSURE_S)
+    source = device.resident("rate", rate)
+
+    def recorded(rec: Recording) -> tuple[Array, Array]:
+        exposed = record_exposure(rec, source, sensor, EXPOSURE_S)
+        electrons = record_noise(rec, exposed, sensor, seed=1)
+        return electrons, record_adc(rec, electrons, sensor)
+
+    keyed = {
+        "serial_number": sensor.serial_number,
+        "origin": (sensor.first_row, sensor.first_col),
+    }
+    current = sensor.dark_current_at(sensor.reference_temperature_c)
+    prnu = sensor.prnu_percent / 100
+    part = rate[:PART, :PART].astype(float)
+    expected = exposure(part, EXPOSURE_S, prnu=prnu, dark_current_e_per_s=current, **keyed)
+    figures = {
+        name: getattr(sensor, name) for name in ("full_well_e", "temporal_dark_noise_e", "dsnu_e")
+    }
+    expected = noise(expected, seed=1, frame=0, **figures, **keyed)
+    sample, rec = Recording(device), Recording(device)
+    label = sample.download(recorded(sample)[0])
+    recorded(rec)
+    found = error(sample.run()[label][:PART, :PART], expected)
+    rng = np.random.default_rng(1)
+    peers = {"numpy poisson": (lambda: rng.poisson(mean), 1.0)}
+    return Job(rec.run, mean.size, found, 6 * mean.nbytes, mean.size, peers)
+
+
 def bank_lens() -> Prescription:
     """Return the lens of the banks: the double Gauss of the demonstration camera."""
     return load_camera("demo").lens
@@ -829,4 +862,5 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "exposure": ("exposure time, PRNU, dark current", partial(sensor_job, "exposure")),
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
     "adc": ("quantisation", partial(sensor_job, "adc")),
+    "sensor-12mp": ("exposure, noise and adc: electrons/s to digital numbers", sensor_chain_job),
 }

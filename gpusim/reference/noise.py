@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaln, ndtri, pdtrc, xlogy
+from scipy.special import ndtri, pdtr, pdtrc
 
-from gpusim.reference.philox import DSNU, READ, SHOT, pixel_words, shared_word
+from gpusim.reference.philox import DSNU, READ, SHOT, shared_word
 
-INVERSION_BELOW = 10.0
-DRAWS = 16
+SUMS_BELOW = 10.0
+"""Mean from which one word is enough, as long as it lies not too far below the mean: ..."""
+SUMS_BEYOND = -0.7
+"""... in units of sqrt(mean) standard deviations."""
+NEAR_END = 2**20
+"""Distance of a word from its ends up to which a second one follows it."""
 
 
 def normal(word: np.ndarray) -> np.ndarray:
@@ -16,62 +20,55 @@ def normal(word: np.ndarray) -> np.ndarray:
     return ndtri((np.asarray(word, np.float64) + 0.5) / 2**32)
 
 
-def poisson_log_probability(count: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Return log P(X = count) of the Poisson law."""
-    return xlogy(count, mean) - mean - gammaln(count + 1)
+def tails(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return u and 1 - u of 64-bit words (..., 2), high first: u = (word + 1/2) / 2^64."""
+    low_first = np.moveaxis(np.asarray(words, np.uint32)[..., ::-1], -1, 0)
+    u, rest = (
+        (high + (low + 0.5) / 2**32) / 2**32
+        for low, high in (low_first.astype(np.float64), (~low_first).astype(np.float64))
+    )
+    return u, rest
 
 
 def poisson_quantile(mean: np.ndarray, words: np.ndarray) -> np.ndarray:
-    """Return the count that P(X > k) <= V < P(X >= k) gives for V = (words + 1/2) / 2^64.
+    """Return the count k with P(X < k) < u <= P(X <= k).
 
     Parameters
     ----------
-    mean : ndarray (...)
-        Below :data:`INVERSION_BELOW`.
-    words : ndarray (..., 2), uint32
-        High word first.
+    mean : ndarray (n,)
+    words : ndarray (n, 2), uint32
+        Of u, high word first: see :func:`tails`.
     """
-    high, low = np.moveaxis(np.asarray(words, np.float64), -1, 0)
-    upper = (high + (low + 0.5) / 2**32) / 2**32
-    return np.sum([upper < pdtrc(k, mean) for k in range(64)], axis=0)
+    u, rest = tails(words)
+    z = np.where(u < 0.5, ndtri(u), -ndtri(rest))
+    # Cornish & Fisher's first terms, and steps from there: the distribution function decides.
+    count = np.floor(np.maximum(mean + z * np.sqrt(mean) + (z**2 + 2) / 6, 0))
+    step = np.ones(count.shape)
+    while step.any():
+        step = np.zeros(count.shape)
+        step[_reaches(mean, count - 1, u, rest) & (count > 0)] = -1
+        step[~_reaches(mean, count, u, rest)] = 1
+        count += step
+    return count
 
 
-def poisson_trial(mean: np.ndarray, word: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return proposal and acceptance probability of the transformed rejection method.
-
-    Hoermann 1993, "The transformed rejection method for generating Poisson random variables",
-    algorithm PTRS without its squeezes; 1/alpha raised from 1.1239 to 1.1315, so that the ratio
-    never exceeds 1 and the law is exact.
-    """
-    u = (np.asarray(word, np.float64) + 0.5) / 2**32 - 0.5
-    b = 0.931 + 2.53 * np.sqrt(mean)
-    a = -0.059 + 0.02483 * b
-    inverse_alpha = 1.1315 + 1.1328 / (b - 3.4)
-    us = 0.5 - np.abs(u)
-    count = np.floor((2 * a / us + b) * u + mean + 0.43)
-    probability = np.exp(poisson_log_probability(np.maximum(count, 0), mean))
-    ratio = np.where(count < 0, 0.0, probability * (a / us**2 + b) / inverse_alpha)
-    return count, ratio
+def _reaches(mean: np.ndarray, count: np.ndarray, u: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Return where u <= P(X <= count), compared in the smaller tail."""
+    count = np.maximum(count, 0)
+    return np.where(u < 0.5, u <= pdtr(count, mean), rest >= pdtrc(count, mean))
 
 
 def poisson(
-    mean: np.ndarray, row: np.ndarray, col: np.ndarray, frame: int, seed: int, first_draw: int = 0
+    mean: np.ndarray, row: np.ndarray, col: np.ndarray, frame: int, seed: int
 ) -> np.ndarray:
     """Return the Poisson count of each pixel, from the same words as the stage."""
     mean = np.asarray(mean, np.float64)
-    count = np.floor(mean)
-    pending = np.ones(mean.shape, bool)
-    for draw in range(first_draw, DRAWS):
-        words = pixel_words(row, col, frame, SHOT, draw, seed)
-        small = pending & (mean < INVERSION_BELOW)
-        count[small] = poisson_quantile(mean[small], words[small][:, :2])
-        pending &= ~small
-        for trial in (words[..., :2], words[..., 2:]):
-            proposal, ratio = poisson_trial(mean, trial[..., 0])
-            taken = pending & ((trial[..., 1] + 0.5) / 2**32 <= ratio)
-            count[taken] = proposal[taken]
-            pending &= ~taken
-    return count
+    high, low = (shared_word(row, col, frame, SHOT, seed, draw) for draw in (0, 1))
+    with np.errstate(divide="ignore"):
+        sums = (mean < SUMS_BELOW) | (normal(high) / np.sqrt(mean) < SUMS_BEYOND)
+    fine = sums & (np.minimum(high, ~high) < NEAR_END)
+    words = np.stack([high, np.where(fine, low, np.uint32(2**31))], axis=-1)
+    return poisson_quantile(mean.ravel(), words.reshape(-1, 2)).reshape(mean.shape)
 
 
 def noise(

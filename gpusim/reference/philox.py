@@ -30,16 +30,11 @@ def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
     return np.stack(np.broadcast_arrays(c0, c1, c2, c3), axis=-1).astype(np.uint32)
 
 
-def pixel_words(
-    row: np.ndarray, col: np.ndarray, frame: int, purpose: int, draw: int, key: int
+def shared_word(
+    row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int, draw: int = 0
 ) -> np.ndarray:
-    """Return four words for each pixel (..., 4)."""
-    last = np.uint64(purpose << 16 | draw)
-    counter = np.stack(np.broadcast_arrays(col, row, np.uint64(frame), last), axis=-1)
-    return philox(counter, (key & 0xFFFFFFFF, key >> 32))
-
-
-def shared_word(row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int) -> np.ndarray:
     """Return one word for each pixel, one call serving four neighbours of a row."""
-    words = pixel_words(row, col // 4, frame, purpose, 0, key)
+    last = np.uint64(purpose << 16 | draw)
+    counter = np.stack(np.broadcast_arrays(col // 4, row, np.uint64(frame), last), axis=-1)
+    words = philox(counter, (key & 0xFFFFFFFF, key >> 32))
     return np.take_along_axis(words, np.asarray(col % 4, np.intp)[..., None], axis=-1)[..., 0]

@@ -1,11 +1,13 @@
-// Poisson counts, exact in law for any mean, from the words of Philox.
+// Poisson counts by inversion, exact in law for any mean: the count of the uniform number u is k with
+// P(X < k) < u <= P(X <= k). Four pixels at a time, which share the words of one call of the generator.
 #include "philox"
-#include "uniform"
+#include "gaussian"
 
-const POISSON_SPLIT = 10.0;        // e-; transformed rejection holds from 10 up (Hoermann 1993, section 4)
+const POISSON_SPLIT = 10.0;        // e-; the expansion holds from 10 up ...
+const POISSON_LOWEST = -0.7;       // ... and from this distance from the mean, as sqrt(mean) has it; farther down, sums do
 const POISSON_TERMS = 64.0;        // P(X >= 64) = 4e-30 at a mean of 10, far below the smallest uniform, 2^-65
 const POISSON_TAIL = 0.00390625;   // 2^-8
-const POISSON_DRAWS = 16u;         // two trials a draw, at a mean of 10 each fails with 0.252: P(all fail) = 7e-20
+const POISSON_NEAR = 0x100000u;    // 2^20: nearer to an end than this a second word makes u finer than 2^-21 of itself
 
 // Where sums from 0 up would lose the tail of the distribution in rounding.
 fn poisson_in_tail(upper: f32) -> bool {
@@ -17,27 +19,37 @@ fn poisson_is_negligible(term: f32) -> bool {
     return term <= 1e-26;
 }
 
-// Mean below POISSON_SPLIT: the count k with P(X < k) <= 1 - V < P(X <= k), V = (words + 1/2) / 2^64.
-// Probabilities are summed from the end that is nearer, smallest first, so that small ones keep their digits.
-fn poisson_by_inversion(mean: f32, words: vec2u) -> f32 {
-    let upper = unit64(words);
-    let lower = unit64(~words);
-    var k = 0.0;
+// Where the words are too few for their distance from 0 or 1.
+fn poisson_near_end(words: vec4u) -> vec4<bool> {
+    return min(words, ~words) < vec4u(POISSON_NEAR);
+}
+
+// The count for u = lower by sums from 0 up, where wanted; mean below 85, so that exp(-mean) is a normal number.
+fn poisson_from_below(mean: vec4f, lower: vec4f, wanted: vec4<bool>) -> vec4f {
+    var k = vec4f(0.0);
     var term = exp(-mean);
     var sum = term;
-    if (!poisson_in_tail(upper)) {
-        while (lower >= sum && k < POISSON_TERMS) {
-            k += 1.0;
-            term *= mean / k;
-            sum += term;
+    for (var next = 1.0; next < POISSON_TERMS; next += 1.0) {
+        let beyond = wanted & (lower >= sum);
+        if (!any(beyond)) {
+            break;
         }
-        return k;
+        k = select(k, vec4f(next), beyond);
+        term *= mean * (1.0 / next);
+        sum += term;
     }
+    return k;
+}
+
+// The count for u = 1 - upper, by sums from the end, smallest first, so that small probabilities keep their digits.
+fn poisson_from_above(mean: f32, upper: f32) -> f32 {
+    var k = 0.0;
+    var term = exp(-mean);
     while (!poisson_is_negligible(term) && k < POISSON_TERMS) {
         k += 1.0;
         term *= mean / k;
     }
-    sum = term;
+    var sum = term;
     while (upper >= sum && k > 0.0) {
         term *= k / mean;
         k -= 1.0;
@@ -46,82 +58,52 @@ fn poisson_by_inversion(mean: f32, words: vec2u) -> f32 {
     return k;
 }
 
-// log k! = log(sqrt(2 pi k) (k/e)^k) + stirling_error(k), k >= 1: Stieltjes' continued fraction
-// (Abramowitz & Stegun 6.1.48), its last two numbers fitted to k = 1 and 2; error below 4e-8.
-fn stirling_error(k: f32) -> f32 {
-    return 0.083333333 / (k + 0.033333333 / (k + 0.2437932 / (k + 0.28751355 / k)));
-}
-
-fn deviance_series_holds(v: f32) -> bool {
-    return abs(v) <= 0.3334;
-}
-
-// (atanh(v) / v - 1) / w, w = v^2, where that holds: 1/3 + w/5 + w^2/7 ... as a cubic, minimax, relative error 4.3e-7.
-fn deviance_series(w: f32) -> f32 {
-    return ((0.134499831 * w + 0.141146145) * w + 0.200039072) * w + 0.333333201;
-}
-
-// k log(k / mean) + mean - k with d = k - mean given apart (Loader 2000, "Fast and accurate computation of binomial
-// probabilities", section 3): with v = d / (k + mean), log(k / mean) = 2 atanh(v), whose first term cancels exactly.
-// Beyond |v| = 1/3 there is little cancellation, and the ratio lies outside 1/2..2, where log holds 3 ULP.
-fn deviance(k: f32, mean: f32, d: f32) -> f32 {
-    let v = d / (k + mean);
-    if (deviance_series_holds(v)) {
-        let w = v * v;
-        return v * (d + 2.0 * k * w * deviance_series(w));
+// The count by sums, where wanted: u = (high + (low + 1/2) / 2^32) / 2^32.
+fn poisson_by_sums(mean: vec4f, high: vec4u, low: vec4u, wanted: vec4<bool>) -> vec4f {
+    let upper = unit64(~high, ~low);
+    var k = poisson_from_below(mean, unit64(high, low), wanted);
+    for (var i = 0u; i < 4u; i++) {
+        if (wanted[i] && poisson_in_tail(upper[i])) {
+            k[i] = poisson_from_above(mean[i], upper[i]);
+        }
     }
-    return k * log(k / mean) - d;
+    return k;
 }
 
-// P(X = k): by p(k) = p(k+1) (k+1) / mean, so that Stirling's form starts at 1; d = k + 1 - mean given apart.
-fn poisson_probability(k: f32, mean: f32, d: f32) -> f32 {
-    let n = k + 1.0;
-    return exp(-stirling_error(n) - deviance(n, mean, d)) * sqrt(n * 0.15915494) / mean;   // 1 / (2 pi)
+// x - floor(mean), where P(X < x) = Phi(sqrt(mean) s), continued to real x by the incomplete gamma function:
+//   x = mean + mean s g(s) + c0(s) + c1(s) / mean + c2(s) / mean^2
+// after Temme 1979 ("The asymptotic expansion of the incomplete gamma functions") and Giles 2016 (ACM TOMS 42(1) 7,
+// algorithm 955, section 2): with r = 1 + s g(s), s^2 / 2 = 1 - r + r log r and c0 = log(s sqrt(r) / (r - 1)) / log r.
+// g and c0 are minimax polynomials over -0.7 .. 2.01, to 8e-8 and 7e-7; c1 and c2 are fitted to exact x at means from
+// 10 to 400, so that x errs by 2e-6 at most: less than its rounding. mean >= POISSON_SPLIT.
+fn poisson_expansion(mean: vec4f, s: vec4f) -> vec4f {
+    let g = ((((((((4.7715986e-6 * s - 3.8551500e-5) * s + 1.3447990e-4) * s - 2.9528278e-4) * s + 5.7660984e-4) * s
+        - 1.3201484e-3) * s + 3.6958935e-3) * s - 1.3889865e-2) * s + 0.16666736) * s + 1.0;
+    let c0 = (((((((2.3878428e-5 * s - 1.7248454e-4) * s + 5.2402509e-4) * s - 9.8417458e-4) * s + 1.6833723e-3) * s
+        - 3.4804557e-3) * s + 8.6294344e-3) * s - 2.7781515e-2) * s + 0.33333379;
+    let c1 = ((((((4.1060154e-4 * s - 2.5313885e-3) * s + 6.1273209e-3) * s - 8.1945121e-3) * s + 9.1556138e-3) * s
+        - 1.2322251e-2) * s + 1.7148376e-2) * s - 1.9777839e-2;
+    let c2 = (-1.3230186e-3 * s + 2.3311624e-3) * s - 4.4366871e-4;
+    // fract(), as lavapipe takes mean - floor(mean) apart and adds the mean first, which loses its part.
+    return mean * s * g + (fract(mean) + c0 + (c1 + c2 / mean) / mean);
 }
 
-struct PoissonTrial {
-    offset: f32,   // proposed count - floor(mean): exact where the count itself has no f32
-    ratio: f32,    // accept with this probability
-}
-
-// Mean from POISSON_SPLIT up: one proposal of the transformed rejection PTRS (Hoermann 1993, "The transformed
-// rejection method for generating Poisson random variables"), without its squeezes: eight lanes rarely agree on them.
-// His 1.1239 lets the ratio reach 1.0057 near mean 12, a deviation of 7e-7 in law; 1.1315 keeps it below 1 everywhere.
-fn poisson_trial(mean: f32, word: u32) -> PoissonTrial {
-    let b = 0.931 + 2.53 * sqrt(mean);
-    let a = -0.059 + 0.02483 * b;
-    let inverse_alpha = 1.1315 + 1.1328 / (b - 3.4);
-    let s = edge(word);
+// The counts of the pixels 4 counter.x .. + 3, 0 <= mean < 2^31. u comes from one word a pixel, and near its ends,
+// where sums need it, from a second.
+fn poisson(mean: vec4f, counter: vec4u, key: vec2u) -> vec4i {
+    let words = philox(counter, key);
+    let large = max(mean, vec4f(POISSON_SPLIT));
+    let s = gaussian(words) * inverseSqrt(large);
+    let expands = (mean >= vec4f(POISSON_SPLIT)) & (s >= vec4f(POISSON_LOWEST));
     let whole = floor(mean);
-    let part = fract(mean);   // written mean - whole, lavapipe adds the mean first and loses its part
-    let offset = floor((2.0 * a / s + b) * centred(word) + part + 0.43);
-    let k = whole + offset;
-    if (k < 0.0) {
-        return PoissonTrial(offset, 0.0);
+    var offset = floor(poisson_expansion(large, s));
+    if (!all(expands)) {
+        var low = vec4u(0x80000000u);
+        let near = poisson_near_end(words) & !expands;
+        if (any(near)) {
+            low = select(low, philox(counter + vec4u(0u, 0u, 0u, 1u), key), near);
+        }
+        offset = select(poisson_by_sums(mean, words, low, !expands) - whole, offset, expands);
     }
-    let probability = poisson_probability(k, mean, offset + 1.0 - part);
-    return PoissonTrial(offset, probability * (a / (s * s) + b) / inverse_alpha);
-}
-
-fn poisson_accepts(trial: PoissonTrial, word: u32) -> bool {
-    return unit(word) <= trial.ratio;
-}
-
-// The count for this counter, 0 <= mean < 2^31.
-fn poisson(mean: f32, counter: vec4u, key: vec2u) -> i32 {
-    for (var c = counter; (c.w & DRAW_MASK) < POISSON_DRAWS; c.w++) {
-        let words = philox(c, key);
-        if (mean < POISSON_SPLIT) {
-            return i32(poisson_by_inversion(mean, words.xy));
-        }
-        let first = poisson_trial(mean, words.x);
-        if (poisson_accepts(first, words.y)) {
-            return i32(floor(mean)) + i32(first.offset);
-        }
-        let second = poisson_trial(mean, words.z);
-        if (poisson_accepts(second, words.w)) {
-            return i32(floor(mean)) + i32(second.offset);
-        }
-    }
-    return i32(floor(mean));
+    return vec4i(whole) + vec4i(offset);
 }

@@ -4,21 +4,22 @@
 const CELL = 2.3283064365386963e-10;   // 2^-32
 
 // In (0, 1]; relative precision near 0.
-fn unit(word: u32) -> f32 {
-    return (f32(word) + 0.5) * CELL;
+fn unit(words: vec4u) -> vec4f {
+    return (vec4f(words) + 0.5) * CELL;
 }
 
-// The same from 64 bits, x the high word.
-fn unit64(words: vec2u) -> f32 {
-    return (f32(words.x) + unit(words.y)) * CELL;
+// The same from 64 bits.
+fn unit64(high: vec4u, low: vec4u) -> vec4f {
+    return (vec4f(high) + unit(low)) * CELL;
 }
 
-// unit(word) - 1/2 in [-1/2, 1/2]; relative precision near 0.
-fn centred(word: u32) -> f32 {
-    return (f32(bitcast<i32>(word ^ 0x80000000u)) + 0.5) * CELL;
+// unit(words) - 1/2 in [-1/2, 1/2]; relative precision near 0.
+fn centred(words: vec4u) -> vec4f {
+    return (vec4f(bitcast<vec4i>(words ^ vec4u(0x80000000u))) + 0.5) * CELL;
 }
 
-// Distance of unit(word) from the nearer of 0 and 1, in (0, 1/2]; relative precision near 0.
-fn edge(word: u32) -> f32 {
-    return unit(min(word, ~word));
+// Distance of unit(words) from the nearer of 0 and 1, in (0, 1/2]; relative precision near 0. (Signed integers, which
+// these are, become f32 in one instruction of most processors.)
+fn edge(words: vec4u) -> vec4f {
+    return (vec4f(bitcast<vec4i>(min(words, ~words))) + 0.5) * CELL;
 }
