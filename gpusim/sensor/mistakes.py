@@ -8,7 +8,6 @@ from types import UnionType
 from typing import Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import PydanticCustomError
 
 from gpusim.errors import UserError
 
@@ -23,14 +22,6 @@ UNITS = {
     "_c": "degrees Celsius; absolute zero is -273.15",
 }
 LONGEST_VALUE = 60  # characters that a screen shows
-
-
-def wrong(
-    problem: str, allowed: str, *, field: str | None = None, value: object = None
-) -> PydanticCustomError:
-    """Return what a validator raises; one of several fields says of which, and its value."""
-    known = {"problem": problem, "allowed": allowed, "field": field, "value": value}
-    return PydanticCustomError("sensor", "{problem}", known)
 
 
 def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> UserError:

@@ -13,15 +13,16 @@ from collections.abc import Mapping
 from functools import cached_property
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.mistakes import user_error, wrong
+from gpusim.sensor.mistakes import user_error
+from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
@@ -31,15 +32,8 @@ ABSOLUTE_ZERO_C = -273.15
 
 Value = TypeVar("Value", float, np.ndarray)
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class ColourFilterArray(_Strict):
+class ColourFilterArray(Strict):
     """The filter pattern, from the upper left pixel: a channel for each photosite, row by row.
 
     A channel is a letter of :data:`CFA_LETTERS`, which is the colour of its filter, and may have
@@ -64,7 +58,7 @@ class ColourFilterArray(_Strict):
         return pattern
 
 
-class QuantumEfficiency(_Strict):
+class QuantumEfficiency(Strict):
     """Quantum efficiency of each channel, filters included, on a wavelength grid of its own."""
 
     wavelengths_nm: list[Positive]
@@ -92,7 +86,7 @@ class QuantumEfficiency(_Strict):
         return self
 
 
-class Sensor(_Strict):
+class Sensor(Strict):
     """A sensor, or a region of one.
 
     Attributes
@@ -154,7 +148,7 @@ class Sensor(_Strict):
     dsnu_e: NotNegative
     prnu_percent: float = Field(ge=0, le=100)
     veiling_glare: float = Field(ge=0, lt=1)
-    sources: dict[str, str] = {}
+    sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
