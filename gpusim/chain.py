@@ -218,7 +218,7 @@ class Renderer:
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-        chief_ray = chief_ray_map(self.bank)
+        chief_ray = chief_ray_map(self.bank, "distortion" in force)
         coefficients = self.plan.basis.coefficients
         for scale in self.plan.scales:
             if isinstance(scene.source, Chart):

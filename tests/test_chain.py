@@ -327,6 +327,24 @@ def test_stages_at_identity_are_left_out_and_forcing_them_changes_nothing(camera
         assert np.any(one.capture(EXPOSURE_S, seed=5).raw != left_out.raw)
 
 
+def test_what_a_lens_does_not_do_is_left_out_and_forcing_it_changes_nothing():
+    """Neither distortion nor lateral colour: polynomials and shifts, forced, are ones and zeros."""
+    camera = StubCamera(bank(lateral=(0.0, 0.0, 0.0), distortion=0.0), sensor())
+    names = ("distortion", "lateral")
+    found = []
+    for force in (TAIL, (*TAIL, *names)):
+        with rendering(camera, scene(shapes()), force=force) as one:
+            assert [one.plan.runs(name) for name in names] == [force != TAIL] * 2
+            found.append(one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float))
+    # Forced, the PSFs go through float32 transforms, and the edges through polynomials: positions
+    # of 300 samples err by 300 ULP, with up to 1 / (sqrt(2 pi) 0.8) of an edge to the sample.
+    assert_close(found[1], found[0], atol=ROUNDING * found[0].max() + 300 * ULP * found[0].max())
+    assert np.any(found[1] != found[0])
+    # The control: a lens that has both.
+    with rendering(CAMERA, scene(shapes())) as one:
+        assert all(map(one.plan.runs, names))
+
+
 def test_without_noise_the_frame_is_the_mean_signal_up_to_the_full_well(whole: Capture):
     small = StubCamera(LENS, sensor(full_well_e=float(whole.rate.max()) * EXPOSURE_S / 2))
     with rendering(small, scene(shapes()), noise=False) as one:

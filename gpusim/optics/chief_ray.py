@@ -14,6 +14,8 @@ from gpusim.optics.grid import SimGrid
 
 # Error of the fit that the design allows at any image height (a thousandth of a pixel of 1 um).
 FIT_ERROR_UM = 1e-3
+# Below that an image is not distorted: far less than the shaders' own rounding, 2^-24 of 5 mm.
+UNDISTORTED_UM = 1e-4
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,13 @@ class RadialMap:
         Of g, low to high.
     radius_um : float
         R, um.
+    distortion : bool
+        Whether the shaders are to evaluate the polynomial; else u = x.
     """
 
     coefficients: np.ndarray
     radius_um: float
+    distortion: bool = True
     centre_um = (0.0, 0.0)
     degree = 0
 
@@ -76,6 +81,7 @@ class GeneralMap:
     """A map without symmetry, see `PlaneMap`."""
 
     plane: PlaneMap
+    distortion = True
 
     @property
     def radius_um(self) -> float:
@@ -154,8 +160,14 @@ def outline(
     return chief_ray.ideal_um(real * sim_pitch_um) / sim_pitch_um
 
 
-def chief_ray_map(bank: FieldBank) -> ChiefRayMap:
+def chief_ray_map(bank: FieldBank, force: bool = False) -> ChiefRayMap:
     """Return the bank's chief-ray map at the reference wavelength, as polynomials.
+
+    Parameters
+    ----------
+    bank : FieldBank
+    force : bool
+        Evaluate them though the lens does not distort: for tests.
 
     Raises
     ------
@@ -163,10 +175,10 @@ def chief_ray_map(bank: FieldBank) -> ChiefRayMap:
         When polynomials do not follow the map to a thousandth of a micrometre: of degree 15 in
         image height where the lens has an axis, or see `PlaneMap`.
     """
-    return _radial(bank) if isinstance(bank, Bank) else GeneralMap(bank.plane_map)
+    return _radial(bank, force) if isinstance(bank, Bank) else GeneralMap(bank.plane_map)
 
 
-def _radial(bank: Bank) -> RadialMap:
+def _radial(bank: Bank, force: bool) -> RadialMap:
     radius = np.linspace(0, bank.rectilinear_circle_um, 401)[1:]
     ratio = bank.ideal_from_real(radius)[0] / radius
     fit = np.polynomial.Polynomial.fit(
@@ -184,7 +196,8 @@ def _radial(bank: Bank) -> RadialMap:
             value=f"{error_um.max():.3g} um off at {radius[error_um.argmax()]:.0f} um height",
             allowed=f"at most {FIT_ERROR_UM} um",
         )
-    return RadialMap(coefficients, float(radius[-1]))
+    distorted = bool((np.abs(ratio - 1) * radius).max() > UNDISTORTED_UM)
+    return RadialMap(coefficients, float(radius[-1]), distorted or force)
 
 
 def block_bounds_um(

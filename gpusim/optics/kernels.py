@@ -83,9 +83,11 @@ def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
 
 
 def field_images(
-    bank: FieldBank, weights: np.ndarray, reach_um: float
+    bank: FieldBank, weights: np.ndarray, reach_um: float, force: bool = False
 ) -> tuple[np.ndarray, Places]:
     """Fold the bank's wavelengths into channel kernels, at the fields that the sensor uses.
+
+    Where no colour lies beside another, nothing is transformed.
 
     Parameters
     ----------
@@ -94,6 +96,8 @@ def field_images(
         Electrons/s of each plane in each channel, by bank wavelength.
     reach_um : float
         Largest image height that is needed.
+    force : bool
+        Shift the PSFs of a field without lateral colour too: for tests.
 
     Returns
     -------
@@ -108,6 +112,11 @@ def field_images(
     images = np.empty((len(fields), *weights.shape[:2], n, n), np.float32)
     for image, number in zip(images, fields, strict=True):
         psf, shift_um, relative_illumination = bank.field(number)
+        share = (weights * relative_illumination).astype(np.float32)
+        if not (shift_um.any() or force):
+            image[...] = 0.0
+            image[..., PAD : n - PAD, PAD : n - PAD] = np.tensordot(share, psf, axes=1)
+            continue
         padded = np.pad(psf, ((0, 0), (PAD, PAD), (PAD, PAD)))
         # The sum over wavelengths is linear; of a lens with an axis the shifts are radial, and a
         # transform along the rows is enough.
@@ -118,7 +127,6 @@ def field_images(
             lines = scipy.fft.fft(lines, axis=-2, workers=2, overwrite_x=True)
             turn = np.exp(-2j * np.pi * fy * shift_um[:, 1:]).astype(np.complex64)
             lines *= turn[:, :, None]
-        share = (weights * relative_illumination).astype(np.float32)
         mixed = np.tensordot(share, lines, axes=1)
         if both:
             mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)

@@ -261,7 +261,7 @@ class Paint:
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.lists: tuple[Resident, ...] = ()
         size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
-        size["DEGREE"] = chief_ray.degree
+        size |= {"DEGREE": chief_ray.degree, "DISTORTION": chief_ray.distortion}
         self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:

@@ -175,6 +175,7 @@ class Warp:
                 BX=self.grid.block[0],
                 BY=self.grid.block[1],
                 DEGREE=chief_ray.degree,
+                DISTORTION=chief_ray.distortion,
                 SPLINE=not self.identity,
                 SQUEEZED=squeezed,
             )

@@ -32,7 +32,7 @@ from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import TRANSFORMS, Memory, Needed, cheapest_grid, planes_at_nodes
 from gpusim.plan.predict import alias_error, cells_within, cut_error
-from gpusim.plan.stages import Plan, describe
+from gpusim.plan.stages import Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -60,6 +60,7 @@ MODES_SHARE = 0.5  # of the tolerance; with that of the nodes in the squares, 0.
 MODES_REACH = 32
 MODES_CELLS = (6, 4)
 MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
+LATERAL = "lateral"  # the stage of lateral colour
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
 
@@ -119,7 +120,7 @@ def plan_optics(
             allowed=f"{basis.residual / WORST_TO_RMS:.1e} or more: the shaders carry {MAX_PLANES} "
             "planes, and this camera tells more spectra of this scene apart",
         )
-    problem = _Problem(bank, sensor, scene, accuracy, costs, basis)
+    problem = _Problem(bank, sensor, scene, accuracy, costs, basis, force)
     if method not in (None, *METHODS):
         raise UserError(
             "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
@@ -128,7 +129,9 @@ def plan_optics(
     chosen, runners_up = choose(problem.candidates(methods, "tail" in force))
     scales = problem.scales(chosen)
     identity = problem.identity(scales[0])
-    stages = describe(chosen, basis, sensor, scene, costs, identity, noise, force)
+    stages = describe(
+        chosen, basis, sensor, scene, costs, identity, noise, force, problem.left_out()
+    )
     of_sensor = ("mosaic", "exposure", "noise", "adc")
     return Plan(
         basis=basis,
@@ -153,6 +156,7 @@ class _Problem:
     accuracy: Accuracy
     costs: Costs
     basis: Basis
+    force: Collection[str]
 
     def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
         """Return the ways to convolve, worked out as far as they may be chosen.
@@ -187,6 +191,27 @@ class _Problem:
                     methods if first else methods[:1], oversampling, alias, radius
                 )
         return found
+
+    def left_out(self) -> tuple[PlanStage, ...]:
+        """Describe what this lens may not need: distortion and lateral colour."""
+        distorts, moves = self._chief_ray.distortion, self.bank.lateral_um > 0
+        forced = {name: ", forced" * (name in self.force) for name in ("distortion", LATERAL)}
+        return (
+            PlanStage(
+                "distortion",
+                distorts,
+                "where each sample lies on the ideal plane, by a polynomial" + forced["distortion"]
+                if distorts
+                else "the lens has none: the ideal and the real image are one",
+            ),
+            PlanStage(
+                LATERAL,
+                moves or LATERAL in self.force,
+                f"colours lie up to {self.bank.lateral_um:.3g} um apart, folded into the kernels"
+                if moves
+                else "the lens has none: no colour is moved" + forced[LATERAL],
+            ),
+        )
 
     def scales(self, chosen: Candidate) -> tuple[Scale, ...]:
         """Return the parts of a candidate with their kernels, of all planes and channels."""
@@ -451,7 +476,7 @@ class _Problem:
 
     @cached_property
     def _chief_ray(self) -> ChiefRayMap:
-        return chief_ray_map(self.bank)
+        return chief_ray_map(self.bank, "distortion" in self.force)
 
     @cached_property
     def _placed(self) -> Chart | PlacedRaster:
@@ -489,7 +514,8 @@ class _Problem:
     def _images(self) -> tuple[np.ndarray, Places]:
         # Sources around the sensor count too, and so do the nodes beyond them.
         farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
-        return field_images(self.bank, self.basis.weights, farthest_um)
+        lateral = LATERAL in self.force
+        return field_images(self.bank, self.basis.weights, farthest_um, lateral)
 
     @property
     def images(self) -> np.ndarray:

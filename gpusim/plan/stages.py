@@ -104,8 +104,12 @@ def describe(
     identity: bool,
     noise: bool,
     force: Collection[str],
+    of_lens: tuple[PlanStage, ...],
 ) -> tuple[PlanStage, ...]:
-    """Describe the chain, stage by stage; ``identity``: of the warp onto the first grid."""
+    """Describe the chain, stage by stage.
+
+    ``identity``: of the warp onto the first grid; ``of_lens``: what the lens does to the image.
+    """
     planes = basis.coefficients.shape[1]
     is_chart = isinstance(scene.source, Chart)
     layouts = [part.layout for part in chosen.parts]
@@ -153,6 +157,7 @@ def describe(
             if dark
             else f"none: all {len(counts)} see light",
         ),
+        *of_lens,
         *_convolution_stages(chosen, cost),
         PlanStage(
             "tail",

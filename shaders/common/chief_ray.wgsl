@@ -1,13 +1,16 @@
 // The chief-ray map of any lens, from the real image plane to the ideal one; x and u in sim samples from the optical axis.
 //
-// With an axis (DEGREE 0): see common/distortion. Without one:
+// Without distortion u = x. With an axis (DEGREE 0): see common/distortion. Without one:
 //   u = sum of terms[k] z_x^i z_y^j,  i + j <= DEGREE,  z = (x - c) / R with the image circle's centre c and radius R,
 // by Horner's scheme in z_x within each power of z_y and in z_y over them; terms: z_y^DEGREE first, and of each power of z_y
 // the highest of z_x first. Fitted on the host in float64.
-// Depends on the globals: `DEGREE`: u32; `terms`: array<vec2f>; `params.g_low`, `.g_high`, `.circle` (c), `.inverse_radius2`.
+// Depends on the globals: `DISTORTION`: bool; `DEGREE`: u32; `terms`: array<vec2f>; `params.g_low`, `.g_high`, `.circle` (c), `.inverse_radius2`.
 #include "distortion"
 
 fn chief_ray(x: vec2f) -> IdealPoint {
+    if (!DISTORTION) {
+        return IdealPoint(x, mat2x2f(1.0, 0.0, 0.0, 1.0));
+    }
     if (DEGREE == 0u) {
         return ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
     }

@@ -22,6 +22,7 @@ override BY: u32 = 336u;       // block height, samples
 override J: u32 = 3u;          // coefficient planes, 1 to 8
 override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
 override DEGREE: u32 = 0u;     // of the chief-ray map of a lens without an axis; 0: it has one
+override DISTORTION: bool = true;   // the ideal and the real image differ
 
 const DISC = 1u;               // kind of primitive; 0 is a rectangle
 const SMALL_DISC = 2u;

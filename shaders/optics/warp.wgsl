@@ -17,6 +17,7 @@
 override BX: u32 = 336u;  // block width, samples
 override BY: u32 = 336u;  // block height, samples
 override DEGREE: u32 = 0u;  // of the chief-ray map of a lens without an axis; 0: it has one
+override DISTORTION: bool = true;  // the ideal and the real image differ
 override SPLINE: bool = true;
 override SQUEEZED: bool = false;
 
