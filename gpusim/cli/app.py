@@ -217,6 +217,55 @@ def pareto(
     )
 
 
+measure = typer.Typer(
+    name="measure", help="Measure what a camera does, from its images.", no_args_is_help=True
+)
+app.add_typer(measure)
+
+
+@measure.command()
+def noise(
+    path: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[PATH]",
+            help="A folder of frames with their list, frames.csv: file, exposure_s, photons (per "
+            "pixel, 0 in the dark) and wavelength_nm of each. camera.json may give the pattern.",
+        ),
+    ] = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option(metavar="SENSOR", help="In place of frames: simulate this preset or file."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for noise.json, noise.html and noise.png."),
+    ] = None,
+    keep: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the simulated frames and their list."),
+    ] = None,
+    side: Annotated[
+        int, typer.Option(metavar="PX", min=32, help="Side of the part that is simulated.")
+    ] = 512,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the simulated noise.")
+    ] = 7,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Measure gain, noise and non-uniformity by EMVA 1288: the data sheet, with its plots.
+
+    With --sensor, the loop is closed: exit code 1 where a figure of the sensor file is not
+    recovered within its uncertainty.
+    """
+    from gpusim.cli.measure import noise as run
+
+    choose_adapter(adapter)
+    if code := run(path, sensor, out, keep, side, seed, as_json):
+        raise typer.Exit(code)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
-from gpusim.plan.costs import Costs
+from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
@@ -277,3 +277,13 @@ def _sensor_stages(
         PlanStage("smear, cti", False, "a CMOS sensor does not shift its charge"),
         timed(PlanStage("adc", True, f"{sensor.bit_depth} bit")),
     )
+
+
+def sensor_runs(sensor: Sensor) -> Callable[[str], bool]:
+    """Return whether a stage of the sensor runs with its noise, by name, as ``Plan.runs`` does."""
+
+    def part(name: str, needed: bool, used: str, unused: str) -> PlanStage:
+        return PlanStage(name, needed, used if needed else unused)
+
+    stages = _sensor_stages(sensor, LAVAPIPE, True, part)
+    return {one.name for one in stages if one.runs}.__contains__

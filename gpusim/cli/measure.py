@@ -1,0 +1,168 @@
+"""``gpusim measure noise``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+import gpusim
+from gpusim.cli import screen
+from gpusim.cli.files import staging
+from gpusim.errors import UserError
+from gpusim.gpu import default_device
+from gpusim.metrics import flat_field, frames, loop
+from gpusim.metrics.emva import Characterisation, Figure, characterise
+from gpusim.plan.stages import sensor_runs
+from gpusim.report.lens_figure import png
+from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number
+from gpusim.report.noise_figure import draw_noise
+from gpusim.report.noise_html import noise_html
+from gpusim.sensor.sensor import load_sensor
+
+FILES = ("noise.json", "noise.html", "noise.png")
+
+
+def noise(
+    path: Path | None,
+    sensor_name: str | None,
+    out: Path | None,
+    keep: Path | None,
+    side_px: int,
+    seed: int,
+    as_json: bool,
+) -> int:
+    """Measure frames on disk, or a simulated sensor; return the exit code.
+
+    It is 1 where a parameter of a simulated sensor is not recovered within its uncertainty.
+    """
+    if (path is None) == (sensor_name is None):
+        raise UserError(
+            "nothing to measure" if path is None else "two things to measure",
+            field="PATH, --sensor",
+            allowed="a folder with frames.csv, or --sensor with a preset or a .yaml file",
+        )
+    if path is not None and keep is not None:
+        raise UserError("the frames are on disk", field="--keep", allowed="only with --sensor")
+    rows = None
+    with ExitStack() as stack:
+        folder = stack.enter_context(staging(out)) if out is not None else None
+        kept = frames.Kept(stack.enter_context(staging(keep))) if keep is not None else None
+        progress = stack.enter_context(screen.progress_bar())
+        if path is not None:
+            listed = frames.find_frames(path)
+            title = listed.name
+            found = characterise(list(frames.measure(listed, progress)), listed.sites)
+            how = f"frames of {path}"
+        else:
+            sensor = flat_field.region(load_sensor(sensor_name), side_px)
+            levels = flat_field.measure(
+                sensor,
+                flat_field.lights(sensor),
+                default_device(),
+                sensor_runs(sensor),
+                seed=seed,
+                keep=None if kept is None else kept.frame,
+                progress=progress,
+            )
+            found = characterise(list(levels), sensor.site_channels())
+            rows = loop.rows(found, sensor)
+            title = sensor.name
+            how = f"simulated: {sensor.rows} x {sensor.cols} pixels about the centre, seed {seed}"
+            if kept is not None:
+                kept.close(sensor.name, sensor.cfa.pattern, sensor.pixel_pitch_um)
+        facts = {
+            "gpusim": gpusim.__version__,
+            "command": ["gpusim", *sys.argv[1:]],
+            "camera": title,
+            "frames": how,
+            **noise_facts(found, rows),
+        }
+        text = json.dumps(facts, indent=1, allow_nan=False)
+        if folder is not None:
+            (folder / "noise.json").write_text(text + "\n")
+            (folder / "noise.html").write_text(noise_html(found, rows, title, how))
+            (folder / "noise.png").write_bytes(png(draw_noise(found, title, how)))
+    if as_json:
+        print(text)
+    else:
+        show(found, rows, f"{title}, {how}")
+        for name in FILES if out is not None else ():
+            Console().print(str(out / name), markup=False, highlight=False, soft_wrap=True)
+    return 1 if rows is not None and loop.failed(rows) else 0
+
+
+def show(found: Characterisation, rows: Sequence[loop.Row] | None, title: str) -> None:
+    """Print the data sheet and, of a simulated sensor, the verdicts."""
+    console = Console()
+    console.print(title, markup=False, highlight=False, soft_wrap=True)
+    for channel in found.channels:
+        light = "" if channel.wavelength_nm is None else f", light of {channel.wavelength_nm:g} nm"
+        console.print(
+            Text(f"\nchannel {channel.name}{light}, {channel.pixels} pixels", style="bold")
+        )
+        console.print(sheet(channel.figures, OF_A_CHANNEL))
+    console.print(Text("\nall pixels, in the dark", style="bold"))
+    console.print(sheet(found.figures, IN_THE_DARK))
+    for note in found.notes:
+        console.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
+    if rows is not None:
+        console.print()
+        console.print(verdicts(rows))
+        inside = len(rows) - loop.failed(rows)
+        console.print(
+            f"{inside} of {len(rows)} recovered within their uncertainty, k = {loop.COVERAGE}"
+        )
+        for row in rows:
+            if row.reason:
+                console.print(f"{row.parameter}: {row.reason}", markup=False, soft_wrap=True)
+
+
+def sheet(figures: dict[str, Figure], names: dict[str, tuple[str, str, str]]) -> Table:
+    """Return figures with their standard uncertainties as a table."""
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column()
+    table.add_column()
+    table.add_column(justify="right")
+    for key, (name, symbol, unit) in names.items():
+        if key in figures:
+            one = figures[key]
+            shown = f"{number(one.value, one.u)} \N{PLUS-MINUS SIGN} {one.u:.2g}"
+            table.add_row(Text(name), Text(symbol), Text(shown), Text(unit.replace("1", "", 1)))
+    return table
+
+
+def verdicts(rows: Sequence[loop.Row]) -> Table:
+    """Return the verdicts as a table."""
+    table = Table(
+        "parameter",
+        "data sheet",
+        "expected",
+        "recovered",
+        f"U (k = {loop.COVERAGE})",
+        "unit",
+        "verdict",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+    )
+    for column in table.columns[1:5]:
+        column.justify = "right"
+    for row in rows:
+        good = row.within
+        table.add_row(
+            Text(row.parameter),
+            f"{row.data_sheet:.6g}",
+            number(row.expected, row.uncertainty) if row.reason else "as given",
+            number(row.recovered, row.uncertainty),
+            f"{row.uncertainty:.2g}",
+            "" if row.unit == "1" else row.unit,
+            Text("within" if good else "OUTSIDE", style="green" if good else "bold red"),
+        )
+    return table

@@ -1,0 +1,217 @@
+"""The loop on the product's own shaders: what was put in comes out, and what is wrong is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from gpusim.gpu import Device, Recording
+from gpusim.metrics import flat_field, loop
+from gpusim.metrics.emva import characterise
+from gpusim.metrics.statistics import Accumulator
+from gpusim.plan.stages import sensor_runs
+from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+
+MONO = {
+    "name": "mono",
+    "rows": 192,
+    "cols": 256,
+    "cfa": ColourFilterArray(pattern=[["W"]]),
+    "quantum_efficiency": QuantumEfficiency(
+        wavelengths_nm=[400, 550, 700], channels={"W": [0.3, 0.64, 0.2]}
+    ),
+    "system_gain_dn_per_e": 0.3,
+    "black_level_dn": 64.0,
+    "bit_depth": 12,
+    "full_well_e": 1e4,
+    "temporal_dark_noise_e": 6.0,
+    "dark_current_e_per_s": 8.0,
+    "dsnu_e": 2.5,
+    "prnu_percent": 1.2,
+}
+
+
+def sensor_of(**changes: object) -> Sensor:
+    return load_sensor("imx477").model_copy(update={**MONO, **changes})
+
+
+def measured(device: Device, sensor: Sensor, **options: object):
+    wanted = flat_field.lights(sensor, levels=24, stack=16)
+    levels = list(
+        flat_field.measure(sensor, wanted, device, sensor_runs(sensor), seed=3, **options)
+    )
+    return characterise(levels, sensor.site_channels())
+
+
+@pytest.fixture(scope="module")
+def found(device: Device):
+    return measured(device, sensor_of())
+
+
+def verdicts(found, sensor: Sensor) -> dict[str, loop.Row]:
+    return {row.parameter: row for row in loop.rows(found, sensor)}
+
+
+def test_the_loop_closes(found):
+    table = verdicts(found, sensor_of())
+    assert [row for row in table.values() if not row.within] == []
+    assert set(table) == {
+        "K", "eta at 550 nm", "mu_e.sat", "PRNU", "K of unlike pixels", "sigma_d", "mu_I (mean)",
+        "mu_I (variance)", "DSNU",
+    }  # fmt: skip
+    # What cannot fail proves nothing: the uncertainties are small.
+    for name, most in (("K", 0.02), ("eta at 550 nm", 0.02), ("sigma_d", 0.02), ("DSNU", 0.05)):
+        assert table[name].uncertainty < most * table[name].data_sheet
+
+
+@pytest.mark.parametrize(
+    ("change", "seen"),
+    [
+        ({"system_gain_dn_per_e": 0.3 * 1.03}, "K"),
+        ({"prnu_percent": 1.2 * 1.05}, "PRNU"),
+        ({"dsnu_e": 2.5 * 1.05}, "DSNU"),
+        ({"temporal_dark_noise_e": 6.0 * 1.03}, "sigma_d"),
+        ({"dark_current_e_per_s": 8.0 * 1.03}, "mu_I (mean)"),
+        ({"full_well_e": 0.85e4}, "mu_e.sat"),
+    ],
+)
+def test_a_wrong_sensor_file_falls_outside(found, change, seen):
+    """Frames of the sensor against a file that is off by a few per cent."""
+    table = verdicts(found, sensor_of(**change))
+    assert not table[seen].within
+    assert loop.failed(list(table.values())) >= 1
+
+
+def test_prnu_after_the_shot_noise_falls_outside(device: Device, monkeypatch):
+    """A planted error of order: even light, then charges times the pixels' responses."""
+    sensor = sensor_of(prnu_percent=3.0)
+    noise = flat_field_noise()
+
+    def wrong(rec: Recording, mean, sensor, **options):
+        electrons = noise(rec, mean, sensor, **{**options, "label": "even"})
+        dark = sensor.model_copy(update={"dark_current_e_per_s": 0.0})
+        return record_exposure(rec, electrons, dark, 1.0, label="uneven")
+
+    monkeypatch.setattr("gpusim.sensor.readout.record_noise", wrong)
+    runs = sensor_runs(sensor)
+    wanted = flat_field.lights(sensor, levels=24, stack=16)
+    levels = flat_field.measure(
+        sensor, wanted, device, lambda name: name != "prnu" and runs(name), seed=3
+    )
+    table = verdicts(characterise(list(levels), sensor.site_channels()), sensor)
+    assert not table["K of unlike pixels"].within
+    assert table["K of unlike pixels"].recovered == pytest.approx(0.6, rel=0.1)
+    # The figure itself is right: nothing but the noise of unlike pixels tells the order.
+    assert table["PRNU"].within
+
+
+def flat_field_noise():
+    from gpusim.sensor.readout import record_noise
+
+    return record_noise
+
+
+def test_a_converter_coarser_than_the_noise_is_predicted_and_said(device: Device):
+    sensor = sensor_of(
+        bit_depth=8, system_gain_dn_per_e=0.04, temporal_dark_noise_e=5.0, full_well_e=5000.0,
+        black_level_dn=3.3, dsnu_e=4.0,
+    )  # fmt: skip
+    table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert "converter's steps" in table["sigma_d"].reason
+    assert table["sigma_d"].expected != pytest.approx(5.0, rel=0.02)
+
+
+def test_a_black_level_of_zero_is_predicted_and_said(device: Device):
+    sensor = sensor_of(black_level_dn=0.0)
+    found = measured(device, sensor)
+    table = verdicts(found, sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert "black level" in table["sigma_d"].reason
+    assert table["sigma_d"].expected < 0.8 * sensor.temporal_dark_noise_e
+    assert any("black level" in note for note in found.notes)
+
+
+def test_a_colour_sensor_is_measured_channel_by_channel(device: Device):
+    sensor = load_sensor("imx477").roi(256, 256)
+    table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    for name, nm in (("R", 595), ("G", 530), ("B", 460)):
+        row = table[f"eta {name} at {nm} nm"]
+        assert row.data_sheet == pytest.approx(sensor.qe[name].max())
+
+
+def test_every_frame_has_noise_of_its_own(device: Device):
+    sensor = sensor_of()
+    taken = []
+    wanted = flat_field.lights(sensor, levels=2, stack=4)
+    for _ in flat_field.measure(
+        sensor, wanted, device, sensor_runs(sensor), seed=3,
+        keep=lambda light, number, frame: taken.append((number, frame.tobytes())),
+    ):  # fmt: skip
+        pass
+    assert [number for number, _ in taken] == list(range(len(taken)))
+    assert len({frame for _, frame in taken}) == len(taken)
+
+
+def test_the_model_is_the_law_of_a_pixel():
+    """Mean and variance against 4e5 draws of NumPy: well, offsets, rounding, clipping."""
+    rng = np.random.default_rng(2)
+    for changes, light in (
+        ({}, 300.0),
+        ({"full_well_e": 3000.0}, 2950.0),
+        ({"bit_depth": 9, "prnu_percent": 4.0}, 1400.0),
+        ({"black_level_dn": 0.4, "system_gain_dn_per_e": 0.05}, 3.0),
+    ):
+        sensor = sensor_of(**changes)
+        draws = (200_000, 2)
+        response = 1 + sensor.prnu_percent / 100 * rng.standard_normal((draws[0], 1))
+        charge = np.minimum(rng.poisson(light * response, draws), sensor.full_well_e)
+        charge = charge + sensor.dsnu_e * rng.standard_normal((draws[0], 1))
+        charge = charge + sensor.temporal_dark_noise_e * rng.standard_normal(draws)
+        level = sensor.system_gain_dn_per_e * charge + sensor.black_level_dn
+        dn = np.clip(np.floor(level + 0.5), 0, sensor.max_dn)
+        squares = (dn[:, 0] - dn[:, 1]) ** 2 / 2
+        mean, variance = loop._Model(sensor).levels(np.array([light]), np.zeros(1))
+        assert abs(mean[0] - dn.mean()) < 4.5 * dn.mean(axis=1).std() / draws[0] ** 0.5
+        assert abs(variance[0] - squares.mean()) < 4.5 * squares.std() / draws[0] ** 0.5
+
+
+def test_the_moments_of_a_clipped_normal_are_those_of_a_sum():
+    """The closed form of a wide noise against the sum over all codes."""
+    middle = np.array([-3.0, 0.0, 7.5, 62.0, 63.0, 70.0])
+    codes = np.arange(64)
+    edges = np.concatenate([[-np.inf], codes[1:] - 0.5, [np.inf]])
+    share = np.diff(ndtr((edges[None] - middle[:, None]) / 2.0), axis=1)
+    first, second = loop._converted(middle, 2.0, 63)
+    # Rounding at the ends is not independent of the noise: a twelfth is what it may be off by.
+    assert np.abs(first - share @ codes).max() < 0.02
+    assert np.abs(second - first**2 - (share @ codes**2 - (share @ codes) ** 2)).max() < 1 / 12
+
+
+def test_the_light_reaches_beyond_saturation_in_even_steps():
+    sensor = sensor_of()
+    lit = [one for one in flat_field.lights(sensor) if one.photons and one.frames == 2]
+    steps = np.diff([one.photons for one in lit])
+    assert np.allclose(steps, steps[0])
+    assert sum(one.photons * 0.64 <= 1e4 for one in lit) >= 50
+    assert lit[-1].photons * 0.64 > 1.05 * 1e4
+
+
+def test_statistics_of_the_device_and_of_a_float_reference_agree(device: Device):
+    """A frame counts as its digital numbers: sums of integers are exact in float64."""
+    sensor = sensor_of(rows=16, cols=16)
+    light = replace(flat_field.lights(sensor)[-1], frames=2)
+    frames = [
+        flat_field.take(sensor, light, device, sensor_runs(sensor), seed=1, frame=number)
+        for number in range(4)
+    ]
+    statistics = Accumulator((1, 1))
+    for frame in frames:
+        statistics.add(frame)
+    site = statistics.sites()[0]
+    assert site.mean == np.mean(frames)
+    pairs = [np.var(frames[i] - frames[i + 1].astype(float), ddof=1) / 2 for i in (0, 2)]
+    assert site.temporal.total == pytest.approx(np.mean(pairs), rel=0.01)
