@@ -1,0 +1,98 @@
+"""``gpusim measure noise``: data sheets of frames, the loop on sensors, and refusals."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+import yaml
+from command_line import assert_refused, gpusim
+
+from gpusim.sensor.sensor import PRESETS
+
+SMALL = ("--side", "64")
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """Return a folder of frames of a small monochrome sensor, its page, and what was printed."""
+    at = tmp_path_factory.mktemp("noise")
+    sensor = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
+    sensor |= {"name": "small", "rows": 80, "cols": 96, "cfa": {"pattern": [["G"]]}}
+    curves = sensor["quantum_efficiency"]
+    curves["channels"] = {"G": curves["channels"]["G"]}
+    del sensor["sources"]
+    (at / "small.yaml").write_text(yaml.safe_dump(sensor))
+    ran = gpusim(
+        "measure", "noise", "--sensor", at / "small.yaml", *SMALL, "--out", at / "page",
+        "--keep", at / "frames",
+    )  # fmt: skip
+    return at, ran
+
+
+def test_the_loop_prints_a_verdict_for_each_parameter(kept):
+    _, ran = kept
+    assert ran.code == 0, ran.out + ran.err
+    assert ran.err == ""
+    for word in ("sigma_d", "mu_I (mean)", "mu_e.sat", "DSNU", "PRNU", "eta at 530 nm", "k = 3"):
+        assert word in ran.out
+    assert "OUTSIDE" not in ran.out
+
+
+def test_the_page_is_written(kept):
+    at, _ = kept
+    assert sorted(file.name for file in (at / "page").iterdir()) == [
+        "noise.html", "noise.json", "noise.png",
+    ]  # fmt: skip
+    facts = json.loads((at / "page" / "noise.json").read_text())
+    assert facts["outside"] == 0
+    assert {row["parameter"] for row in facts["verdicts"]} >= {"K", "sigma_d", "DSNU"}
+    page = (at / "page" / "noise.html").read_text()
+    for word in ("Overall system gain", "recovered within", "data:image/svg+xml"):
+        assert word in page
+    assert "nan" not in page.lower().replace("nanometre", "").split("data:image")[0]
+    assert (at / "page" / "noise.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_kept_frames_give_the_same_data_sheet(kept):
+    at, _ = kept
+    ran = gpusim("measure", "noise", at / "frames", "--json")
+    assert ran.code == 0, ran.err
+    again = json.loads(ran.out)
+    facts = json.loads((at / "page" / "noise.json").read_text())
+    assert again["camera"] == "small"
+    assert again["channels"] == facts["channels"]
+    assert again["all_pixels"] == facts["all_pixels"]
+    assert "verdicts" not in again
+
+
+def test_a_parameter_that_is_not_recovered_gives_exit_code_1(kept, monkeypatch):
+    """The file says another gain than the frames have."""
+    at, _ = kept
+    from gpusim.metrics import loop
+
+    rows = loop.rows
+    monkeypatch.setattr(
+        loop,
+        "rows",
+        lambda found, sensor: rows(found, sensor.model_copy(update={"system_gain_dn_per_e": 0.45})),
+    )
+    ran = gpusim("measure", "noise", "--sensor", at / "small.yaml", *SMALL)
+    assert ran.code == 1
+    assert "OUTSIDE" in ran.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), ("nothing to measure", "--sensor")),
+        ((".", "--sensor", "imx477"), ("two things",)),
+        ((".", "--keep", "x"), ("--keep",)),
+        (("nowhere",), ("frames.csv",)),
+        (("--sensor", "nosuch"), ("nosuch", "imx477")),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(gpusim("measure", "noise", *arguments), *words)
+    assert list(tmp_path.iterdir()) == []
