@@ -19,7 +19,17 @@ from gpusim.errors import UserError
 from gpusim.scene.colorimetry import encode_srgb
 from gpusim.scene.exr import read_exr
 
-COMMANDS = ("render", "chart", "lens", "develop", "pareto", "measure", "stress", "devices")
+COMMANDS = (
+    "render",
+    "chart",
+    "lens",
+    "sensor",
+    "develop",
+    "pareto",
+    "measure",
+    "stress",
+    "devices",
+)
 
 
 def test_help_answers_within_half_a_second():

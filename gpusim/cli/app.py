@@ -173,6 +173,30 @@ def lens(
 
 
 @app.command()
+def sensor(
+    name: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SENSOR]",
+            help="A preset name or a sensor file (.yaml); a Speos sensor (.yaml); an ISETCam "
+            "sensor (.mat or .json). Without it, the presets.",
+        ),
+    ] = None,
+    fields: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="Set a field by hand; repeatable."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The sensor file to write, a .yaml.")
+    ] = None,
+) -> None:
+    """Show a sensor's data sheet with the source of each figure; convert others' files."""
+    from gpusim.cli.sensor import run
+
+    run(name, fields or [], out)
+
+
+@app.command()
 def develop(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The picture to write, a .png.")],

@@ -7,12 +7,15 @@ from pathlib import Path
 from types import UnionType
 from typing import Union, get_args, get_origin
 
+import yaml
 from pydantic import BaseModel, ValidationError
 
 from gpusim.errors import UserError
 
-# What the end of a field's name says of its value.
+# What the end of a field's name says of its value; of two that fit, the first.
 UNITS = {
+    "_dn_per_e": "DN per electron",
+    "_e_per_s": "electrons per second",
     "_nm": "nm",
     "_um": "um",
     "_s": "seconds",
@@ -22,6 +25,22 @@ UNITS = {
     "_c": "degrees Celsius; absolute zero is -273.15",
 }
 LONGEST_VALUE = 60  # characters that a screen shows
+
+
+def read_yaml(path: Path) -> object:
+    """Return what a sensor file holds.
+
+    Raises
+    ------
+    UserError
+        It cannot be read, or is no YAML.
+    """
+    try:
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"the sensor file cannot be read: {error}", file=path) from error
+    except yaml.YAMLError as error:
+        raise UserError(f"the sensor file is not YAML: {error}", file=path) from error
 
 
 def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> UserError:

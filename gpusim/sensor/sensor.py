@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.mistakes import user_error
+from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
@@ -309,11 +308,8 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
+    data = read_yaml(path)
     try:
-        return Sensor.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the sensor file cannot be read: {error}", file=path) from error
-    except yaml.YAMLError as error:
-        raise UserError(f"the sensor file is not YAML: {error}", file=path) from error
+        return Sensor.model_validate(data)
     except ValidationError as error:
         raise user_error(error, Sensor, path) from error
