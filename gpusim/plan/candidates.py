@@ -39,7 +39,7 @@ class Part:
         length = self.layout.grid.length
         return {
             "fft": f"transforms of {length}",
-            "modes": f"{self.rank} modes, transforms of {length}",
+            "modes": f"{self.rank} mode{'s' * (self.rank > 1)}, transforms of {length}",
             "direct": f"{2 * int(self.options.get('support', 0))} taps wide",
         }[self.method]
 
