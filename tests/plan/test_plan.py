@@ -472,4 +472,4 @@ def test_a_method_that_cannot_do_it_says_why():
 def test_a_lens_alike_over_the_field_needs_one_mode():
     alike = bank(coma_um=0.0, falloff=0.3, lateral=(0.0, 0.0, 0.0))
     plan = plan_optics(alike, sensor(), COLOURED, Accuracy(1e-2), method="modes")
-    assert "1 modes" in plan.name
+    assert "1 mode," in plan.name
