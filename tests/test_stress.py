@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from gpusim import stress
 from gpusim.cli import stress as command
 from gpusim.errors import UserError
-from gpusim.stress import CASES, made
+from gpusim.stress import CASES, levels, made, noise, sensor_files
 from gpusim.stress.table import FAILED, HELD, REFUSED, Row, judged
 
 
@@ -53,6 +54,40 @@ def test_a_planted_error_fails_a_case(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(made, "rate_of", lambda *given, **more: 1.01 * right(*given, **more))
     (row,) = stress.run((name,))
     assert row.verdict == FAILED and "off" in row.got
+
+
+def test_planted_errors_fail_the_cases_of_the_sensor(monkeypatch: pytest.MonkeyPatch):
+    counts, convert, loaded = noise.noise_of, levels.record_adc, sensor_files.loaded
+
+    def fails(name: str, module, function: str, plant) -> None:
+        with monkeypatch.context() as planted:
+            planted.setattr(module, function, plant)
+            (row,) = stress.run((name,))
+        assert row.verdict == FAILED, row
+
+    def shifted(chosen, factor: float):
+        return lambda mean, **more: counts(np.where(chosen(mean), factor, 1) * mean, **more)
+
+    between, ladder = "Poisson between its two methods", "Poisson at means of 1e-3 to 9.9e6"
+    fails(between, noise, "noise_of", shifted(lambda mean: mean < 10, 1.01))
+    fails(ladder, noise, "noise_of", shifted(lambda mean: mean > 1e6, 1.0001))
+    fails(ladder, noise, "noise_of", lambda mean, **more: counts(mean, **more) - 0.5)
+    even = "Poisson at a mean of 9e6"  # counts beyond 2^24, halved
+    fails(even, noise, "noise_of", lambda mean, **more: 2 * (counts(mean, **more) // 2))
+    fails("full well of 1e7 electrons", noise, "noise_of", lambda mean: counts(mean, 9.99e6))
+
+    def steeper(rec, charge, sensor):
+        gain = 1.00002 * sensor.system_gain_dn_per_e
+        return convert(rec, charge, sensor.model_copy(update={"system_gain_dn_per_e": gain}))
+
+    fails("converter of 16 bits", levels, "record_adc", steeper)
+    one_field_accepted = "sensor file with NaN"
+    fails(
+        one_field_accepted,
+        sensor_files,
+        "loaded",
+        lambda text: loaded(text.replace("fill_factor: .nan", "fill_factor: 1.0")),
+    )
 
 
 def test_one_failure_is_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path, capsys):

@@ -76,6 +76,12 @@ class QuantumEfficiency(Strict):
                 raise wrong(
                     f"channel {name} has {len(curve)} values", f"{len(grid)}, as wavelengths"
                 )
+            if not np.interp(WAVELENGTHS_NM, grid, curve).any():
+                raise wrong(
+                    f"channel {name} sees nothing",
+                    f"values above 0 between {first:g} and {last:g} nm",
+                    field=f"channels.{name}",
+                )
             if (most := max(curve)) > 1:
                 at = grid[curve.index(most)]
                 warnings.warn(

@@ -217,6 +217,12 @@ def test_quads_touched(col0: int, cols: int, count: int):
         ),
         (("quantum_efficiency", "wavelengths_nm", 0), 402, "quantum_efficiency", "400 to 700 nm"),
         (("quantum_efficiency", "wavelengths_nm", 9), 440, "quantum_efficiency", "each more"),
+        (
+            ("quantum_efficiency", "channels", "G"),
+            [0.0] * 61,
+            "quantum_efficiency.channels.G",
+            "above 0 between 400 and 700 nm",
+        ),
         (("gain",), 3, "gain", "system_gain_dn_per_e"),
         (("cfa", "phase"), 3, "cfa.phase", "pattern"),
         (("cfa",), "RGGB", "cfa", None),
