@@ -51,7 +51,9 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.frame import overlap, parts_around
 from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
 
@@ -63,7 +65,7 @@ class Capture:
     Attributes
     ----------
     raw : ndarray (rows, cols), uint16
-        Digital numbers, of the frame or of the rectangle that was asked for.
+        Digital numbers: of all that is read out, or of the rectangle that was asked for.
     rate, electrons : ndarray (rows, cols), float32, or None
         Electrons/s before the exposure, and electrons before the ADC, where they were kept.
     white_e : dict of str to float
@@ -88,7 +90,8 @@ class Capture:
         How many ``tiles`` were rendered and ``blocks`` convolved, and of how many PSF nodes the
         kernels were made (``nodes``).
     rect : (int, int, int, int)
-        First row and column, rows and columns of what was rendered.
+        First row and column, rows and columns of the raw, counted from the first lit pixel: the
+        border of optical black has negative numbers.
     device : dict
         Adapter, driver and limits.
     certificate : Certificate or None
@@ -117,6 +120,24 @@ class Capture:
     frame: int
     exposure_s: float
     accuracy: Accuracy
+
+    @property
+    def lit(self) -> Rect:
+        """The pixels that see light: their first row and column, rows and columns."""
+        return overlap(self.rect, self.camera.sensor.frame.lit)
+
+    @property
+    def active_area(self) -> Rect:
+        """Where these lie in the raw: first row and column, rows and columns."""
+        row, col, rows, cols = self.lit
+        return row - self.rect[0], col - self.rect[1], rows, cols
+
+    @property
+    def masked_areas(self) -> list[Rect]:
+        """Where pixels shielded from light lie in the raw."""
+        shielded = parts_around(self.lit, overlap(self.rect, self.camera.sensor.frame.pixels))
+        first_row, first_col = self.rect[:2]
+        return [(row - first_row, col - first_col, *size) for row, col, *size in shielded]
 
 
 class Renderer:
@@ -293,8 +314,8 @@ class Renderer:
         frame : int
             Frames of one seed have independent noise.
         tile : (x, y, width, height), optional
-            The rectangle of pixels to render, and nothing that it does not need. It is the same,
-            bit for bit, as that of the whole frame.
+            The rectangle of lit pixels to render, and nothing that it does not need. It is the
+            same, bit for bit, as that of the whole frame.
         tile_px : int, optional
             Largest side of what is rendered at once, by default chosen from the memory. It changes
             the memory that is needed, and not one bit of the result.
@@ -319,7 +340,7 @@ class Renderer:
             _check("exposure", exposure_s, exposure_s <= self.longest_s, longest)
         _check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
         _check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
-        rect = _rectangle(tile, sensor.rows, sensor.cols)
+        rect = _rectangle(tile, sensor)
         if tile_px is not None:
             _check("tile-size", tile_px, tile_px >= self.period, f"{self.period} or more")
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
@@ -337,17 +358,19 @@ class Renderer:
 
         certificate = None
         if self.accuracy.probes:
+            seen = overlap(rect, sensor.frame.lit)
+            top, left = seen[0] - rect[0], seen[1] - rect[1]
             certificate = certify(
                 self.bank,
                 sensor,
                 self.scene,
                 self.placed,
-                shot.planes["rate"],
+                shot.planes["rate"][top : top + seen[2], left : left + seen[3]],
                 self.glare,
                 exposure_s,
                 self.accuracy,
                 lambda done, total: report("certify", done, total),
-                origin=rect[:2],
+                origin=seen[:2],
             )
         return Capture(
             raw=shot.planes["dn"],
@@ -378,7 +401,7 @@ class Renderer:
         )
 
     def lines(self, rect: Rect) -> Iterator[tuple[int, list[tuple[int, int]]]]:
-        """Yield the blocks that a rectangle needs and where there is light, line by line.
+        """Yield the blocks that a rectangle of lit pixels needs, where there is light, by line.
 
         In the order in which they are added up: with the number of their scale.
         """
@@ -430,7 +453,8 @@ class Renderer:
         planes = self.plan.basis.coefficients.shape[1]
         kernels = max(convolve.block_bytes(planes) for convolve in self.convolutions)
         source = max(
-            (self.sources[n].load_bytes(line[:1]) for n, line in self.lines(self.frame)), default=0
+            (self.sources[n].load_bytes(line[:1]) for n, line in self.lines(self.lit(self.frame))),
+            default=0,
         )
         tile = tile_bytes((0, 0, SMALLEST_PX, SMALLEST_PX), self.period)
         return kernels + source + tile + self.working_bytes()
@@ -442,18 +466,33 @@ class Renderer:
 
     @property
     def frame(self) -> Rect:
-        """The whole frame."""
-        return (0, 0, self.camera.sensor.rows, self.camera.sensor.cols)
+        """All that is read out."""
+        return self.camera.sensor.frame.read
+
+    def lit(self, rect: Rect) -> Rect:
+        """Return the lit pixels of a rectangle; of one without any, the pixel next to it.
+
+        So that there always are planes of the sites, of which the border then takes nothing.
+        """
+        sides = []
+        for first, count, size in zip(
+            rect[:2], rect[2:], self.camera.sensor.frame.lit[2:], strict=True
+        ):
+            begin = min(max(first, 0), size - 1)
+            sides.append((begin, max(min(first + count, size) - begin, 1)))
+        (row, rows), (col, cols) = sides
+        return row, col, rows, cols
 
     def _hold(self, rect: Rect, tile_px: int | None, report: Progress) -> None:
         """Bring onto the device what further frames need as well, if there is room for all."""
         started = time.perf_counter()
+        seen = self.lit(rect)
         for source, scale in zip(self.sources, self.plan.scales, strict=True):
-            source.prepare([b for b in scale.grid.blocks_for(*rect) if source.needed[b]])
+            source.prepare([b for b in scale.grid.blocks_for(*seen) if source.needed[b]])
         started = self._spent("scene", started)
         wanted: list[list[tuple[int, int]]] = [[] for _ in self.convolutions]
         largest = 0
-        for number, line in self.lines(rect):
+        for number, line in self.lines(seen):
             wanted[number] += line
             largest = max(largest, self.sources[number].load_bytes(line))
         pairs = list(zip(self.convolutions, wanted, strict=True))
@@ -532,7 +571,8 @@ class _Shot:
                 ]
 
     def _steps(self, tile: Rect) -> int:
-        return sum(1 for _ in self.renderer.lines(aligned(tile, self.renderer.period))) + 1
+        renderer = self.renderer
+        return sum(1 for _ in renderer.lines(aligned(renderer.lit(tile), renderer.period))) + 1
 
     def _check_memory(self) -> None:
         pool = self.renderer.device.pool
@@ -557,7 +597,7 @@ class _Shot:
         """Render one tile: each block that it needs, from source to sites; highlights; sensor."""
         renderer = self.renderer
         device, period = renderer.device, renderer.period
-        whole = aligned(tile, period)
+        whole = aligned(renderer.lit(tile), period)
         sites = (period**2, whole[2] // period, whole[3] // period)
         rates = device.empty("rates", sites, np.float32)
         try:
@@ -663,13 +703,14 @@ def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None
     return array
 
 
-def _rectangle(tile: tuple[int, int, int, int] | None, rows: int, cols: int) -> Rect:
-    """Return a tile (x, y, width, height) as rows and columns; without one the whole frame."""
+def _rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:
+    """Return a tile (x, y, width, height) as rows and columns; without one all that is read."""
     if tile is None:
-        return (0, 0, rows, cols)
+        return sensor.frame.read
     x, y, width, height = tile
-    inside = 0 <= x < x + width <= cols and 0 <= y < y + height <= rows
-    _check("tile", tile, inside, f"x, y, width, height of pixels within {cols} x {rows}")
+    inside = 0 <= x < x + width <= sensor.cols and 0 <= y < y + height <= sensor.rows
+    allowed = f"x, y, width, height of pixels within {sensor.cols} x {sensor.rows}"
+    _check("tile", tile, inside, allowed)
     return (y, x, height, width)
 
 
@@ -696,7 +737,7 @@ def capture(
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
-    _rectangle(tile, camera.sensor.rows, camera.sensor.cols)  # before the long work
+    _rectangle(tile, camera.sensor)  # before the long work
     renderer = Renderer(
         camera,
         scene,

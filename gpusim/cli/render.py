@@ -173,7 +173,9 @@ def write(capture: Capture, folder: Path) -> dict[str, Any]:
     write_dng(
         folder / "raw.dng",
         capture.raw,
-        capture.camera.sensor.cut(*capture.rect[:2]),
+        capture.camera.sensor.cut(*capture.lit[:2]),
+        active_area=capture.active_area,
+        masked_areas=capture.masked_areas,
         white_e=capture.white_e,
         exposure_s=capture.exposure_s,
         transmission=capture.transmission,

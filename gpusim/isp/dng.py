@@ -17,6 +17,7 @@ from gpusim.isp.colour import CHANNELS, LIGHT_SOURCE, colour_matrix, response
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from gpusim.sensor.frame import Rect
     from gpusim.sensor.sensor import Sensor
 
 # Tags by name: TIFF/EP (ISO 12234-2), Exif 2.3 and chapter 4 of the DNG specification 1.4.
@@ -39,6 +40,7 @@ TAGS = {
     "CalibrationIlluminant1": 50778,
     "CalibrationIlluminant2": 50779,
     "ActiveArea": 50829,
+    "MaskedAreas": 50830,
     "NoiseProfile": 51041,
 }
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = "B", "s", "H", "I", "2I", "2i", "d"
@@ -68,6 +70,12 @@ def _rationals(values: Iterable[float]) -> list[int]:
     return list(chain.from_iterable((f.numerator, f.denominator) for f in fractions))
 
 
+def _corners(area: Rect) -> tuple[int, int, int, int]:
+    """Return the first row and column of an area, and those behind its last ones."""
+    row, col, rows, cols = area
+    return row, col, row + rows, col + cols
+
+
 def check_filter_array(sensor: Sensor) -> None:
     """Refuse a filter array that no DNG reader has.
 
@@ -94,6 +102,8 @@ def write_dng(
     white_e: dict[str, float],
     exposure_s: float,
     transmission: np.ndarray | None = None,
+    active_area: Rect | None = None,
+    masked_areas: Iterable[Rect] = (),
 ) -> None:
     """Write a raw frame to a DNG file, which appears whole or not at all.
 
@@ -106,7 +116,7 @@ def write_dng(
     path : path
         Of the file.
     raw : ndarray (rows, cols), uint16
-        Digital numbers.
+        Digital numbers, those of the optical black included.
     sensor : Sensor
         Filter array of 2 x 2, of R, G and B; black level, bit depth, gain, full well, read noise,
         quantum efficiencies.
@@ -116,6 +126,11 @@ def write_dng(
         Exposure time, s.
     transmission : ndarray (61,), optional
         Of the lens, to a common factor; neutral if not given.
+    active_area : (row, col, rows, cols), optional
+        Where the lit pixels lie in the raw, with the filter pattern's phase at the first of them.
+        By default the whole raw is lit.
+    masked_areas : iterable of (row, col, rows, cols)
+        Where pixels that are shielded from light do: LibRaw and dcraw take the black level there.
 
     Raises
     ------
@@ -127,7 +142,7 @@ def write_dng(
     path = Path(path)
     pattern = sensor.cfa.letters
     check_filter_array(sensor)
-    rows, cols = raw.shape
+    row, col, rows, cols = active_area or (0, 0, *raw.shape)
     camera = response(sensor.colour_qe, transmission)
     white = sensor.by_colour(white_e)
     neutral = np.array([white[colour] for colour in CHANNELS], np.float64)
@@ -146,7 +161,7 @@ def write_dng(
         "WhiteLevel": (LONG, (saturation_dn(sensor),)),
         "DefaultCropOrigin": (LONG, (0, 0)),
         "DefaultCropSize": (LONG, (cols, rows)),
-        "ActiveArea": (LONG, (0, 0, rows, cols)),
+        "ActiveArea": (LONG, _corners((row, col, rows, cols))),
         "CalibrationIlluminant1": (SHORT, (LIGHT_SOURCE["A"],)),
         "CalibrationIlluminant2": (SHORT, (LIGHT_SOURCE["D65"],)),
         "ColorMatrix1": (SRATIONAL, _rationals(colour_matrix(camera, "A").flat)),
@@ -155,6 +170,8 @@ def write_dng(
         "BaselineExposure": (SRATIONAL, _rationals([exposure_ev])),
         "NoiseProfile": (DOUBLE, noise_profile(sensor)),
     }
+    if masked := [_corners(area) for area in masked_areas]:
+        entries["MaskedAreas"] = (LONG, list(chain.from_iterable(masked)))
     tags = []
     for name, (kind, values) in entries.items():
         count = len(values) // 2 if kind in (RATIONAL, SRATIONAL) else len(values)

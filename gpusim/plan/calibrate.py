@@ -32,6 +32,7 @@ from gpusim.plan.layout import TRANSFORMS
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.adc import record_adc
+from gpusim.sensor.border import record_border
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
@@ -296,7 +297,7 @@ def _blocks_time(device: Device, convolution: Convolution, planes: int) -> dict[
 
 
 def _sensor(device: Device) -> dict[str | int, float]:
-    """Time mosaic, exposure, noise and adc at a mid-grey."""
+    """Time mosaic, border, exposure, noise and adc at a mid-grey."""
     sensor = load_sensor("imx477").roi(SIDE, SIDE)
     rec = Recording(device)
     planes = rec.buffer("planes", (4, SIDE // 2, SIDE // 2), np.float32)
@@ -304,6 +305,7 @@ def _sensor(device: Device) -> dict[str | int, float]:
     rec.upload(planes, np.full(planes.shape, 1e5, np.float32))
     rec.clear(glare)
     rate = record_mosaic(rec, planes, glare, sensor, (SIDE, SIDE))
+    rate = record_border(rec, rate, (0, 0, SIDE, SIDE), (0, 0, SIDE, SIDE))
     mean = record_exposure(rec, rate, sensor, 0.01)
     record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
     return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -231,7 +232,8 @@ def _sensor_stages(
     """Describe what comes after the light."""
 
     def timed(stage: PlanStage) -> PlanStage:
-        cost_s = costs.seconds(stage.name, sensor.rows * sensor.cols) if stage.runs else None
+        pixels = math.prod(sensor.frame.read[2:])
+        cost_s = costs.seconds(stage.name, pixels) if stage.runs else None
         return replace(stage, predicted_cost_s=cost_s)
 
     off = "noise is switched off"
@@ -242,6 +244,7 @@ def _sensor_stages(
         f"{sites} CFA sites" if sites > 1 else "adds the veiling glare",
         "a sensor without filters or veiling glare: the plane is the frame",
     )
+    black = sensor.optical_black
     return (
         timed(mosaic),
         PlanStage(
@@ -250,6 +253,16 @@ def _sensor_stages(
             f"veiling glare {glare:.2%} of the mean, added by mosaic"
             if glare > 0
             else "the sensor file gives none",
+        ),
+        timed(
+            PlanStage(
+                "border",
+                black is not None,
+                f"{black.top} + {black.bottom} rows and {black.left} + {black.right} columns of "
+                "optical black"
+                if black
+                else "the sensor file gives no optical black",
+            )
         ),
         PlanStage("cross-talk", False, "the sensor file gives none"),
         part(

@@ -12,7 +12,7 @@ Rect = tuple[int, int, int, int]  # first row and column, rows and columns
 # around a block of 88 x 88 pixels some megabytes, and the more of them are at hand the better.
 TILE_SHARE = 8  # an eighth for the planes of a tile
 STRIP_SHARE = 16  # a sixteenth for a strip on its way through the sensor
-STRIP_PLANES = 7  # rate, mean, electrons, digital numbers; up to three of them on their way out
+STRIP_PLANES = 8  # rate, framed, mean, electrons, numbers; up to three of them on their way out
 RESERVE_BYTES = 1 << 20  # for the parameters and the clocks of one line of blocks
 SMALLEST_PX = 64  # side of the smallest tile: below it only the kernels count
 WIDE_PX = 1024  # height from which tiles are as wide as the frame

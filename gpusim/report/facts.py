@@ -44,7 +44,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
     dict
         Every parameter, the seed, adapter and driver, versions, plan, times [s] and certificate.
     """
-    rows, cols = capture.raw.shape
+    first_row, first_col, rows, cols = capture.lit
     return {
         "gpusim": gpusim.__version__,
         "created": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
@@ -52,8 +52,10 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         "capture": {
             "rows": rows,
             "cols": cols,
-            "first_row": capture.rect[0],
-            "first_col": capture.rect[1],
+            "first_row": first_row,
+            "first_col": first_col,
+            "raw_rows": capture.raw.shape[0],
+            "raw_cols": capture.raw.shape[1],
             "exposure_s": float(capture.exposure_s),
             "seed": capture.seed,
             "frame": capture.frame,

@@ -1,6 +1,6 @@
 """The sensor on one screen: what happens to the signal, in this order.
 
-1. mosaic: each photosite's own light, and the veiling glare
+1. mosaic: each photosite's own light, and the veiling glare; border: none on the optical black
 2. exposure: response of each pixel (PRNU), exposure time, dark current
 3. noise: shot noise of light and dark current, full well; then the read-out's offset (DSNU) and
    temporal dark noise
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 
 from gpusim.gpu import Array, Recording
 from gpusim.sensor.adc import record_adc
+from gpusim.sensor.border import record_border
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.frame import Rect, overlap
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.sensor import Sensor
-
-Rect = tuple[int, int, int, int]  # first row and column, rows and columns
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def record_readout(
         Veiling glare of each site, electrons/s.
     sensor : Sensor
     rect : (row, col, rows, cols)
-        The rectangle.
+        The rectangle, counted from the first lit pixel: the border has negative numbers.
     lit : (row, col, rows, cols)
-        The pixels that ``sites`` hold, whole filter patterns.
+        The pixels that ``sites`` hold, whole filter patterns: what of the rectangle sees light.
     shot : Shot
     runs : callable
         Whether a stage runs, by its name in the plan.
@@ -76,11 +76,19 @@ def record_readout(
     dict of str to Array
         ``rate`` (electrons/s) and ``electrons``, f32, and ``dn``, u32: each (rows, cols).
     """
-    origin, rate = rect[:2], sites
-    # Of a sensor without filters the plane is the frame, where one strip takes it whole.
-    if runs("mosaic") or rect != lit:
-        cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
-        rate = record_mosaic(rec, sites, glare, sensor, rect[2:], origin=origin, cell_origin=cell)
+    frame = sensor.frame
+    seen, origin, rate = overlap(rect, frame.lit), frame.on_chip(rect), sites
+    if 0 in seen[2:]:
+        rate = record_border(rec, None, seen, rect)
+    else:
+        # Of a sensor without filters the plane is the frame, where one strip takes it whole.
+        if runs("mosaic") or seen != lit:
+            cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
+            rate = record_mosaic(
+                rec, sites, glare, sensor, seen[2:], origin=seen[:2], cell_origin=cell
+            )
+        if seen != rect:
+            rate = record_border(rec, rate, seen, rect)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
     electrons = record_exposure(
         rec, rate, sensor, shot.exposure_s, origin=origin, prnu=runs("prnu"), **clipped

@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.frame import Border, Frame
 from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
@@ -100,7 +101,7 @@ class Sensor(Strict):
     serial_number : int
         Which piece of this type: it keys the fixed pattern (PRNU, DSNU).
     rows, cols : int
-        Pixels read out.
+        Pixels that see light.
     first_row, first_col : int
         Where these begin on the chip; multiples of the filter pattern.
     pixel_pitch_um : float
@@ -128,6 +129,10 @@ class Sensor(Strict):
         Standard deviation of the response between pixels, per cent of the signal.
     veiling_glare : float
         Uniform light in the image over its mean, 0..1.
+    optical_black : Border, optional
+        Pixels around those, shielded from light, which are read out with them: whole filter
+        patterns above and to the left, for the pattern goes on there. A region (`roi`) keeps the
+        border, as wide, around itself.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -153,6 +158,7 @@ class Sensor(Strict):
     dsnu_e: NotNegative
     prnu_percent: float = Field(ge=0, le=100)
     veiling_glare: float = Field(ge=0, lt=1)
+    optical_black: Border | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -172,6 +178,12 @@ class Sensor(Strict):
                 field="black_level_dn",
                 value=self.black_level_dn,
             )
+        black, (down, across) = self.optical_black, self.period
+        if black and (black.top % down or black.left % across):
+            raise wrong(
+                f"optical_black has {black.top} rows above and {black.left} columns to the left",
+                f"multiples of {down} and {across}, as the filter pattern",
+            )
         if unknown := set(self.sources) - set(type(self).model_fields):
             raise wrong(
                 f"sources names no field: {', '.join(sorted(unknown))}",
@@ -184,6 +196,13 @@ class Sensor(Strict):
     def max_dn(self) -> int:
         """Highest code of the analogue-to-digital converter, DN."""
         return 2**self.bit_depth - 1
+
+    @property
+    def frame(self) -> Frame:
+        """The areas that are read out."""
+        lit = (0, 0, self.rows, self.cols)
+        pixels = lit if self.optical_black is None else self.optical_black.around(lit)
+        return Frame(lit, pixels, pixels)
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from harness import assert_close
 
 from gpusim.errors import UserError
 from gpusim.isp import colour
+from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, noise_profile, saturation_dn, write_dng
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.sensor.sensor import load_sensor
@@ -87,6 +88,54 @@ def test_bit_depths_keep_their_codes(tmp_path, bits):
         assert_close(read.raw_image.copy(), raw, atol=0)
         assert read.white_level == top
         assert read.black_level_per_channel == [16] * 4
+
+
+# Optical black around a frame: its lit part, and its masked areas above, below, left and right.
+LIT = (4, 6, 48, 64)
+MASKED = [(0, 0, 4, 78), (52, 0, 2, 78), (4, 0, 48, 6), (4, 70, 48, 8)]
+
+
+def framed_raw() -> np.ndarray:
+    """Return a raw with a border, of 261 DN where each filter colour is even."""
+    raw = np.full((54, 78), 261, np.uint16)
+    raw[4:52, 6:70] = frame()
+    return raw
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_libraw_crops_the_border_and_takes_its_level_for_black(tmp_path, pattern):
+    raw = framed_raw()
+    path = write(tmp_path / "a.dng", raw, sensor(pattern), active_area=LIT, masked_areas=MASKED)
+    with rawpy.imread(str(path)) as read:
+        assert_close(read.raw_image.copy(), raw, atol=0)
+        assert_close(read.raw_image_visible.copy(), frame(), atol=0)
+        assert read.black_level_per_channel == [261] * 4  # not the 256 of the data sheet
+        names = read.color_desc.decode()
+        letters = [[names[i] for i in row] for row in read.raw_pattern]
+        assert letters == [list(pattern[:2]), list(pattern[2:])]
+    assert develop(path).shape == (48, 64, 3)
+
+
+def test_tags_say_where_the_border_lies(tmp_path):
+    path = write(tmp_path / "a.dng", framed_raw(), sensor(), active_area=LIT, masked_areas=MASKED)
+    tags = values(path)
+    assert tags["ActiveArea"] == (4, 6, 52, 70)
+    assert (tags["DefaultCropOrigin"], tags["DefaultCropSize"]) == ((0, 0), (64, 48))
+    expected = [(0, 0, 4, 78), (52, 0, 54, 78), (4, 0, 52, 6), (4, 70, 52, 78)]
+    assert tags["MaskedAreas"] == sum(expected, ())
+    assert "MaskedAreas" not in values(write(tmp_path / "b.dng", frame(), sensor()))
+
+
+@needs_dcraw
+def test_dcraw_crops_the_border_and_takes_its_level_for_black(tmp_path):
+    raw = framed_raw()
+    path = write(tmp_path / "a.dng", raw, sensor("BGGR"), active_area=LIT, masked_areas=MASKED)
+    for document_mode, expected in (("-D", frame()), ("-E", raw)):
+        subprocess.run(["dcraw", document_mode, "-4", "-T", path], check=True)
+        assert_close(tifffile.imread(tmp_path / "a.tiff"), expected, atol=0)
+    command = ["dcraw", "-v", "-d", "-T", path]
+    text = subprocess.run(command, check=True, capture_output=True, text=True).stderr
+    assert "darkness 261, saturation 4095" in text
 
 
 def dcraw_matrix(xyz_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

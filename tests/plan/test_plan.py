@@ -56,6 +56,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "splat",
         "mosaic",
         "flare",
+        "border",
         "cross-talk",
         "prnu",
         "exposure",

@@ -1,0 +1,150 @@
+"""A sensor with optical black in the whole chain: its raw, planes, tiles, certificate and files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import rawpy
+import yaml
+from fake_capture import fake_capture
+from harness import assert_close
+from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
+from PIL import Image
+
+from gpusim.chain import Capture, Renderer
+from gpusim.cli.render import write
+from gpusim.errors import UserError
+from gpusim.plan import Accuracy
+from gpusim.sensor.frame import MAX_BORDER, Border
+from gpusim.sensor.sensor import PRESETS, load_sensor
+
+LENS = bank(coma_um=0.0, falloff=0.1)
+BLACK = Border(top=8, bottom=3, left=12, right=5)
+LIT = np.s_[8:-3, 12:-5]
+KEEP = ("rate", "electrons")
+
+
+def renderer(camera_sensor, probes: int = 0) -> Renderer:
+    camera = StubCamera(LENS, camera_sensor)
+    return Renderer(camera, scene(shapes()), Accuracy(1e-2, probes), method="fft")
+
+
+@pytest.fixture(scope="module")
+def framed():
+    one = renderer(sensor(64, 80, optical_black=BLACK))
+    yield one
+    one.release()
+
+
+@pytest.fixture(scope="module")
+def whole(framed: Renderer) -> Capture:
+    return framed.capture(0.01, seed=5, keep=KEEP)
+
+
+@pytest.mark.parametrize("kind", [sensor, monochrome])
+def test_the_light_is_that_of_the_sensor_without_a_border(kind):
+    shots = []
+    for black in (None, BLACK):
+        one = renderer(kind(64, 80, optical_black=black), probes=6)
+        shots.append(one.capture(0.01, keep=("rate",)))
+        one.release()
+    bare, framed = shots
+    assert framed.raw.shape == (75, 97) and bare.raw.shape == (64, 80)
+    assert framed.active_area == (8, 12, 64, 80) and framed.rect == (-8, -12, 75, 97)
+    assert_close(framed.rate[LIT], bare.rate, atol=0)
+    outside = framed.rate.copy()
+    outside[LIT] = 0
+    assert_close(outside, np.zeros((75, 97)), atol=0)
+    assert framed.certificate.met
+    assert replace(framed.certificate, seconds=0) == replace(bare.certificate, seconds=0)
+
+
+def test_the_border_is_dark(whole: Capture):
+    masked = np.ones(whole.raw.shape, bool)
+    masked[LIT] = False
+    level = whole.raw[masked].astype(float)
+    # Black level 256, dark current 0.01 e-, 3.2 e- of noise: 1.5 DN. 4.9 sigma of the mean: 1e-6.
+    assert abs(level.mean() - 256) < 4.9 * 1.6 / np.sqrt(level.size) + 0.01
+    assert np.abs(level - 256).max() < 5 * 1.6
+    assert whole.raw[LIT].mean() > 300
+
+
+@pytest.mark.parametrize("tile_px", [34, 50])
+def test_tiles_change_not_one_bit(framed: Renderer, whole: Capture, tile_px: int):
+    found = framed.capture(0.01, seed=5, tile_px=tile_px, keep=KEEP)
+    for name in ("raw", *KEEP):
+        assert_close(getattr(found, name), getattr(whole, name), atol=0)
+
+
+def test_tiles_of_the_border_alone_change_not_one_bit():
+    one = renderer(sensor(12, 10, optical_black=Border(top=8, left=12)))
+    whole = one.capture(0.01, seed=5, keep=KEEP)
+    found = one.capture(0.01, seed=5, tile_px=8, keep=KEEP)
+    one.release()
+    assert found.work["tiles"] == 9
+    for name in ("raw", *KEEP):
+        assert_close(getattr(found, name), getattr(whole, name), atol=0)
+
+
+@pytest.mark.parametrize("tile", [(0, 0, 80, 64), (5, 3, 40, 33), (79, 63, 1, 1)])
+def test_a_tile_is_of_lit_pixels_and_that_part_of_the_whole(
+    framed: Renderer, whole: Capture, tile: tuple
+):
+    x, y, width, height = tile
+    part = np.s_[8 + y : 8 + y + height, 12 + x : 12 + x + width]
+    found = framed.capture(0.01, seed=5, tile=tile, keep=KEEP)
+    for name in ("raw", *KEEP):
+        assert_close(getattr(found, name), getattr(whole, name)[part].copy(), atol=0)
+    assert found.active_area == (0, 0, height, width) and found.masked_areas == []
+
+
+def test_files_have_the_border_and_the_picture_has_not(whole: Capture, tmp_path: Path):
+    made = fake_capture()
+    camera = replace(made.camera, sensor=sensor(64, 80, optical_black=BLACK))
+    planes = {name: getattr(whole, name) for name in ("raw", *KEEP)}
+    facts = write(replace(made, camera=camera, rect=whole.rect, **planes), tmp_path)
+    with rawpy.imread(str(tmp_path / "raw.dng")) as raw:
+        assert_close(raw.raw_image.copy(), whole.raw, atol=0)
+        assert_close(raw.raw_image_visible.copy(), whole.raw[LIT].copy(), atol=0)
+        names = raw.color_desc.decode()
+        assert "".join(names[site] for site in raw.raw_pattern.flat) == "BGGR"
+    assert np.asarray(Image.open(tmp_path / "developed.png")).shape == (64, 80, 3)
+    plane = OpenEXR.File(str(tmp_path / "electrons.exr")).channels()["Y"].pixels
+    assert_close(plane, whole.electrons, atol=0)
+    found = facts["capture"]
+    assert [found[key] for key in ("first_row", "first_col", "rows", "cols")] == [0, 0, 64, 80]
+    assert [found[key] for key in ("raw_rows", "raw_cols")] == [75, 97]
+
+
+# Bad input
+
+
+@pytest.mark.parametrize(
+    ("black", "field", "allowed"),
+    [
+        ({"top": -1}, "optical_black.top", "greater than or equal to 0"),
+        ({"left": MAX_BORDER + 1}, "optical_black.left", f"less than or equal to {MAX_BORDER}"),
+        ({"left": float("nan")}, "optical_black.left", "finite"),
+        ({"right": 2.5}, "optical_black.right", "integer"),
+        ({"middle": 2}, "optical_black.middle", "top, bottom, left, right"),
+        ({}, "optical_black", "above 0"),
+        ({"top": 3}, None, "multiples of 2 and 2"),
+        ({"left": 5}, None, "multiples of 2 and 2"),
+    ],
+)
+def test_a_border_that_is_none_is_refused(tmp_path: Path, black: dict, field, allowed: str):
+    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
+    data["optical_black"] = {"top": 8, "left": 12}
+    file = tmp_path / "sensor.yaml"
+    file.write_text(yaml.safe_dump(data))
+    assert load_sensor(file).frame.read == (-8, -12, 3048, 4068)  # the control
+    data["optical_black"] = black
+    file.write_text(yaml.safe_dump(data))
+    with pytest.raises(UserError) as caught:
+        load_sensor(file)
+    assert (caught.value.file, caught.value.field) == (file, field)
+    assert allowed in caught.value.allowed
