@@ -7,7 +7,7 @@ import os
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 
@@ -734,9 +734,15 @@ def capture(
     folder: Path | None = None,
     noise: bool = True,
     method: str | None = None,
+    gain: float | None = None,
     progress: Progress | None = None,
 ) -> Capture:
-    """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`."""
+    """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`.
+
+    ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`.
+    """
+    if gain is not None:
+        camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     _rectangle(tile, camera.sensor)  # before the long work
     renderer = Renderer(
         camera,

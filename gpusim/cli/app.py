@@ -70,6 +70,10 @@ def render(
     certify: Annotated[
         int, typer.Option(metavar="N", min=0, help="Probes of the certificate; 0 for none.")
     ] = 256,
+    gain: Annotated[
+        float | None,
+        typer.Option(metavar="G", help="Analogue gain: a step that the sensor file lists."),
+    ] = None,
     seed: Annotated[
         int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise and fixed patterns.")
     ] = 7,
@@ -114,6 +118,7 @@ def render(
         luminance_cd_m2=luminance,
         tolerance=tolerance,
         probes=certify,
+        gain=gain,
         seed=seed,
         frame=frame,
         tile=tile,

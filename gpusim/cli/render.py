@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +43,7 @@ def run(
     luminance_cd_m2: float | None,
     tolerance: str,
     probes: int,
+    gain: float | None,
     seed: int,
     frame: int,
     tile: str | None,
@@ -62,6 +64,8 @@ def run(
     memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy.parse(tolerance, probes)
     camera = load_camera(camera_name)
+    if gain is not None:
+        camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     check_filter_array(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2)
     device = default_device()

@@ -288,7 +288,18 @@ def _sensor_stages(
             "the sensor has no temporal dark noise" if noise else off,
         ),
         PlanStage("smear, cti", False, "a CMOS sensor does not shift its charge"),
-        timed(PlanStage("adc", True, f"{sensor.bit_depth} bit")),
+        PlanStage(
+            "linearity",
+            sensor.linearity is not None,
+            _linearity(sensor) if sensor.linearity else "the response is a straight line",
+        ),
+        part(
+            "column fpn",
+            noise and sensor.column_offset is not None,
+            "offsets of the columns' converters, in adc",
+            "the converters of all columns are alike" if noise else off,
+        ),
+        timed(PlanStage("adc", True, _converter(sensor))),
     )
 
 
@@ -300,3 +311,17 @@ def sensor_runs(sensor: Sensor) -> Callable[[str], bool]:
 
     stages = _sensor_stages(sensor, LAVAPIPE, True, part)
     return {one.name for one in stages if one.runs}.__contains__
+def _linearity(sensor: Sensor) -> str:
+    """Say how far the read-out is from a straight line."""
+    low, high = sensor.linearity.error_percent(sensor.saturation_e)
+    return f"linearity error {low:+.2g} to {high:+.2g} % (EMVA 1288), in adc"
+
+
+def _converter(sensor: Sensor) -> str:
+    """Say what the converter does."""
+    text = f"{sensor.bit_depth} bit"
+    if sensor.analogue_gain != 1:
+        text += f", analogue gain {sensor.analogue_gain:g}"
+    if sensor.channel_black_level_dn:
+        text += ", a black level for each channel"
+    return text

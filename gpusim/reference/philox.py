@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 SHOT, READ, PRNU, DSNU = 1, 2, 3, 4
+COLUMN = 32
 """Purposes: upper half of the last counter word."""
 
 

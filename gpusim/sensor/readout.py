@@ -4,7 +4,7 @@
 2. exposure: response of each pixel (PRNU), exposure time, dark current
 3. noise: shot noise of light and dark current, full well; then the read-out's offset (DSNU) and
    temporal dark noise
-4. adc: system gain, black level, quantisation, clip
+4. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
 
 The order is part of the contract: response before shot noise, so that it does not change the
 slope of the photon transfer; all that moves charge before all that is added when it is read.
@@ -104,4 +104,5 @@ def record_readout(
             dsnu=runs("dsnu"),
             read_noise=runs("read noise"),
         )
-    return {"rate": rate, "electrons": electrons, "dn": record_adc(rec, electrons, sensor)}
+    dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
+    return {"rate": rate, "electrons": electrons, "dn": dn}

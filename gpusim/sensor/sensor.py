@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.frame import Border, Frame
 from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
@@ -29,6 +30,7 @@ PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
 CFA_LETTERS = "RGBCMYW"
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
+MAX_RAW_DN = 65535  # raw files hold 16 bits
 
 Value = TypeVar("Value", float, np.ndarray)
 
@@ -129,6 +131,19 @@ class Sensor(Strict):
         Standard deviation of the response between pixels, per cent of the signal.
     veiling_glare : float
         Uniform light in the image over its mean, 0..1.
+    analogue_gain : float
+        At which the figures hold.
+    analogue_gains : list of GainStep
+        The steps that there are: see :meth:`at_gain`.
+    linearity : Linearity, optional
+        Measured response of the read-out.
+    channel_black_level_dn : dict of str to float, optional
+        Of the channels whose black level is another than ``black_level_dn``.
+    column_offset : ColumnOffset, optional
+        Fixed offsets of the columns' converters.
+    dual_gain : DualGain, optional
+        A second read of the same charge at a lower gain, for a higher dynamic range; the other
+        figures are those of the read at high gain.
     optical_black : Border, optional
         Pixels around those, shielded from light, which are read out with them: whole filter
         patterns above and to the left, for the pattern goes on there. A region (`roi`) keeps the
@@ -158,6 +173,12 @@ class Sensor(Strict):
     dsnu_e: NotNegative
     prnu_percent: float = Field(ge=0, le=100)
     veiling_glare: float = Field(ge=0, lt=1)
+    analogue_gain: Positive = 1.0
+    analogue_gains: list[GainStep] = Field(default=[])
+    linearity: Linearity | None = None
+    channel_black_level_dn: dict[str, NotNegative] | None = None
+    column_offset: ColumnOffset | None = None
+    dual_gain: DualGain | None = None
     optical_black: Border | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
@@ -178,6 +199,7 @@ class Sensor(Strict):
                 field="black_level_dn",
                 value=self.black_level_dn,
             )
+        self._check_read_out()
         black, (down, across) = self.optical_black, self.period
         if black and (black.top % down or black.left % across):
             raise wrong(
@@ -192,10 +214,122 @@ class Sensor(Strict):
             )
         return self
 
+    def _check_read_out(self) -> None:
+        """Refuse what does not fit in the figures of the converter."""
+        for name, level in (self.channel_black_level_dn or {}).items():
+            if name not in self.site_channels():
+                raise wrong(
+                    f"channel_black_level_dn names {name}",
+                    f"channels of the filter pattern: {', '.join(self.channels)}",
+                )
+            if level >= self.max_dn:
+                raise wrong(
+                    f"channel_black_level_dn of {name}, {level:g}, leaves no range",
+                    f"below {self.max_dn}",
+                )
+        if self.linearity and self.linearity.electrons[-1] < self.full_well_e:
+            raise wrong(
+                f"the response of linearity ends at {self.linearity.electrons[-1]:g} electrons",
+                f"a last point at the full well, {self.full_well_e:g}, or beyond",
+            )
+        given = self.column_offset and self.column_offset.offsets_dn
+        columns = self.first_col + self.frame.read[3]
+        if given is not None and len(given) != columns:
+            raise wrong(
+                f"column_offset has {len(given)} values",
+                f"{columns}, one for each column that is read",
+            )
+        if dual := self.dual_gain:
+            self._check_dual_gain(dual)
+
+    def _check_dual_gain(self, dual: DualGain) -> None:
+        if self.analogue_gains or self.channel_black_level_dn:
+            raise wrong(
+                "dual_gain goes with one gain and one black level",
+                "no analogue_gains and no channel_black_level_dn beside it",
+            )
+        if dual.system_gain_dn_per_e >= self.system_gain_dn_per_e:
+            raise wrong(
+                f"dual_gain.system_gain_dn_per_e is {dual.system_gain_dn_per_e:g}",
+                f"below that of the high gain, {self.system_gain_dn_per_e:g}",
+            )
+        if not self.black_level_dn < dual.switch_dn <= self.max_dn:
+            raise wrong(
+                f"dual_gain.switch_dn is {dual.switch_dn}",
+                f"above the black level, up to {self.max_dn}",
+            )
+        if dual.black_level_dn >= self.max_dn:
+            raise wrong(
+                f"dual_gain.black_level_dn {dual.black_level_dn:g} leaves no range",
+                f"below {self.max_dn}",
+            )
+        if self.raw_max_dn > MAX_RAW_DN:
+            raise wrong(
+                f"dual_gain makes codes up to {self.raw_max_dn}",
+                f"up to {MAX_RAW_DN}: gains closer to each other, or fewer bits",
+            )
+
     @property
     def max_dn(self) -> int:
         """Highest code of the analogue-to-digital converter, DN."""
         return 2**self.bit_depth - 1
+
+    @property
+    def raw_max_dn(self) -> int:
+        """Highest code of the raw, DN: that of the converter, or of the merged reads."""
+        if (dual := self.dual_gain) is None:
+            return self.max_dn
+        ratio = self.system_gain_dn_per_e / dual.system_gain_dn_per_e
+        return math.floor(self.black_level_dn + ratio * (self.max_dn - dual.black_level_dn) + 0.5)
+
+    @property
+    def saturation_e(self) -> float:
+        """Electrons at which a pixel saturates: its full well, or where the converter clips."""
+        clipped = (self.raw_max_dn - self.black_level_dn) / self.system_gain_dn_per_e
+        if self.linearity is not None:
+            clipped = float(self.linearity.collected(clipped))
+        return min(self.full_well_e, clipped)
+
+    @property
+    def site_black_dn(self) -> tuple[float, ...]:
+        """Black level of each site of the filter pattern, row by row, DN."""
+        given = self.channel_black_level_dn or {}
+        return tuple(given.get(name, self.black_level_dn) for name in self.site_channels())
+
+    @property
+    def iso(self) -> int | None:
+        """What the camera calls its gain, if the file says so."""
+        steps = (step.iso for step in self.analogue_gains if step.gain == self.analogue_gain)
+        return next(steps, None)
+
+    def at_gain(self, gain: float) -> Sensor:
+        """Return the sensor at a step of its analogue gain.
+
+        The system gain is multiplied; full well and all else in electrons stays, so that the
+        converter clips at fewer of them. The temporal dark noise is the step's, where it has one.
+
+        Raises
+        ------
+        UserError
+            The file lists no such step.
+        """
+        steps = {step.gain: step for step in self.analogue_gains} or {1.0: GainStep(gain=1.0)}
+        if gain not in steps or self.analogue_gain != 1:
+            listed = ", ".join(f"{known:g}" for known in steps)
+            raise UserError(
+                f"the sensor {self.name} has no such step of its analogue gain",
+                field="gain",
+                value=gain,
+                allowed=listed if self.analogue_gain == 1 else f"none: at {self.analogue_gain:g}",
+            )
+        noise_e = steps[gain].temporal_dark_noise_e
+        return self.model_copy(
+            update={
+                "analogue_gain": gain,
+                "system_gain_dn_per_e": gain * self.system_gain_dn_per_e,
+                "temporal_dark_noise_e": self.temporal_dark_noise_e if noise_e is None else noise_e,
+            }
+        )
 
     @property
     def frame(self) -> Frame:
@@ -335,6 +469,6 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
             )
     data = read_yaml(path)
     try:
-        return Sensor.model_validate(data)
+        return Sensor.model_validate(data, context={"folder": path.parent})
     except ValidationError as error:
         raise user_error(error, Sensor, path) from error

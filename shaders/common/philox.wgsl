@@ -10,6 +10,7 @@ const PURPOSE_SHOT = 0x10000u;   // key: the capture's seed
 const PURPOSE_READ = 0x20000u;   // key: the capture's seed
 const PURPOSE_PRNU = 0x30000u;   // key: the sensor's serial number; frame 0
 const PURPOSE_DSNU = 0x40000u;   // key: the sensor's serial number; frame 0
+const PURPOSE_COLUMN = 0x200000u;   // offset of a column's converter; key: the serial number; frame and row 0
 const DRAW_MASK = 0xFFFFu;
 
 // The upper 32 bits of a * b, by 16-bit halves; no partial sum exceeds 32 bits.

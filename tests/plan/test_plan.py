@@ -64,6 +64,8 @@ def test_every_stage_says_why_it_runs_or_not():
         "dsnu",
         "read noise",
         "smear, cti",
+        "linearity",
+        "column fpn",
         "adc",
     ]
     assert all(stage.reason for stage in plan.stages)
