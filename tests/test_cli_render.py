@@ -213,6 +213,8 @@ def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
         ("--tolerance", "-0.001", ("tolerance", "-0.001")),
         ("--tolerance", "nan", ("tolerance", "nan")),
         ("--tolerance", "0.1 sigmas", ("tolerance", "0.1 sigmas", "0.001sigma to 10sigma")),
+        ("--gain", "3", ("gain", "3", "1")),
+        ("--gain", "nan", ("gain", "nan", "1")),
         ("--method", "magic", ("method", "magic", "fft, direct, modes")),
         ("--luminance", "0", ("luminance", "0", "above 0")),
         ("--luminance", "-5", ("luminance", "-5", "above 0")),

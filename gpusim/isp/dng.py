@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from fractions import Fraction
 from itertools import chain
 from pathlib import Path
@@ -29,6 +30,9 @@ TAGS = {
     "DNGVersion": 50706,
     "DNGBackwardVersion": 50707,
     "UniqueCameraModel": 50708,
+    "ExifIFD": 34664,  # the next is meant: tifffile does not write it, see _append_exif
+    "LinearizationTable": 50712,
+    "BlackLevelRepeatDim": 50713,
     "BlackLevel": 50714,
     "WhiteLevel": 50717,
     "DefaultCropOrigin": 50719,
@@ -45,13 +49,43 @@ TAGS = {
 }
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = "B", "s", "H", "I", "2I", "2i", "d"
 DENOMINATOR = 1_000_000  # of rationals: six decimals
+LEVEL_DENOMINATOR = 1000  # of black levels: at most 65535, and numerators have 32 bits
+EXIF_VERSION, EXIF_ISO = 36864, 34855  # tags of the Exif part
+MAX_CODE = 65535
 MAX_EXPOSURE_EV = 10.0  # brighter than 2^10, a development shows the quantisation steps of 12 bits
 
 
 def saturation_dn(sensor: Sensor) -> int:
     """Return the code at which a pixel saturates: the converter's, or the full well's if lower."""
-    full = sensor.black_level_dn + sensor.system_gain_dn_per_e * sensor.full_well_e
-    return min(sensor.max_dn, math.floor(full))
+    full_e = sensor.full_well_e
+    if sensor.linearity is not None:
+        full_e = float(sensor.linearity.read(full_e))
+    full = sensor.black_level_dn + sensor.system_gain_dn_per_e * full_e
+    return min(sensor.raw_max_dn, math.floor(full))
+
+
+def linear_dn(sensor: Sensor, codes: np.ndarray) -> np.ndarray:
+    """Return what a linear converter would have given in place of some codes, DN."""
+    if sensor.linearity is None:
+        return np.asarray(codes, np.float64)
+    black, gain = sensor.black_level_dn, sensor.system_gain_dn_per_e
+    return black + gain * sensor.linearity.collected((codes - black) / gain)
+
+
+def span_dn(sensor: Sensor) -> float:
+    """Return the signal of a saturated pixel of a linear converter, DN."""
+    return float(linear_dn(sensor, saturation_dn(sensor))) - sensor.black_level_dn
+
+
+def linearization_table(sensor: Sensor) -> tuple[np.ndarray, int]:
+    """Return what DNG's LinearizationTable makes of each code, and by how much it is scaled.
+
+    The scale is the largest that fits 16 bits, so that rounding takes nothing from the raw. Where
+    channels have black levels of their own the table is that of ``black_level_dn``.
+    """
+    linear = np.maximum(linear_dn(sensor, np.arange(sensor.raw_max_dn + 1)), 0)
+    scale = max(1, int(MAX_CODE / linear.max()))
+    return np.minimum(np.round(scale * linear), MAX_CODE).astype(np.uint16), scale
 
 
 def noise_profile(sensor: Sensor) -> tuple[float, float]:
@@ -59,14 +93,14 @@ def noise_profile(sensor: Sensor) -> tuple[float, float]:
 
     Of EMVA 1288's linear camera model, in DN^2: sigma^2 = K^2 sigma_d^2 + 1/12 + K (mu - black).
     """
-    span = saturation_dn(sensor) - sensor.black_level_dn
+    span = span_dn(sensor)
     gain = sensor.system_gain_dn_per_e
     dark = (gain * sensor.temporal_dark_noise_e) ** 2 + 1 / 12
     return gain / span, dark / span**2
 
 
-def _rationals(values: Iterable[float]) -> list[int]:
-    fractions = [Fraction(round(float(v) * DENOMINATOR), DENOMINATOR) for v in values]
+def _rationals(values: Iterable[float], denominator: int = DENOMINATOR) -> list[int]:
+    fractions = [Fraction(round(float(v) * denominator), denominator) for v in values]
     return list(chain.from_iterable((f.numerator, f.denominator) for f in fractions))
 
 
@@ -118,8 +152,8 @@ def write_dng(
     raw : ndarray (rows, cols), uint16
         Digital numbers, those of the optical black included.
     sensor : Sensor
-        Filter array of 2 x 2, of R, G and B; black level, bit depth, gain, full well, read noise,
-        quantum efficiencies.
+        Filter array of 2 x 2, of R, G and B; black levels, bit depth, gain, full well, read noise,
+        non-linearity, which readers undo by the table that is written, and quantum efficiencies.
     white_e : dict of str to float
         Mean electrons that the scene's white makes on the axis by channel.
     exposure_s : float
@@ -147,8 +181,14 @@ def write_dng(
     white = sensor.by_colour(white_e)
     neutral = np.array([white[colour] for colour in CHANNELS], np.float64)
     brightest_dn = sensor.system_gain_dn_per_e * neutral.max()
-    exposure_ev = math.log2((saturation_dn(sensor) - sensor.black_level_dn) / brightest_dn)
+    exposure_ev = math.log2(span_dn(sensor) / brightest_dn)
     exposure_ev = min(max(exposure_ev, -MAX_EXPOSURE_EV), MAX_EXPOSURE_EV)
+    black_dn, white_dn, scale = (sensor.black_level_dn,), saturation_dn(sensor), 1
+    if sensor.channel_black_level_dn:
+        black_dn = sensor.site_black_dn
+    if sensor.linearity is not None:
+        table, scale = linearization_table(sensor)
+        black_dn, white_dn = scale * linear_dn(sensor, np.array(black_dn)), int(table[white_dn])
     entries = {
         "DNGVersion": (BYTE, (1, 4, 0, 0)),
         "DNGBackwardVersion": (BYTE, (1, 1, 0, 0)),
@@ -157,8 +197,8 @@ def write_dng(
         "ExposureTime": (RATIONAL, _exposure(exposure_s)),
         "CFARepeatPatternDim": (SHORT, (2, 2)),
         "CFAPattern": (BYTE, [CHANNELS.index(letter) for row in pattern for letter in row]),
-        "BlackLevel": (RATIONAL, _rationals([sensor.black_level_dn])),
-        "WhiteLevel": (LONG, (saturation_dn(sensor),)),
+        "BlackLevel": (RATIONAL, _rationals(black_dn, LEVEL_DENOMINATOR)),
+        "WhiteLevel": (LONG, (white_dn,)),
         "DefaultCropOrigin": (LONG, (0, 0)),
         "DefaultCropSize": (LONG, (cols, rows)),
         "ActiveArea": (LONG, _corners((row, col, rows, cols))),
@@ -170,6 +210,12 @@ def write_dng(
         "BaselineExposure": (SRATIONAL, _rationals([exposure_ev])),
         "NoiseProfile": (DOUBLE, noise_profile(sensor)),
     }
+    if sensor.channel_black_level_dn:
+        entries["BlackLevelRepeatDim"] = (SHORT, sensor.period)
+    if sensor.linearity is not None:
+        entries["LinearizationTable"] = (SHORT, table.tolist())
+    if sensor.iso is not None:
+        entries["ExifIFD"] = (LONG, (0,))  # its place is known when the rest is written
     if masked := [_corners(area) for area in masked_areas]:
         entries["MaskedAreas"] = (LONG, list(chain.from_iterable(masked)))
     tags = []
@@ -189,10 +235,30 @@ def write_dng(
             software=f"gpusim {gpusim.__version__}",
             extratags=sorted(tags),
         )
+        if sensor.iso is not None:
+            _append_exif(partial, sensor.iso)
         partial.replace(path)
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise UserError("cannot write the DNG", file=path, value=str(error)) from None
+
+
+def _append_exif(path: Path, iso: int) -> None:
+    """Append the Exif part, with the ISO speed, to a little-endian TIFF that has a tag for it."""
+    with path.open("r+b") as file:
+        data = file.read()
+        file.write(bytes(len(data) % 2))  # parts begin at even places
+        (first,) = struct.unpack_from("<I", data, 4)
+        (count,) = struct.unpack_from("<H", data, first)
+        tags = range(first + 2, first + 2 + 12 * count, 12)
+        tag = next(at for at in tags if struct.unpack_from("<H", data, at)[0] == TAGS["ExifIFD"])
+        place = file.tell()
+        file.write(struct.pack("<H", 2))
+        file.write(struct.pack("<HHIHxx", EXIF_ISO, 3, 1, iso))  # type 3: SHORT
+        file.write(struct.pack("<HHI4s", EXIF_VERSION, 7, 4, b"0230"))  # type 7: UNDEFINED
+        file.write(struct.pack("<I", 0))
+        file.seek(tag)
+        file.write(struct.pack("<HHII", TAGS["ExifIFD"] + 1, 4, 1, place))  # type 4: LONG
 
 
 def _exposure(exposure_s: float) -> list[int]:

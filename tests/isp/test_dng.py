@@ -13,8 +13,16 @@ from harness import assert_close
 from gpusim.errors import UserError
 from gpusim.isp import colour
 from gpusim.isp.develop import develop
-from gpusim.isp.dng import TAGS, noise_profile, saturation_dn, write_dng
+from gpusim.isp.dng import (
+    TAGS,
+    linearization_table,
+    noise_profile,
+    saturation_dn,
+    span_dn,
+    write_dng,
+)
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
+from gpusim.sensor.adc_model import GainStep, Linearity
 from gpusim.sensor.sensor import load_sensor
 
 PATTERNS = ["RGGB", "BGGR", "GRBG", "GBRG"]
@@ -136,6 +144,126 @@ def test_dcraw_crops_the_border_and_takes_its_level_for_black(tmp_path):
     command = ["dcraw", "-v", "-d", "-T", path]
     text = subprocess.run(command, check=True, capture_output=True, text=True).stderr
     assert "darkness 261, saturation 4095" in text
+
+
+# --- black levels, non-linearity, gain ---
+
+
+@pytest.mark.parametrize("pattern", PATTERNS)
+def test_libraw_has_the_black_level_of_each_channel(tmp_path, pattern):
+    levels = {"R": 250.0, "G": 262.0, "B": 259.0}
+    path = write(tmp_path / "a.dng", frame(), sensor(pattern, channel_black_level_dn=levels))
+    tags = values(path)
+    assert tags["BlackLevelRepeatDim"] == (2, 2)
+    assert_close(tags["BlackLevel"], np.array([levels[name] for name in pattern]), atol=0)
+    with rawpy.imread(str(path)) as read:
+        names = read.color_desc.decode()
+        found = {names[i]: read.black_level_per_channel[i] for i in range(4)}
+        assert found == levels
+    assert "BlackLevelRepeatDim" not in values(write(tmp_path / "b.dng", frame(), sensor()))
+
+
+def bent(**changes):
+    """Return a sensor that reads up to 5 % too little."""
+    at = np.linspace(0, 9000, 30)
+    curve = Linearity(electrons=list(at), read_e=list(at * (1 - 0.05 * at / 9000)))
+    return sensor(linearity=curve, **changes)
+
+
+def test_libraw_undoes_the_non_linearity(tmp_path):
+    camera = bent()
+    electrons = np.linspace(0, 8000, 48 * 64).reshape(48, 64)
+    raw = np.round(256 + 0.47 * camera.linearity.read(electrons)).astype(np.uint16)
+    path = write(tmp_path / "a.dng", raw, camera)
+    table, scale = linearization_table(camera)
+    assert scale == 15  # 4095 is 4297 of a linear converter: 15 times that is 64 458
+    with rawpy.imread(str(path)) as read:
+        linear, white = read.raw_image.astype(float), read.white_level
+        black = np.array(read.black_level_per_channel)
+    assert_close(linear, table[raw].astype(float), atol=0)
+    assert_close(black, np.full(4, 15 * 256), atol=0)
+    # Half a DN of the raw, times the slope's inverse of at most 1 / 0.9, and half a step of 1/15.
+    below = raw < 4095
+    found = (linear - black[0])[below] / 15
+    assert_close(found, 0.47 * electrons[below], atol=0.5 / 0.9 + 0.5 / 15 + 1e-9)
+    assert white == table[saturation_dn(camera)]
+    assert np.abs(0.47 * electrons - (raw - 256.0)).max() > 90  # the control
+    assert develop(path).shape == (48, 64, 3)
+
+
+@needs_dcraw
+def test_dcraw_undoes_the_non_linearity(tmp_path):
+    path = write(tmp_path / "a.dng", frame(), bent())
+    table, _ = linearization_table(bent())
+    subprocess.run(["dcraw", "-D", "-4", "-T", path], check=True)
+    assert_close(tifffile.imread(tmp_path / "a.tiff"), table[frame()], atol=0)
+
+
+def test_a_bent_response_is_developed_as_a_straight_one(tmp_path):
+    """A grey wedge: what the non-linearity took is back in the picture."""
+    electrons = np.repeat(np.linspace(50, 5000, 32), 4)[None].repeat(32, axis=0)
+    pictures = []
+    for camera in (sensor(), bent(), sensor()):
+        read = camera.linearity.read(electrons) if camera.linearity else electrons
+        if len(pictures) == 2:  # the control: the bent raw without its table
+            read = bent().linearity.read(electrons)
+        raw = np.round(256 + 0.47 * read).astype(np.uint16)
+        neutral = dict.fromkeys("RGB", 5000.0)
+        path = write(tmp_path / "a.dng", raw, camera, white_e=neutral)
+        pictures.append(develop(path).astype(float))
+    straight, undone, left = pictures
+    # A DN of the raw is at most 12.92 * 255 / 2350 = 1.4 levels of the picture, in the blacks.
+    assert np.abs(undone - straight).max() <= 2
+    assert np.abs(left - straight).max() >= 3
+
+
+def test_the_span_of_a_bent_response_is_that_of_a_straight_one():
+    camera = bent(full_well_e=6000.0)
+    assert saturation_dn(camera) == int(256 + 0.47 * camera.linearity.read(6000.0))
+    # The code is cut to a whole number; the response's slope is 0.93 there.
+    assert 0 <= 0.47 * 6000 - span_dn(camera) < 1 / 0.93
+    assert noise_profile(camera)[0] == pytest.approx(0.47 / span_dn(camera))
+
+
+def test_codes_of_16_bits_have_a_table_of_16_bits(tmp_path):
+    camera = bent(bit_depth=16, system_gain_dn_per_e=7.5, black_level_dn=4096.125)
+    table, scale = linearization_table(camera)
+    assert (scale, len(table), table[-1]) == (1, 65536, 65535)
+    tags = values(write(tmp_path / "a.dng", frame(top=65535), camera))
+    assert tags["BlackLevel"] == 4096.125
+    assert len(tags["LinearizationTable"]) == 65536
+
+
+@pytest.mark.parametrize("iso", [55, 800, 65535])
+def test_the_iso_speed_is_in_the_exif_part(tmp_path, iso):
+    steps = [GainStep(gain=1), GainStep(gain=8, iso=iso)]
+    camera = sensor(analogue_gains=steps)
+    path = write(tmp_path / "a.dng", frame(), camera.at_gain(8))
+    with tifffile.TiffFile(path) as file:
+        exif = file.pages.first.tags["ExifTag"].value
+        assert (exif["ISOSpeedRatings"], exif["ExifVersion"]) == (iso, "0230")
+    with rawpy.imread(str(path)) as read:
+        assert_close(read.raw_image.copy(), frame(), atol=0)
+    with tifffile.TiffFile(write(tmp_path / "b.dng", frame(), camera)) as file:
+        assert "ExifTag" not in file.pages.first.tags
+
+
+@needs_dcraw
+def test_dcraw_has_the_iso_speed(tmp_path):
+    camera = sensor(analogue_gains=[GainStep(gain=1, iso=160)])
+    path = write(tmp_path / "a.dng", frame(33, 47), camera)
+    text = subprocess.run(["dcraw", "-i", "-v", path], check=True, capture_output=True, text=True)
+    assert "ISO speed: 160" in text.stdout
+
+
+def test_the_gain_is_in_noise_and_exposure(tmp_path):
+    camera = sensor(analogue_gains=[GainStep(gain=1), GainStep(gain=4, temporal_dark_noise_e=2)])
+    at_1, at_4 = (values(write(tmp_path / "a.dng", frame(), camera.at_gain(g))) for g in (1, 4))
+    # Four times the DN of the same white: two stops less to bring it to white.
+    assert at_1["BaselineExposure"] - at_4["BaselineExposure"] == pytest.approx(2, abs=2e-6)
+    span = 4095 - 256
+    expected = [4 * 0.47 / span, ((4 * 0.47 * 2) ** 2 + 1 / 12) / span**2]
+    assert_close(np.array(at_4["NoiseProfile"]), np.array(expected), rtol=1e-12)
 
 
 def dcraw_matrix(xyz_to_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""A sensor with optical black in the whole chain: its raw, planes, tiles, certificate and files."""
+"""The read-out in the whole chain: optical black, gain, what converters add; tiles and files."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from PIL import Image
 
-from gpusim.chain import Capture, Renderer
+from gpusim.chain import Capture, Renderer, capture
 from gpusim.cli.render import write
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
+from gpusim.sensor.adc_model import ColumnOffset, GainStep, Linearity
 from gpusim.sensor.frame import MAX_BORDER, Border
 from gpusim.sensor.sensor import PRESETS, load_sensor
 
@@ -118,6 +119,69 @@ def test_files_have_the_border_and_the_picture_has_not(whole: Capture, tmp_path:
     found = facts["capture"]
     assert [found[key] for key in ("first_row", "first_col", "rows", "cols")] == [0, 0, 64, 80]
     assert [found[key] for key in ("raw_rows", "raw_cols")] == [75, 97]
+
+
+# Gain, non-linearity, black levels and column offsets
+
+
+def test_a_gain_reaches_the_raw_and_what_is_told_of_it():
+    steps = [GainStep(gain=1), GainStep(gain=4, iso=400, temporal_dark_noise_e=2.0)]
+    camera = StubCamera(LENS, sensor(32, 40, analogue_gains=steps))
+    arguments = {"exposure_s": 0.01, "accuracy": Accuracy(1e-2, 0), "noise": False}
+    shots = [capture(camera, scene(shapes()), gain=gain, **arguments) for gain in (None, 1, 4)]
+    plain, at_1, at_4 = (shot.raw.astype(float) - 256 for shot in shots)
+    assert_close(at_1, plain.copy(), atol=0)
+    # Each code is rounded: half a DN, four times at gain 1.
+    assert_close(at_4, 4 * at_1, atol=2.5)
+    assert at_1.mean() > 30
+    assert shots[2].camera.sensor.iso == 400 and shots[2].camera.sensor.analogue_gain == 4
+    assert "analogue gain 4" in shots[2].plan.text()
+    with pytest.raises(UserError, match="no such step"):
+        capture(camera, scene(shapes()), gain=2, **arguments)
+
+
+EVERYTHING = {
+    "optical_black": Border(top=4, left=6),
+    "linearity": Linearity(electrons=[0, 100, 9000], read_e=[0, 110, 8800]),
+    "channel_black_level_dn": {"G": 240.0},
+    "column_offset": ColumnOffset(sigma_dn=8.0),
+}
+
+
+def test_tiles_of_a_sensor_with_everything_change_not_one_bit():
+    one = renderer(sensor(40, 50, **EVERYTHING))
+    assert all(one.plan.runs(name) for name in ("border", "linearity", "column fpn"))
+    whole = one.capture(0.01, seed=5)
+    tiled = one.capture(0.01, seed=5, tile_px=22)
+    part = one.capture(0.01, seed=5, tile=(7, 5, 31, 20))
+    one.release()
+    assert_close(tiled.raw, whole.raw, atol=0)
+    assert_close(part.raw, whole.raw[9:29, 13:44].copy(), atol=0)
+
+
+def test_black_levels_and_offsets_are_there_in_the_dark():
+    """In the border above: channels 240 and 256 DN, 8 DN of offsets alike in each column."""
+    black = {"optical_black": Border(top=1000)}
+    one = renderer(sensor(6, 40, **EVERYTHING | black))
+    dark = one.capture(0.01, seed=5).raw[:1000].astype(float)
+    one.release()
+    # Means of 500 pixels with 1.5 DN of noise: 0.07; 4.9 sigma of 40 columns' 20 pairs at most.
+    green, blue = dark[0::2, 1::2].mean(0), dark[0::2, 0::2].mean(0)
+    red, green_below = dark[1::2, 1::2].mean(0), dark[1::2, 0::2].mean(0)
+    assert_close(red - green, np.full(20, 16.0), atol=0.5)
+    assert_close(blue - green_below, np.full(20, 16.0), atol=0.5)
+    offsets = np.concatenate([red, blue]) - 256
+    # chi-square of 40 normal numbers of 8 DN: 4 to 13 DN but once in 1e4
+    assert 4 < offsets.std() < 13
+
+
+def test_without_noise_there_is_the_mean_signal_and_no_fixed_pattern():
+    camera = StubCamera(LENS, sensor(32, 40, **EVERYTHING))
+    one = Renderer(camera, scene(shapes()), Accuracy(1e-2, 0), noise=False)
+    assert one.plan.runs("linearity") and not one.plan.runs("column fpn")
+    raw = one.capture(0.01).raw
+    one.release()
+    assert set(np.unique(raw[:4])) == {240, 256}
 
 
 # Bad input
