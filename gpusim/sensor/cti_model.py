@@ -50,7 +50,7 @@ class Cti(Strict):
     well_fill_power: Positive = 0.58
     well_e: Positive | None = None
     notch_e: NotNegative = 0.0
-    groups: int = Field(default=5, ge=1, le=65535)
+    groups: int = Field(default=2, ge=1, le=4096)
 
     @model_validator(mode="after")
     def _one_model(self) -> Cti:
