@@ -21,6 +21,7 @@ from gpusim.lens.bank import Bank
 TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
 STAGES += ["mosaic", "exposure", "noise", "adc", "sensor-12mp"]
+STAGES += ["smear", "cti-linear", "cti-trap"]
 FRAMES = ["render-demo", "frame-12mp", "frame-12mp-mono", "scaling"]
 SMALL = (128, 168)  # a fraction of a second for each stage
 # Largest difference from the reference over its largest value. Rounding to f32 is below 2e-6 in

@@ -16,6 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import scipy.fft
 from bench_blur import blur_1mp
+from bench_ccd import linear_job, smear_job, trap_job
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
@@ -863,4 +864,16 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
     "adc": ("quantisation", partial(sensor_job, "adc")),
     "sensor-12mp": ("exposure, noise and adc: electrons/s to digital numbers", sensor_chain_job),
+    "smear": (
+        "light in a CCD's packets on their way along the columns",
+        partial(smear_job, job=Job),
+    ),
+    "cti-linear": (
+        "charge-transfer inefficiency, linear, along columns and rows, 2048 x 2048",
+        partial(linear_job, job=Job),
+    ),
+    "cti-trap": (
+        "the same by traps of one species, along columns, 2048 x 2048",
+        partial(trap_job, job=Job),
+    ),
 }

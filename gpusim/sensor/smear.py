@@ -5,6 +5,8 @@ from __future__ import annotations
 from gpusim.gpu import Array, Kernel, Recording
 from gpusim.sensor.smear_model import Smear
 
+PIECE_ROWS = 32  # as in the shader
+
 
 def record_smear(
     rec: Recording,
@@ -35,10 +37,12 @@ def record_smear(
     Array (rows, cols), f32
         Mean electrons.
     """
-    smeared = rec.buffer(label, mean.shape, "f4")
-    passed = 0 if smear.kind == "interline" else 1 + smear.cleared_by_shift
-    kernel = Kernel("sensor/smear", PASSED=passed)
     rows, cols = mean.shape
+    smeared = rec.buffer(label, mean.shape, "f4")
+    pieces = -(-rows // PIECE_ROWS)
+    sums = rec.buffer(f"{label} sums", (pieces + 1, cols, 2), "f4")
+    rec.clear(sums)
+    passed = 0 if smear.kind == "interline" else 1 + smear.cleared_by_shift
     params = {
         "rows": rows,
         "cols": cols,
@@ -46,5 +50,8 @@ def record_smear(
         "limit_e": limit_e,
         "zero": 0,
     }
-    kernel.record(rec, kernel.cover(cols), params, rate=rate, mean=mean, smeared=smeared)
+    buffers = {"rate": rate, "mean": mean, "sums": sums, "smeared": smeared}
+    for step, height in enumerate((pieces, 1, pieces)):
+        kernel = Kernel("sensor/smear", PASSED=passed, STEP=step)
+        kernel.record(rec, kernel.cover(cols, height), params, **buffers)
     return smeared

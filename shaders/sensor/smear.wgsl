@@ -8,14 +8,16 @@
 // row, of interline sensors times the share of the light that reaches the register. The rates are not clipped: a photosite
 // that is full goes on leaking. Sums of rates have 48 bits (double_float), for the sun in the column and what lies beside it.
 // Units: rate electrons/s, weight s, mean, limit and smeared electrons.
-// In: rate, mean (rows, cols), whole columns. Out: smeared (rows, cols).
-// Dispatch: ceil(cols/32) workgroups of 32 x 8: 32 columns, each in eight parts. Lavapipe, 2 cores: see tools/bench.py smear.
+// In: rate, mean (rows, cols), whole columns. Out: smeared (rows, cols). sums (pieces + 1, cols) is scratch.
+// Three dispatches, by STEP, in pieces of 32 rows (whole columns by one invocation each took twice as long: rows are far
+// apart in memory): 0, the sum of each piece; 1, the sum before each piece and that of the column; 2, the packets.
+// Dispatch: ceil(cols/64) x pieces workgroups of 64, for STEP 1 ceil(cols/64). Lavapipe, 2 cores: see tools/bench.py smear.
 #include "double_float"
 
 override PASSED: u32 = 0u;
+override STEP: u32 = 0u;
 
-const WIDTH = 32u;
-const PARTS = 8u;
+const PIECE = 32u;   // rows
 
 struct Params {
     rows: u32,
@@ -28,44 +30,61 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> rate: array<f32>;
 @group(0) @binding(2) var<storage, read> mean: array<f32>;
-@group(0) @binding(3) var<storage, read_write> smeared: array<f32>;
+@group(0) @binding(3) var<storage, read_write> sums: array<vec2f>;
+@group(0) @binding(4) var<storage, read_write> smeared: array<f32>;
 
-var<workgroup> sh_sums: array<vec2f, 256>;
+// A sum and a number more; its errors are gathered in the low part.
+fn plus(sum: vec2f, x: f32) -> vec2f {
+    let s = two_sum(sum.x, x);
+    return vec2f(s.x, sum.y + s.y);
+}
 
-@compute @workgroup_size(32, 8, 1)
-fn main(@builtin(global_invocation_id) id: vec3u, @builtin(local_invocation_id) local: vec3u) {
-    let height = (params.rows + PARTS - 1u) / PARTS;
-    let first = min(local.y * height, params.rows);
-    let last = min(first + height, params.rows);
-    let inside = id.x < params.cols;
-    var sum = vec2f(0.0);
-    if (inside) {
-        for (var row = first; row < last; row++) {
-            sum = df_add(sum, vec2f(rate[row * params.cols + id.x], 0.0));
-        }
+fn scan(col: u32, pieces: u32) {
+    var before = vec2f(0.0);
+    for (var piece = 0u; piece < pieces; piece++) {
+        let at = piece * params.cols + col;
+        let here = sums[at];
+        sums[at] = before;
+        before = df_add(before, here);
     }
-    sh_sums[local.y * WIDTH + local.x] = sum;
-    workgroupBarrier();
-    if (!inside) {
+    sums[pieces * params.cols + col] = before;
+}
+
+@compute @workgroup_size(64, 1, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let col = id.x;
+    if (col >= params.cols) {
         return;
     }
-    var before = vec2f(0.0);
-    var total = vec2f(0.0);
-    for (var part = 0u; part < PARTS; part++) {
-        if (part == local.y) {
-            before = total;
-        }
-        total = df_add(total, sh_sums[part * WIDTH + local.x]);
+    let pieces = (params.rows + PIECE - 1u) / PIECE;
+    if (STEP == 1u) {
+        scan(col, pieces);
+        return;
     }
-    for (var row = first; row < last; row++) {
-        let at = row * params.cols + id.x;
-        var passed = total;
-        if (PASSED == 1u) {
-            passed = before;
-            before = df_add(before, vec2f(rate[at], 0.0));
-        } else if (PASSED == 2u) {
-            passed = df_add(total, vec2f(-rate[at], 0.0));
+    let total = sums[pieces * params.cols + col];
+    var sum = vec2f(0.0);
+    if (STEP == 2u && PASSED == 1u) {
+        sum = sums[id.y * params.cols + col];
+    }
+    let cols = params.cols;
+    let weight = params.weight;
+    let limit_e = params.limit_e;
+    let end = min((id.y + 1u) * PIECE, params.rows) * cols;
+    for (var at = id.y * PIECE * cols + col; at < end; at += cols) {
+        if (STEP == 0u) {
+            sum = plus(sum, rate[at]);
+            continue;
         }
-        smeared[at] = min(mean[at] + params.weight * passed.x, params.limit_e);
+        var passed = total.x;
+        if (PASSED == 1u) {
+            passed = sum.x + sum.y;
+            sum = plus(sum, rate[at]);
+        } else if (PASSED == 2u) {
+            passed = pin(total.x - rate[at]) + total.y;   // the low part last: not lost beside the sun
+        }
+        smeared[at] = min(mean[at] + weight * passed, limit_e);
+    }
+    if (STEP == 0u) {
+        sums[id.y * params.cols + col] = quick_two_sum(sum.x, sum.y);
     }
 }
