@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gpusim.stress import levels, noise, optics, sensor_files
+from gpusim.stress import ccd, levels, noise, optics, sensor_files
 from gpusim.stress.table import Case, Row, judged
 
 # In the order that light takes. A new part of the chain brings a module with its own table and a
@@ -16,6 +16,7 @@ from gpusim.stress.table import Case, Row, judged
 CASES: tuple[Case, ...] = (
     *optics.CASES,
     *noise.CASES,
+    *ccd.CASES,
     *levels.CASES,
     *sensor_files.CASES,
 )
