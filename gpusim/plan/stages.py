@@ -311,6 +311,8 @@ def sensor_runs(sensor: Sensor) -> Callable[[str], bool]:
 
     stages = _sensor_stages(sensor, LAVAPIPE, True, part)
     return {one.name for one in stages if one.runs}.__contains__
+
+
 def _linearity(sensor: Sensor) -> str:
     """Say how far the read-out is from a straight line."""
     low, high = sensor.linearity.error_percent(sensor.saturation_e)
