@@ -18,8 +18,9 @@ from PIL import Image
 from gpusim.chain import Capture, Renderer, capture
 from gpusim.cli.render import write
 from gpusim.errors import UserError
+from gpusim.isp.dng import write_dng
 from gpusim.plan import Accuracy
-from gpusim.sensor.adc_model import ColumnOffset, GainStep, Linearity
+from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.frame import MAX_BORDER, Border
 from gpusim.sensor.sensor import PRESETS, load_sensor
 
@@ -182,6 +183,36 @@ def test_without_noise_there_is_the_mean_signal_and_no_fixed_pattern():
     raw = one.capture(0.01).raw
     one.release()
     assert set(np.unique(raw[:4])) == {240, 256}
+
+
+# Two gains
+
+DUAL = DualGain(
+    system_gain_dn_per_e=0.04, temporal_dark_noise_e=12.0, black_level_dn=200.0, switch_dn=3800
+)
+
+
+def test_a_sensor_of_two_gains_sees_more_and_tiles_change_not_one_bit(tmp_path: Path):
+    camera = sensor(40, 50, dual_gain=DUAL, full_well_e=85_000.0)
+    one = renderer(camera)
+    exposure_s = 2.5
+    whole = one.capture(exposure_s, seed=5, keep=("rate",))
+    tiled = one.capture(exposure_s, seed=5, tile_px=22)
+    one.release()
+    assert one.plan.runs("merge") and "switched at 3800 DN" in one.plan.text()
+    assert_close(tiled.raw, whole.raw, atol=0)
+    signal = exposure_s * whole.rate.astype(float)
+    beyond = signal > 1.2 * 3800 / 0.47
+    assert 0.2 < beyond.mean() < 1  # the control: most of it is lost on one gain
+    # Shot noise, PRNU of 0.7 %, and steps of 25 e-: 5 sigma of the largest of 2000 pixels.
+    sigma = np.sqrt(signal + (0.007 * signal) ** 2 + 12**2 + 52)
+    assert (np.abs((whole.raw - 256.0) / 0.47 - signal) < 5 * sigma).all()
+    # The raw of the DNG is white where the merged codes end.
+    path = tmp_path / "a.dng"
+    write_dng(path, whole.raw, camera, white_e=whole.white_e, exposure_s=exposure_s)
+    with rawpy.imread(str(path)) as raw:
+        assert raw.white_level == int(256 + 0.47 * 85_000)
+        assert_close(raw.raw_image.copy(), whole.raw, atol=0)
 
 
 # Bad input

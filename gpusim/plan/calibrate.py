@@ -32,8 +32,10 @@ from gpusim.plan.layout import TRANSFORMS
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.adc import record_adc
+from gpusim.sensor.adc_model import DualGain
 from gpusim.sensor.border import record_border
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.merge import record_merge
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.sensor import load_sensor
@@ -297,7 +299,7 @@ def _blocks_time(device: Device, convolution: Convolution, planes: int) -> dict[
 
 
 def _sensor(device: Device) -> dict[str | int, float]:
-    """Time mosaic, border, exposure, noise and adc at a mid-grey."""
+    """Time mosaic, border, exposure, noise, adc and merge at a mid-grey."""
     sensor = load_sensor("imx477").roi(SIDE, SIDE)
     rec = Recording(device)
     planes = rec.buffer("planes", (4, SIDE // 2, SIDE // 2), np.float32)
@@ -307,7 +309,10 @@ def _sensor(device: Device) -> dict[str | int, float]:
     rate = record_mosaic(rec, planes, glare, sensor, (SIDE, SIDE))
     rate = record_border(rec, rate, (0, 0, SIDE, SIDE), (0, 0, SIDE, SIDE))
     mean = record_exposure(rec, rate, sensor, 0.01)
-    record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
+    dn = record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
+    low = {"temporal_dark_noise_e": 12, "black_level_dn": 256, "switch_dn": 3800}
+    dual = DualGain(system_gain_dn_per_e=sensor.system_gain_dn_per_e / 8, **low)
+    record_merge(rec, dn, dn, sensor.model_copy(update={"dual_gain": dual}), label="merged")
     return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
 
 

@@ -28,6 +28,7 @@ UNITS = {
     "exposure": "pixel",
     "noise": "pixel",
     "adc": "pixel",
+    "merge": "pixel",
     "dispatch": "dispatch, recorded and submitted",
 }
 
@@ -110,6 +111,7 @@ LAVAPIPE = Costs(
         "exposure": 3.6,
         "noise": 9.0,
         "adc": 2.5,
+        "merge": 2.5,
         "dispatch": 110e3,
     },
     {256: 1.0, 512: 1.0, 1024: 1.1},

@@ -283,7 +283,7 @@ def _sensor_stages(
         ),
         part(
             "read noise",
-            noise and sensor.temporal_dark_noise_e > 0,
+            noise and (sensor.temporal_dark_noise_e > 0 or sensor.dual_gain is not None),
             f"{sensor.temporal_dark_noise_e:g} e-, in noise",
             "the sensor has no temporal dark noise" if noise else off,
         ),
@@ -300,6 +300,15 @@ def _sensor_stages(
             "the converters of all columns are alike" if noise else off,
         ),
         timed(PlanStage("adc", True, _converter(sensor))),
+        timed(
+            PlanStage(
+                "merge",
+                sensor.dual_gain is not None,
+                f"reads at two gains, switched at {sensor.dual_gain.switch_dn} DN"
+                if sensor.dual_gain
+                else "the sensor reads at one gain",
+            )
+        ),
     )
 
 

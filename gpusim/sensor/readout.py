@@ -5,6 +5,8 @@
 3. noise: shot noise of light and dark current, full well; then the read-out's offset (DSNU) and
    temporal dark noise
 4. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
+5. merge, of sensors that read each charge at two gains: temporal dark noise and adc once for each,
+   then one linear code of both
 
 The order is part of the contract: response before shot noise, so that it does not change the
 slope of the photon transfer; all that moves charge before all that is added when it is read.
@@ -20,9 +22,13 @@ from gpusim.sensor.adc import record_adc
 from gpusim.sensor.border import record_border
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect, overlap
+from gpusim.sensor.merge import record_merge
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.sensor import Sensor
+
+# By this the seed of the second read differs from that of the first: noise of its own.
+LOW_GAIN_SEED = 0x6C6F775F6761696E
 
 
 @dataclass(frozen=True)
@@ -102,7 +108,42 @@ def record_readout(
             frame=shot.frame,
             origin=origin,
             dsnu=runs("dsnu"),
-            read_noise=runs("read noise"),
+            read_noise=runs("read noise") and not runs("merge"),
         )
+    if runs("merge"):
+        return {"rate": rate} | _two_reads(rec, electrons, sensor, shot, origin, runs)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
     return {"rate": rate, "electrons": electrons, "dn": dn}
+
+
+def _two_reads(
+    rec: Recording,
+    charge: Array,
+    sensor: Sensor,
+    shot: Shot,
+    origin: tuple[int, int],
+    runs: Callable[[str], bool],
+) -> dict[str, Array]:
+    """Record two reads of a charge and their merged code; the electrons are the first read's."""
+    reads, codes = [], []
+    seeds = {"high": shot.seed, "low": shot.seed ^ LOW_GAIN_SEED}
+    for one, name in ((sensor, "high"), (sensor.at_low_gain(), "low")):
+        read = charge
+        if runs("read noise"):
+            read = record_noise(
+                rec,
+                charge,
+                one,
+                seed=seeds[name],
+                frame=shot.frame,
+                origin=origin,
+                label=f"{name} gain",
+                shot=False,
+                dsnu=False,
+            )
+        reads.append(read)
+        offset = runs("column fpn")
+        codes.append(
+            record_adc(rec, read, one, origin=origin, label=f"{name} dn", column_offset=offset)
+        )
+    return {"electrons": reads[0], "dn": record_merge(rec, *codes, sensor)}

@@ -405,6 +405,18 @@ class Sensor(Strict):
         rise = temperature_c - self.reference_temperature_c
         return self.dark_current_e_per_s * 2 ** (rise / self.doubling_temperature_c)
 
+    def at_low_gain(self) -> Sensor:
+        """Return the sensor as it reads at the low gain of two."""
+        dual = self.dual_gain
+        return self.model_copy(
+            update={
+                "system_gain_dn_per_e": dual.system_gain_dn_per_e,
+                "temporal_dark_noise_e": dual.temporal_dark_noise_e,
+                "black_level_dn": dual.black_level_dn,
+                "dual_gain": None,
+            }
+        )
+
     def roi(self, rows: int, cols: int) -> Sensor:
         """Return the region of rows x cols pixels about the centre.
 

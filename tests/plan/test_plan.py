@@ -67,6 +67,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "linearity",
         "column fpn",
         "adc",
+        "merge",
     ]
     assert all(stage.reason for stage in plan.stages)
     # What other stages do in passing has no cost of its own.
