@@ -8,6 +8,8 @@ camera file loads, and its lens covers its sensor.
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,6 +101,18 @@ def test_what_the_papers_do_not_say_is_said_to_be_assumed():
         sources = load_sensor(name).sources
         for field in ("full_well_e", "temporal_dark_noise_e", "prnu_percent", "quantum_efficiency"):
             assert sources[field].startswith("assumed"), (name, field)
+
+
+def test_the_readme_lists_presets_and_fields():
+    text = (Path(__file__).parents[2] / "README.md").read_text()
+    chapter = text.partition("## Sensors")[2].partition("\n## ")[0]
+    cells = [line.split("|")[1] for line in chapter.splitlines() if line.startswith("| `")]
+    named = {name for cell in cells for name in re.findall(r"`(\w[\w-]*)`", cell)}
+    fields = Sensor.model_fields
+    assert named <= {*presets(), *fields}
+    assert {*presets(), *(name for name in fields if fields[name].is_required())} <= named
+    for name in cameras():
+        assert f"`{name}`" in chapter or name == "mtf-only"
 
 
 @pytest.mark.parametrize("name", presets())
