@@ -85,8 +85,8 @@ def split(image: np.ndarray) -> Parts:
     rest *= rest
     freedom = (rows - 1) * (cols - 1)
     square = float(rest.sum()) / freedom
-    fourth = float(np.vdot(rest, rest)) / rest.size
-    kurtosis = fourth / square**2 if square > 0 else GAUSSIAN_KURTOSIS
+    about = float(rest.mean())  # less than `square`: rows and columns have taken their part
+    kurtosis = float(np.vdot(rest, rest)) / rest.size / about**2 if about else GAUSSIAN_KURTOSIS
     row_square = cols * float(of_rows @ of_rows) / (rows - 1)
     col_square = rows * float(of_cols @ of_cols) / (cols - 1)
     square_u2 = square**2 * max(kurtosis - 1, 0.0) / freedom
