@@ -119,9 +119,9 @@ def show(found: Characterisation, rows: Sequence[loop.Row] | None, title: str) -
         console.print(
             f"{inside} of {len(rows)} recovered within their uncertainty, k = {loop.COVERAGE}"
         )
-        for row in rows:
-            if row.reason:
-                console.print(f"{row.parameter}: {row.reason}", markup=False, soft_wrap=True)
+        for reason in dict.fromkeys(row.reason for row in rows if row.reason):
+            named = ", ".join(row.parameter for row in rows if row.reason == reason)
+            console.print(f"{named}: {reason}", markup=False, soft_wrap=True)
 
 
 def sheet(figures: dict[str, Figure], names: dict[str, tuple[str, str, str]]) -> Table:

@@ -250,9 +250,9 @@ class Characterisation:
     dark : Pattern or None
         Of all photosites.
     figures : dict of str to Figure
-        Of all photosites: ``system_gain_dn_per_e``, ``temporal_dark_noise_dn``,
-        ``temporal_dark_noise_e`` and the parts of it that whole rows and columns share,
-        ``row_noise_e`` and ``column_noise_e``; ``dark_current_e_per_s``,
+        Of all photosites: ``system_gain_dn_per_e`` and ``response_gain_dn_per_e``;
+        ``temporal_dark_noise_dn``, ``temporal_dark_noise_e`` and the parts of it that whole rows
+        and columns share, ``row_noise_e`` and ``column_noise_e``; ``dark_current_e_per_s`` and
         ``dark_current_variance_e_per_s``; ``dsnu_e`` and its parts ``dsnu_pixel_e``,
         ``dsnu_row_e`` and ``dsnu_column_e``.
     notes : tuple of str
@@ -302,6 +302,9 @@ def characterise(levels: Sequence[Level], pattern: Sequence[str]) -> Characteris
     )
     gain = _weighted([one.figures["system_gain_dn_per_e"] for one in channels])
     figures = {"system_gain_dn_per_e": gain}
+    if all("response_gain_dn_per_e" in one.figures for one in channels):
+        unlike = [one.figures["response_gain_dn_per_e"] for one in channels]
+        figures["response_gain_dn_per_e"] = _weighted(unlike)
     figures["temporal_dark_noise_dn"] = Figure.root(variance.value, variance.u)
     figures["temporal_dark_noise_e"] = _root(
         variance.value - QUANTISATION_DN2, variance.u, gain, 1.0

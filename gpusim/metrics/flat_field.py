@@ -56,12 +56,6 @@ def region(sensor: Sensor, side_px: int = SIDE_PX) -> Sensor:
     return sensor.roi(rows, cols)
 
 
-def clipping_e(sensor: Sensor) -> float:
-    """Return the charge at which the well is full or the converter at its end: what comes first."""
-    converter = (sensor.max_dn + 0.5 - sensor.black_level_dn) / sensor.system_gain_dn_per_e
-    return min(sensor.full_well_e, converter)
-
-
 def peak_nm(sensor: Sensor, channel: str) -> float:
     """Return the wavelength at which a channel responds most."""
     return float(WAVELENGTHS_NM[np.argmax(sensor.qe[channel])])
@@ -80,7 +74,7 @@ def lights(
     to beyond saturation, and a stack at half of it. In the dark: a stack and, for the dark current,
     pairs at evenly spaced exposure times.
     """
-    full = clipping_e(sensor)
+    full = sensor.saturation_e
     wanted = [Light(exposure_s, 0.0, None, stack)]
     longest = LONGEST_S
     if sensor.dark_current_e_per_s > 0:

@@ -34,6 +34,9 @@ COVERAGE = 3  # k: 99.7 % of normal deviations lie within
 COARSE_DN = 0.5
 _NODES = 121  # of a normal law: sums over so even a grid are exact to rounding
 _SIGMAS = 6.0
+# From here on rounding is independent noise even where the converter clips, to 1 % of the variance;
+# below it the codes are summed.
+_FINE_DN = 3.0
 _SMALL_E = 200.0  # up to where Poisson's law is summed, and normal from there
 
 
@@ -78,75 +81,81 @@ def rows(found: Characterisation, sensor: Sensor) -> list[Row]:
         Of frames of this sensor.
     sensor : Sensor
     """
-    dark = found.channels[0].transfer
-    coarse = _why_coarse(sensor, float(dark.exposure_s[0]))
+    reason = _why(sensor, float(found.channels[0].transfer.exposure_s[0]))
     table = []
     for channel in found.channels:
         of = f" {channel.name}" if len(found.channels) > 1 else ""
-        table += _of_channel(channel, sensor, of, coarse)
-    table += _in_the_dark(found, sensor, coarse)
-    return table
+        table += _of_channel(channel, sensor, of, reason)
+    unlike = found.figures.get("response_gain_dn_per_e")
+    if unlike is not None and not reason:
+        gain = sensor.system_gain_dn_per_e
+        table.append(_row("K of unlike pixels", "DN/e-", gain, gain, "", unlike))
+    gains = [row.expected for row in table if row.unit == "DN/e-"]
+    return table + _in_the_dark(found, sensor, reason, float(np.mean(gains)))
 
 
-def _of_channel(channel: Channel, sensor: Sensor, of: str, coarse: str) -> list[Row]:
+def _of_channel(channel: Channel, sensor: Sensor, of: str, reason: str) -> list[Row]:
     figures, transfer = channel.figures, channel.transfer
     efficiency = float(np.interp(channel.wavelength_nm, WAVELENGTHS_NM, sensor.qe[channel.name]))
     gain = sensor.system_gain_dn_per_e
-    model = _Model(sensor)
+    model = _Model(sensor, _black_dn(sensor, channel.name))
     dark_e = transfer.exposure_s * sensor.dark_current_e_per_s
     mean, variance = model.levels(efficiency * transfer.photons, dark_e)
-    expected_gain, expected_efficiency = gain, efficiency
-    if coarse:
+    expected = {"gain": gain, "efficiency": efficiency, "prnu": sensor.prnu_percent}
+    if reason:
         black, black_variance = model.levels(np.zeros_like(dark_e), dark_e)
         ideal = replace(
             transfer, mean=mean, variance=variance, dark_mean=black, dark_variance=black_variance
         )
         none = np.zeros_like(mean)
-        expected_gain, _ = ideal.slope(variance - black_variance, ideal.signal, none, none)
+        expected["gain"], _ = ideal.slope(variance - black_variance, ideal.signal, none, none)
         slope, _ = ideal.slope(ideal.signal, transfer.photons, none, none)
-        expected_efficiency = slope / expected_gain
+        expected["efficiency"] = slope / expected["gain"]
+        if channel.bright is not None:
+            light = efficiency * channel.bright.photons
+            expected["prnu"] = model.response_percent(light, float(dark_e[0]))
     found = [
-        _row(f"K{of}", "DN/e-", gain, expected_gain, coarse, figures["system_gain_dn_per_e"]),
+        _row(f"K{of}", "DN/e-", gain, expected["gain"], reason, figures["system_gain_dn_per_e"]),
         _row(
             f"eta{of} at {channel.wavelength_nm:g} nm",
             "1",
             efficiency,
-            expected_efficiency,
-            coarse,
+            expected["efficiency"],
+            reason,
             figures["quantum_efficiency"],
         ),
     ]
     draws = np.random.default_rng(1289).standard_normal((DRAWS, mean.size))
     tops = (variance + np.sqrt(transfer.variance_u2) * draws).argmax(axis=1)
-    capacity = efficiency * transfer.photons[tops]
+    capacity = expected["efficiency"] * transfer.photons[tops]
     full = figures["saturation_e"]
-    converter = (sensor.max_dn + 0.5 - sensor.black_level_dn) / gain
-    first = "well" if sensor.full_well_e <= converter else f"converter, at {converter:.0f} e-,"
+    clips = sensor.saturation_e
+    first = "well is full" if clips == sensor.full_well_e else f"converter ends, at {clips:.0f} e-"
     found.append(
         _row(
             f"mu_e.sat{of}",
             "e-",
             sensor.full_well_e,
             float(capacity.mean()),
-            f"the variance is highest before the {first} clips",
+            f"the variance is highest a little before the {first}",
             Figure(full.value, math.hypot(full.u, float(capacity.std()))),
         )
     )
-    prnu = sensor.prnu_percent
     if "prnu_percent" in figures:
-        found.append(_row(f"PRNU{of}", "%", prnu, prnu, "", figures["prnu_percent"]))
-    if "response_gain_dn_per_e" in figures:
-        slope = figures["response_gain_dn_per_e"]
-        found.append(_row(f"K{of} of unlike pixels", "DN/e-", gain, gain, "", slope))
+        prnu = sensor.prnu_percent
+        found.append(
+            _row(f"PRNU{of}", "%", prnu, expected["prnu"], reason, figures["prnu_percent"])
+        )
     return found
 
 
-def _in_the_dark(found: Characterisation, sensor: Sensor, coarse: str) -> list[Row]:
+def _in_the_dark(found: Characterisation, sensor: Sensor, reason: str, gain: float) -> list[Row]:
+    """Judge what all photosites give; `gain` is the K that DN become electrons with."""
     figures = found.figures
     noise, offsets = sensor.temporal_dark_noise_e, sensor.dsnu_e
     current = spread = sensor.dark_current_e_per_s
-    if coarse:
-        model, gain = _Model(sensor), sensor.system_gain_dn_per_e
+    if reason:
+        model = _Model(sensor, sensor.black_level_dn)
         times = found.series.exposure_s
         mean, variance = model.levels(np.zeros_like(times), times * current)
         weights = found.series.mean_u2**-0.5, found.series.variance_u2**-0.5
@@ -156,23 +165,48 @@ def _in_the_dark(found: Characterisation, sensor: Sensor, coarse: str) -> list[R
         noise = math.sqrt(max(start - QUANTISATION_DN2, 0.0)) / gain
         exposure_s = found.dark.exposure_s if found.dark else 0.0
         offsets = model.offset_spread_dn(exposure_s * sensor.dark_current_e_per_s) / gain
+    columns_e, of_columns = _column_offsets_dn(sensor) / gain, ""
+    if columns_e:
+        of_columns = "; ".join(filter(None, [reason, "the columns' converters add their offsets"]))
     shown = [
-        ("sigma_d", "e-", sensor.temporal_dark_noise_e, noise, "temporal_dark_noise_e"),
-        ("mu_I (mean)", "e-/s", sensor.dark_current_e_per_s, current, "dark_current_e_per_s"),
+        ("sigma_d", "e-", sensor.temporal_dark_noise_e, noise, reason, "temporal_dark_noise_e"),
+        ("mu_I (mean)", "e-/s", sensor.dark_current_e_per_s, current, reason, _CURRENT),
+        ("mu_I (variance)", "e-/s", sensor.dark_current_e_per_s, spread, reason, _CURRENT_BY_NOISE),
         (
-            "mu_I (variance)",
-            "e-/s",
-            sensor.dark_current_e_per_s,
-            spread,
-            "dark_current_variance_e_per_s",
+            "DSNU",
+            "e-",
+            sensor.dsnu_e,
+            math.hypot(offsets, columns_e),
+            of_columns or reason,
+            "dsnu_e",
         ),
-        ("DSNU", "e-", sensor.dsnu_e, offsets, "dsnu_e"),
     ]
+    if columns_e:
+        shown.append(("DSNU.col", "e-", columns_e, columns_e, "", "dsnu_column_e"))
     return [
-        _row(name, unit, sheet, expected, coarse, figures[key])
-        for name, unit, sheet, expected, key in shown
+        _row(name, unit, sheet, expected, why, figures[key])
+        for name, unit, sheet, expected, why, key in shown
         if key in figures
     ]
+
+
+_CURRENT, _CURRENT_BY_NOISE = "dark_current_e_per_s", "dark_current_variance_e_per_s"
+
+
+def _black_dn(sensor: Sensor, channel: str) -> float:
+    """Return the black level of a channel, DN."""
+    return (sensor.channel_black_level_dn or {}).get(channel, sensor.black_level_dn)
+
+
+def _column_offsets_dn(sensor: Sensor) -> float:
+    """Return the standard deviation of the columns' offsets in the part that is read, DN."""
+    offset = sensor.column_offset
+    if offset is None:
+        return 0.0
+    if offset.sigma_dn is not None:
+        return offset.sigma_dn
+    first = sensor.first_col + sensor.frame.on_chip(sensor.frame.lit)[1]
+    return float(np.std(offset.offsets_dn[first : first + sensor.cols], ddof=1))
 
 
 def _row(
@@ -189,25 +223,30 @@ def _row(
     return Row(parameter, unit, sheet, expected, reason, figure.value, uncertainty, bool(within))
 
 
-def _why_coarse(sensor: Sensor, exposure_s: float) -> str:
-    """Return why the converter does not show the dark signal as it is; empty where it does."""
+def _why(sensor: Sensor, exposure_s: float) -> str:
+    """Return why the digital numbers do not follow the linear camera; empty where they do."""
     gain = sensor.system_gain_dn_per_e
     dark_e = exposure_s * sensor.dark_current_e_per_s
     noise = gain * math.hypot(sensor.temporal_dark_noise_e, math.sqrt(dark_e))
-    if noise < COARSE_DN:
-        return f"the dark noise of {noise:.2f} DN is lost in the converter's steps"
     spread = math.hypot(noise, gain * sensor.dsnu_e)
-    level = sensor.black_level_dn + gain * dark_e
-    if ndtr((0.5 - level) / spread) > UNDERFLOW_SHARE:
-        return f"the black level of {sensor.black_level_dn:g} DN clips the dark signal at 0 DN"
-    return ""
+    reasons = []
+    if sensor.linearity is not None:
+        low, high = sensor.linearity.error_percent(sensor.saturation_e)
+        reasons.append(f"the response is off a straight line by {low:+.2g} to {high:+.2g} %")
+    if noise < COARSE_DN:
+        reasons.append(f"the dark noise of {noise:.2g} DN is finer than the converter's steps")
+    level = min(sensor.site_black_dn) + gain * dark_e
+    if not spread or ndtr((0.5 - level) / spread) > UNDERFLOW_SHARE:
+        reasons.append(f"the black level of {sensor.black_level_dn:g} DN lets the converter clip")
+    return "; ".join(reasons)
 
 
 class _Model:
     """The law of a pixel's digital numbers: well, read noise, converter; in float64."""
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: Sensor, black_dn: float) -> None:
         self.sensor = sensor
+        self.black_dn = black_dn
         self.z = np.linspace(-_SIGMAS, _SIGMAS, _NODES)
         self.weight = np.exp(-(self.z**2) / 2)
         self.weight /= self.weight.sum()
@@ -220,14 +259,24 @@ class _Model:
         found = []
         for light, dark in zip(light_e, dark_e, strict=True):
             if light:
-                spread = self.sensor.prnu_percent / 100
-                means = light * (1 + spread * self.nodes) + dark
-                pixels = np.array([self._pixels(mean, self.nodes) for mean in means])
-                found.append(self.node_weight @ (pixels @ self.node_weight))
+                found.append(self.node_weight @ (self._unlike(light, dark) @ self.node_weight))
             else:
                 found.append(np.array(self._pixels(dark, self.z)) @ self.weight)
         mean, variance = np.array(found).T
         return mean, variance
+
+    def response_percent(self, light_e: float, dark_e: float) -> float:
+        """Return the spread of the pixels' mean signals for their responses, per cent of it."""
+        means = self._unlike(light_e, dark_e)[:, 0] @ self.node_weight
+        (black,), _ = self.levels(np.zeros(1), np.array([dark_e]))
+        middle = self.node_weight @ means
+        return 100 * math.sqrt(self.node_weight @ (means - middle) ** 2) / (middle - black)
+
+    def _unlike(self, light_e: float, dark_e: float) -> np.ndarray:
+        """Return mean and variance by response and by offset: (responses, 2, offsets)."""
+        spread = self.sensor.prnu_percent / 100
+        means = light_e * (1 + spread * self.nodes) + dark_e
+        return np.array([self._pixels(mean, self.nodes) for mean in means])
 
     def offset_spread_dn(self, dark_e: float) -> float:
         """Return the standard deviation of the pixels' mean dark signals, DN."""
@@ -244,26 +293,30 @@ class _Model:
             charge, weight = mean_e + math.sqrt(mean_e) * self.z, self.weight
         charge = np.minimum(charge, sensor.full_well_e)
         electrons = np.add.outer(sensor.dsnu_e * offsets, charge)
-        middle = sensor.black_level_dn + sensor.system_gain_dn_per_e * electrons
         noise = sensor.system_gain_dn_per_e * sensor.temporal_dark_noise_e
-        first, second = _converted(middle, noise, sensor.max_dn)
+        if sensor.linearity is not None:
+            read = sensor.linearity.read
+            noise = noise * (read(electrons + 0.5) - read(electrons - 0.5))
+            electrons = read(electrons)
+        middle = self.black_dn + sensor.system_gain_dn_per_e * electrons
+        first, second = _converted(middle, np.asarray(noise), sensor.max_dn)
         mean, square = first @ weight, second @ weight
         return mean, square - mean**2
 
 
-def _converted(middle: np.ndarray, noise: float, top: int) -> tuple[np.ndarray, np.ndarray]:
+def _converted(middle: np.ndarray, noise: np.ndarray, top: int) -> tuple[np.ndarray, np.ndarray]:
     """Return first and second moment of what a converter makes of normal voltages.
 
     Parameters
     ----------
     middle : ndarray
         Mean, DN.
-    noise : float
-        Standard deviation, DN.
+    noise : ndarray
+        Standard deviation, DN: of all, or of each.
     top : int
         Highest digital number.
     """
-    if noise >= 1:  # rounding is independent noise; clipping is that of a normal law
+    if noise.min() >= _FINE_DN:
         low, high = -middle / noise, (top - middle) / noise
         inside = ndtr(high) - ndtr(low)
         density_low, density_high = (np.exp(-(end**2) / 2) / math.tau**0.5 for end in (low, high))
@@ -275,11 +328,11 @@ def _converted(middle: np.ndarray, noise: float, top: int) -> tuple[np.ndarray, 
         )
         return first, second
     base = np.floor(middle + 0.5)
-    reach = math.ceil(_SIGMAS * noise) + 1
+    reach = math.ceil(_SIGMAS * float(noise.max())) + 1
     first, second = np.zeros_like(middle), np.zeros_like(middle)
     for step in range(-reach, reach + 1):
         code = base + step
-        if noise:
+        if noise.all():
             share = ndtr((code + 0.5 - middle) / noise) - ndtr((code - 0.5 - middle) / noise)
         else:
             share = (step == 0) * np.ones_like(middle)

@@ -170,7 +170,7 @@ def test_linearity_agrees(of_one_time):
 def test_dark_current_agrees(judge, device, tmp_path):
     """One light for rising times: each has a pair with it and a pair in the dark."""
     sensor = sensor_of()
-    full = flat_field.clipping_e(sensor) / sensor.qe["W"].max()
+    full = sensor.saturation_e / sensor.qe["W"].max()
     times = np.arange(1, 61) * 0.25
     wanted = [
         Light(float(time), photons, 550.0 if photons else None, 2)

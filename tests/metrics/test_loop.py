@@ -11,6 +11,7 @@ from gpusim.metrics import flat_field, loop
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
+from gpusim.sensor.adc_model import ColumnOffset, Linearity
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
 
@@ -37,12 +38,10 @@ def sensor_of(**changes: object) -> Sensor:
     return load_sensor("imx477").model_copy(update={**MONO, **changes})
 
 
-def measured(device: Device, sensor: Sensor, **options: object):
-    wanted = flat_field.lights(sensor, levels=24, stack=16)
-    levels = list(
-        flat_field.measure(sensor, wanted, device, sensor_runs(sensor), seed=3, **options)
-    )
-    return characterise(levels, sensor.site_channels())
+def measured(device: Device, sensor: Sensor, levels: int = 24):
+    wanted = flat_field.lights(sensor, levels=levels, stack=16)
+    found = flat_field.measure(sensor, wanted, device, sensor_runs(sensor), seed=3)
+    return characterise(list(found), sensor.site_channels())
 
 
 @pytest.fixture(scope="module")
@@ -134,9 +133,34 @@ def test_a_black_level_of_zero_is_predicted_and_said(device: Device):
     assert any("black level" in note for note in found.notes)
 
 
-def test_a_colour_sensor_is_measured_channel_by_channel(device: Device):
-    sensor = load_sensor("imx477").roi(256, 256)
+def test_a_bent_response_is_predicted_and_said(device: Device):
+    """Gain, quantum efficiency and PRNU are those of the curve's slopes."""
+    bent = {"electrons": [0, 3000, 6000, 1e4], "read_e": [0, 2950, 5700, 9000]}
+    sensor = sensor_of(linearity=Linearity.model_validate(bent))
     table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert "straight line" in table["K"].reason
+    assert abs(table["K"].expected - 0.3) > 3 * table["K"].uncertainty
+    assert abs(table["PRNU"].expected - 1.2) > table["PRNU"].uncertainty
+
+
+def test_offsets_of_columns_and_black_levels_of_channels_are_seen(device: Device):
+    sensor = load_sensor("imx477").roi(192, 192)
+    sensor = sensor.model_copy(
+        update={
+            "channel_black_level_dn": {"R": 240.0, "B": 270.5},
+            "column_offset": ColumnOffset(sigma_dn=0.8),
+        }
+    )
+    table = verdicts(measured(device, sensor, levels=16), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert table["DSNU"].expected == pytest.approx(np.hypot(1.1, 0.8 / 0.47))
+    assert table["DSNU.col"].uncertainty < 0.5 * table["DSNU.col"].expected
+
+
+def test_a_colour_sensor_is_measured_channel_by_channel(device: Device):
+    sensor = load_sensor("imx477").roi(192, 192)
+    table = verdicts(measured(device, sensor, levels=16), sensor)
     assert [row for row in table.values() if not row.within] == []
     for name, nm in (("R", 595), ("G", 530), ("B", 460)):
         row = table[f"eta {name} at {nm} nm"]
@@ -174,21 +198,29 @@ def test_the_model_is_the_law_of_a_pixel():
         level = sensor.system_gain_dn_per_e * charge + sensor.black_level_dn
         dn = np.clip(np.floor(level + 0.5), 0, sensor.max_dn)
         squares = (dn[:, 0] - dn[:, 1]) ** 2 / 2
-        mean, variance = loop._Model(sensor).levels(np.array([light]), np.zeros(1))
+        mean, variance = loop._Model(sensor, sensor.black_level_dn).levels(
+            np.array([light]), np.zeros(1)
+        )
         assert abs(mean[0] - dn.mean()) < 4.5 * dn.mean(axis=1).std() / draws[0] ** 0.5
         assert abs(variance[0] - squares.mean()) < 4.5 * squares.std() / draws[0] ** 0.5
 
 
 def test_the_moments_of_a_clipped_normal_are_those_of_a_sum():
-    """The closed form of a wide noise against the sum over all codes."""
-    middle = np.array([-3.0, 0.0, 7.5, 62.0, 63.0, 70.0])
-    codes = np.arange(64)
+    """The closed form of a wide noise against the sum over all codes, in the middle and clipped."""
+    middle = np.array([-3.0, 0.0, 7.5, 120.0, 253.0, 255.0, 262.0])
+    codes = np.arange(256)
     edges = np.concatenate([[-np.inf], codes[1:] - 0.5, [np.inf]])
-    share = np.diff(ndtr((edges[None] - middle[:, None]) / 2.0), axis=1)
-    first, second = loop._converted(middle, 2.0, 63)
-    # Rounding at the ends is not independent of the noise: a twelfth is what it may be off by.
+    share = np.diff(ndtr((edges[None] - middle[:, None]) / 4.0), axis=1)
+    first, second = loop._converted(middle, np.array(4.0), 255)
+    variance = share @ codes**2 - (share @ codes) ** 2
+    # At the ends rounding is not independent of the noise: that takes up to a twelfth.
     assert np.abs(first - share @ codes).max() < 0.02
-    assert np.abs(second - first**2 - (share @ codes**2 - (share @ codes) ** 2)).max() < 1 / 12
+    assert np.abs(second - first**2 - variance).max() < 1 / 12
+    assert second[3] - first[3] ** 2 == pytest.approx(variance[3], rel=1e-6)
+    narrow = np.diff(ndtr((edges[None] - middle[:, None]) / 1.5), axis=1)
+    first, second = loop._converted(middle, np.array(1.5), 255)
+    assert np.allclose(first, narrow @ codes, atol=1e-6)
+    assert np.allclose(second, narrow @ codes**2, rtol=1e-6, atol=1e-5)
 
 
 def test_the_light_reaches_beyond_saturation_in_even_steps():
