@@ -227,8 +227,8 @@ def test_a_sensor_of_two_gains_sees_more_and_tiles_change_not_one_bit(tmp_path: 
         ({"right": 2.5}, "optical_black.right", "integer"),
         ({"middle": 2}, "optical_black.middle", "top, bottom, left, right"),
         ({}, "optical_black", "above 0"),
-        ({"top": 3}, None, "multiples of 2 and 2"),
-        ({"left": 5}, None, "multiples of 2 and 2"),
+        ({"top": 3}, "optical_black", "multiples of 2 and 2"),
+        ({"left": 5}, "optical_black", "multiples of 2 and 2"),
     ],
 )
 def test_a_border_that_is_none_is_refused(tmp_path: Path, black: dict, field, allowed: str):

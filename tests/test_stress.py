@@ -11,7 +11,8 @@ import pytest
 from gpusim import stress
 from gpusim.cli import stress as command
 from gpusim.errors import UserError
-from gpusim.stress import CASES, levels, made, noise, sensor_files
+from gpusim.sensor.adc_model import Linearity
+from gpusim.stress import CASES, levels, made, noise, readout, sensor_files
 from gpusim.stress.table import FAILED, HELD, REFUSED, Row, judged
 
 
@@ -88,6 +89,38 @@ def test_planted_errors_fail_the_cases_of_the_sensor(monkeypatch: pytest.MonkeyP
         "loaded",
         lambda text: loaded(text.replace("fill_factor: .nan", "fill_factor: 1.0")),
     )
+
+
+def test_planted_errors_fail_the_cases_of_the_read_out(monkeypatch: pytest.MonkeyPatch):
+    convert, merged, whole = readout.record_adc, readout.record_merge, readout.captured
+
+    def changed(record, **changes):
+        """Record a stage by the figures of another sensor."""
+
+        def plant(rec, *arrays_and_sensor, **more):
+            *arrays, sensor = arrays_and_sensor
+            return record(rec, *arrays, sensor.model_copy(update=changes), **more)
+
+        return plant
+
+    def moved(sensor, exposure_s=0.01, noise=False, **more):
+        """Let tiles move the border's noise by a column."""
+        raw = whole(sensor, exposure_s, noise, **more)
+        return np.roll(raw, 1, axis=1) if more else raw
+
+    bent = Linearity(electrons=[0, 1e5], read_e=[0, 9.99e4])
+    other = readout.DUAL.model_copy(update={"black_level_dn": 201.0})
+    for name, function, plant in (
+        ("response of 4000 points", "record_adc", changed(convert, linearity=bent)),
+        ("column offsets beyond the codes", "record_adc", changed(convert, column_offset=None)),
+        ("two reads, 16 to 1", "record_merge", changed(merged, dual_gain=other)),
+        ("charge beyond both reads", "record_merge", changed(merged, dual_gain=other)),
+        ("one lit pixel in a wide border", "captured", moved),
+    ):
+        with monkeypatch.context() as planted:
+            planted.setattr(readout, function, plant)
+            (row,) = stress.run(tuple(case[0] for case in CASES if case[0].startswith(name)))
+        assert row.verdict == FAILED, row
 
 
 def test_one_failure_is_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path, capsys):

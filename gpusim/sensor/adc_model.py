@@ -63,11 +63,16 @@ class Linearity(Strict):
         given = self.read_e if self.deviation_percent is None else self.deviation_percent
         if len(given) != len(self.electrons):
             raise wrong(
-                f"the response has {len(given)} values", f"{len(self.electrons)}, as electrons"
+                "the columns of the response are of unlike length",
+                f"{len(self.electrons)}, as electrons",
+                value=f"{len(given)} values",
             )
         if self.electrons[0] != 0:
             raise wrong(
-                f"the response begins at {self.electrons[0]:g} electrons", "a first point at 0"
+                "the response does not begin in the dark",
+                "a first point at 0",
+                field="electrons",
+                value=self.electrons[0],
             )
         for name, values in (("electrons", self.electrons), ("what is read", self.response)):
             for before, value in pairwise(values):

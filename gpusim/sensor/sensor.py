@@ -203,8 +203,9 @@ class Sensor(Strict):
         black, (down, across) = self.optical_black, self.period
         if black and (black.top % down or black.left % across):
             raise wrong(
-                f"optical_black has {black.top} rows above and {black.left} columns to the left",
+                f"there are {black.top} rows above and {black.left} columns to the left",
                 f"multiples of {down} and {across}, as the filter pattern",
+                field="optical_black",
             )
         if unknown := set(self.sources) - set(type(self).model_fields):
             raise wrong(
@@ -219,25 +220,33 @@ class Sensor(Strict):
         for name, level in (self.channel_black_level_dn or {}).items():
             if name not in self.site_channels():
                 raise wrong(
-                    f"channel_black_level_dn names {name}",
-                    f"channels of the filter pattern: {', '.join(self.channels)}",
+                    "the filter pattern has no such channel",
+                    ", ".join(self.channels),
+                    field="channel_black_level_dn",
+                    value=name,
                 )
             if level >= self.max_dn:
                 raise wrong(
-                    f"channel_black_level_dn of {name}, {level:g}, leaves no range",
-                    f"below {self.max_dn}",
+                    "the black level leaves no range",
+                    f"below {self.max_dn} (DN)",
+                    field=f"channel_black_level_dn.{name}",
+                    value=level,
                 )
         if self.linearity and self.linearity.electrons[-1] < self.full_well_e:
             raise wrong(
-                f"the response of linearity ends at {self.linearity.electrons[-1]:g} electrons",
-                f"a last point at the full well, {self.full_well_e:g}, or beyond",
+                "the response ends before the full well",
+                f"a last point at {self.full_well_e:g} electrons or beyond",
+                field="linearity.electrons",
+                value=self.linearity.electrons[-1],
             )
         given = self.column_offset and self.column_offset.offsets_dn
         columns = self.first_col + self.frame.read[3]
         if given is not None and len(given) != columns:
             raise wrong(
-                f"column_offset has {len(given)} values",
+                f"there are offsets of {len(given)} columns",
                 f"{columns}, one for each column that is read",
+                field="column_offset.offsets_dn",
+                value=f"{len(given)} values",
             )
         if dual := self.dual_gain:
             self._check_dual_gain(dual)
@@ -245,28 +254,37 @@ class Sensor(Strict):
     def _check_dual_gain(self, dual: DualGain) -> None:
         if self.analogue_gains or self.channel_black_level_dn:
             raise wrong(
-                "dual_gain goes with one gain and one black level",
+                "two reads go with one analogue gain and one black level for all channels",
                 "no analogue_gains and no channel_black_level_dn beside it",
+                field="dual_gain",
             )
         if dual.system_gain_dn_per_e >= self.system_gain_dn_per_e:
             raise wrong(
-                f"dual_gain.system_gain_dn_per_e is {dual.system_gain_dn_per_e:g}",
-                f"below that of the high gain, {self.system_gain_dn_per_e:g}",
+                "the low gain is not the lower",
+                f"below {self.system_gain_dn_per_e:g}, the system_gain_dn_per_e of the high gain",
+                field="dual_gain.system_gain_dn_per_e",
+                value=dual.system_gain_dn_per_e,
             )
         if not self.black_level_dn < dual.switch_dn <= self.max_dn:
             raise wrong(
-                f"dual_gain.switch_dn is {dual.switch_dn}",
-                f"above the black level, up to {self.max_dn}",
+                "the switch is no code of a signal",
+                f"above the black level, {self.black_level_dn:g}, up to {self.max_dn} (DN)",
+                field="dual_gain.switch_dn",
+                value=dual.switch_dn,
             )
         if dual.black_level_dn >= self.max_dn:
             raise wrong(
-                f"dual_gain.black_level_dn {dual.black_level_dn:g} leaves no range",
-                f"below {self.max_dn}",
+                "the black level leaves no range",
+                f"below {self.max_dn} (DN)",
+                field="dual_gain.black_level_dn",
+                value=dual.black_level_dn,
             )
         if self.raw_max_dn > MAX_RAW_DN:
             raise wrong(
-                f"dual_gain makes codes up to {self.raw_max_dn}",
+                f"the merged codes go up to {self.raw_max_dn}",
                 f"up to {MAX_RAW_DN}: gains closer to each other, or fewer bits",
+                field="dual_gain.system_gain_dn_per_e",
+                value=dual.system_gain_dn_per_e,
             )
 
     @property

@@ -178,6 +178,7 @@ def test_a_mistake_is_told_with_what_is_allowed(tmp_path: Path, name: str):
     with pytest.raises(UserError) as caught:
         loaded(tmp_path, **fields)
     assert caught.value.file == tmp_path / "sensor.yaml"
+    assert caught.value.field.startswith(next(iter(fields)))
     assert allowed in caught.value.allowed
 
 

@@ -5,6 +5,7 @@ import pytest
 from harness import assert_close, run_stage, unwritten
 
 from gpusim.gpu import Device, Recording
+from gpusim.plan.stages import sensor_runs
 from gpusim.reference.border import border
 from gpusim.sensor.border import record_border
 from gpusim.sensor.frame import Border, overlap, parts_around
@@ -93,7 +94,7 @@ def small(**changes) -> Sensor:
 
 
 def read_out(
-    device: Device, sensor: Sensor, rect: tuple, rate_e: float = 4e5, without: tuple = ("border",)
+    device: Device, sensor: Sensor, rect: tuple, rate_e: float = 4e5, without: tuple = ()
 ) -> dict[str, np.ndarray]:
     """Return what is read of a rectangle, evenly lit; all stages run that the sensor has."""
     rec = Recording(device)
@@ -101,10 +102,12 @@ def read_out(
     rec.upload(sites, np.full((4, 10, 15), rate_e, F32))
     glare = rec.buffer("glare", 4, F32)
     rec.clear(glare)
-    shot = Shot(exposure_s=0.01, seed=3, frame=0)
-    found = record_readout(
-        rec, sites, glare, sensor, rect, (0, 0, 20, 30), shot, lambda name: name not in without
-    )
+    shot, has = Shot(exposure_s=0.01, seed=3, frame=0), sensor_runs(sensor)
+
+    def runs(name: str) -> bool:
+        return has(name) and name not in without
+
+    found = record_readout(rec, sites, glare, sensor, rect, (0, 0, 20, 30), shot, runs)
     labels = {name: rec.download(array) for name, array in found.items()}
     result = rec.run()
     return {name: result[label].astype(float) for name, label in labels.items()}
@@ -133,7 +136,7 @@ def test_a_shielded_pixel_has_all_but_the_light(device: Device):
 def test_lit_pixels_are_those_of_the_sensor_without_a_border(device: Device):
     """But for noise that is keyed by the place on the chip, which the border moves."""
     quiet = {"prnu_percent": 0.0, "dsnu_e": 0.0, "temporal_dark_noise_e": 0.0}
-    without = ("border", "noise")
+    without = ("noise",)
     framed = read_out(device, small(**quiet), (-4, -6, 27, 37), without=without)
     bare = read_out(device, small(optical_black=None, **quiet), (0, 0, 20, 30), without=without)
     for name, plane in bare.items():
@@ -162,7 +165,7 @@ def test_parts_are_those_of_the_whole_bit_for_bit(device: Device, rect: tuple):
 
 def test_a_region_has_the_fixed_pattern_of_its_place_on_the_chip(device: Device):
     sensor = small(prnu_percent=3.0, dsnu_e=5.0, temporal_dark_noise_e=0.0)
-    without = ("border", "noise")  # PRNU alone
+    without = ("noise",)  # PRNU alone
     whole = read_out(device, sensor, sensor.frame.read, without=without)
     region = sensor.roi(12, 14)
     found = read_out(device, region, (0, 0, 12, 14), without=without)

@@ -5,6 +5,7 @@ import pytest
 from harness import assert_close, run_stage, unwritten
 
 from gpusim.gpu import Device, Kernel, Recording
+from gpusim.plan.stages import sensor_runs
 from gpusim.reference.merge import merge
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
 from gpusim.sensor.merge import record_merge
@@ -65,6 +66,14 @@ def test_the_switch_is_the_first_code_of_the_low_gain():
     assert_close(on_device(high, low), np.array([3799, 256 + 3525, 0]), atol=0)
 
 
+def test_halves_are_rounded_up_and_no_less():
+    high, low = np.full((1, 3), 4000, np.uint32), np.array([[201, 202, 204]], np.uint32)
+    # 0.499, 0.998, 1.996; then 0.5, 1.0, 2.0
+    found = on_device(high, low, black_high_dn=0, ratio=0.499)
+    assert_close(found, np.array([0, 1, 2]), atol=0)
+    assert_close(on_device(high, low, black_high_dn=0, ratio=0.5), np.array([1, 1, 2]), atol=0)
+
+
 def test_the_host_takes_the_figures_of_the_sensor(device: Device):
     high, low = np.random.default_rng(5).integers(0, 4096, (2, 9, 33), dtype=np.uint32)
     rec = Recording(device)
@@ -94,18 +103,18 @@ def shot_of(device: Device, sensor: Sensor, mean_e: float, *off: str, seed: int 
     rec.upload(sites, np.full(sites.shape, mean_e, F32))
     glare = rec.buffer("glare", 4, F32)
     rec.clear(glare)
-    without = {"prnu", *off} | ({"merge"} if sensor.dual_gain is None else set())
+    has = sensor_runs(sensor)
     shot = Shot(exposure_s=1.0, seed=seed, frame=0)
     whole = (0, 0, *SHAPE)
     found = record_readout(
-        rec, sites, glare, sensor, whole, whole, shot, lambda name: name not in without
+        rec, sites, glare, sensor, whole, whole, shot, lambda name: has(name) and name not in off
     )
     labels = {name: rec.download(found[name]) for name in ("electrons", "dn")}
     result = rec.run()
     return {name: result[label].astype(float) for name, label in labels.items()}
 
 
-QUIET = {"dsnu_e": 0.0, "dark_current_e_per_s": 0.0}
+QUIET = {"prnu_percent": 0.0, "dsnu_e": 0.0, "dark_current_e_per_s": 0.0}
 
 
 def test_below_the_switch_it_is_the_sensor_of_one_gain_to_the_bit(device: Device):
