@@ -18,6 +18,7 @@ from gpusim.sensor.sensor import Sensor, load_sensor, presets
 from gpusim.sensor.speos import is_speos, read_speos
 
 ISETCAM, YAML = (".mat", ".json"), (".yaml", ".yml")
+LONGEST = 200  # characters of a value
 # EMVA 1288's names of fields.
 SYMBOLS = {
     "quantum_efficiency": "eta",
@@ -102,10 +103,8 @@ def library() -> Table:
 def data_sheet(sensor: Sensor) -> Table:
     """Return the fields of a sensor with EMVA 1288's symbols, units and sources."""
     table = Table("field", "", "value", "source", box=None, header_style="bold")
-    for field in type(sensor).model_fields:
-        value = getattr(sensor, field)
-        if field == "sources" or value == type(sensor).model_fields[field].default:
-            continue
+    fields = sensor.model_dump(mode="json", exclude_defaults=True, exclude={"sources"})
+    for field, value in fields.items():
         source = sensor.sources.get(field, "")
         style = "yellow" if source.startswith("assumed") else ""
         table.add_row(
@@ -118,18 +117,18 @@ def shown(field: str, value: object) -> str:
     """Return a field's value with its unit; of curves the peaks, of tables their rows."""
     match field:
         case "quantum_efficiency":
-            grid, curves = value.wavelengths_nm, value.channels
+            grid, curves = value["wavelengths_nm"], value["channels"]
             peaks = (
                 f"{name} {max(curve):.3f} at {grid[curve.index(max(curve))]:g} nm"
                 for name, curve in curves.items()
             )
             return "; ".join(peaks)
         case "cfa":
-            return " / ".join(" ".join(row) for row in value.pattern)
+            return " / ".join(" ".join(row) for row in value["pattern"])
     if isinstance(value, float):
         unit = next((unit for end, unit in UNITS.items() if field.endswith(end)), "")
         return f"{value:.6g} {unit.partition(';')[0]}".rstrip()
-    if hasattr(value, "model_dump"):
-        inner = value.model_dump(mode="json", exclude_defaults=True)
-        return yaml.safe_dump(inner, default_flow_style=True, width=10_000).strip()
+    if isinstance(value, dict | list):
+        text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000).strip()
+        return text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
     return str(value)

@@ -77,7 +77,7 @@ class Conversion:
             )
         fields["sources"] = {name: text for name, text in sources.items() if name not in own}
         try:
-            return Sensor.model_validate(fields)
+            return Sensor.model_validate(fields, context={"folder": self.file.parent})
         except ValidationError as error:
             raise user_error(error, Sensor, self.file) from error
 

@@ -51,6 +51,10 @@ def test_the_imx363_is_the_one_of_isetcam():
     # Where the converter clips: 959 DN above the black level.
     assert (sensor.max_dn - 64) / sensor.system_gain_dn_per_e == pytest.approx(5625, abs=1)
     assert sensor.site_channels() == ("R", "G", "G", "B")
+    # ISETCam's gain at ISO 270, 55 / 270, divides.
+    assert sensor.analogue_gains[1].iso == 270
+    raised = sensor.at_gain(sensor.analogue_gains[1].gain).system_gain_dn_per_e
+    assert raised == pytest.approx(sensor.system_gain_dn_per_e / (55 / 270), rel=1e-6)
     # 53.5 % in green, and the ratios of the IMX477-like curves.
     peaks = {name: curve.max() for name, curve in sensor.qe.items()}
     whole = {name: curve.max() for name, curve in load_sensor("imx477").qe.items()}
