@@ -47,5 +47,5 @@ def judged(name: str, case: Callable[[], tuple], refusal: str | None) -> Row:
 
 def short(error: UserError) -> str:
     """Return an error in one line."""
-    value = "" if error.value is None else f" ({error.field}: {error.value})"
+    value = "" if error.value is None else f" ({error.field or 'file'}: {error.value})"
     return f"{error.problem}{value}"
