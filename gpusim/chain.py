@@ -17,6 +17,7 @@ from gpusim.camera import Camera
 from gpusim.certify import Certificate, certify
 from gpusim.errors import UserError
 from gpusim.gpu import (
+    Array,
     Device,
     OutOfMemoryError,
     Recording,
@@ -39,6 +40,7 @@ from gpusim.plan.signal import brightest_e
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
+    STRIP_SHARE,
     Rect,
     aligned,
     halves,
@@ -51,8 +53,9 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.ccd import ReadOut, needed
 from gpusim.sensor.frame import overlap, parts_around
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, record_light, record_readout
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
@@ -346,11 +349,12 @@ class Renderer:
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
         if self.accuracy.probes:
             names["rate"] = np.float32
-        shot = _Shot(self, rect, names, folder, exposure_s, seed, frame)
+        kind = _ShiftedShot if sensor.is_ccd else _Shot
+        shot = kind(self, rect, names, folder, exposure_s, seed, frame)
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
         with self.device.pool.within(self.memory_bytes):
-            self._hold(rect, tile_px, report)
+            self._hold(shot.rect, tile_px, report)
             started = time.perf_counter()
             shot.render(tile_px, lambda done, total: report("render", done, total))
             wall_s = time.perf_counter() - started
@@ -668,7 +672,19 @@ class _Shot:
         """Take a strip of rows from the planes of the sites to digital numbers, and to the host."""
         renderer = self.renderer
         rec = Recording(renderer.device)
-        outputs = record_readout(
+        outputs = self._outputs(rec, strip, rates, tile)
+        labels = {name: rec.download(outputs[name]) for name in self.planes}
+        result = self._run(rec)
+        row, col = strip[0] - self.rect[0], strip[1] - self.rect[1]
+        for name, plane in self.planes.items():
+            plane[row : row + strip[2], col : col + strip[3]] = result[labels[name]]
+
+    def _outputs(
+        self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
+    ) -> dict[str, Array]:
+        """Record what becomes of a strip."""
+        renderer = self.renderer
+        return record_readout(
             rec,
             rates,
             renderer.resident_glare,
@@ -678,17 +694,67 @@ class _Shot:
             self.shot,
             renderer.plan.runs,
         )
-        labels = {name: rec.download(outputs[name]) for name in self.planes}
-        result = self._run(rec)
-        row, col = strip[0] - self.rect[0], strip[1] - self.rect[1]
-        for name, plane in self.planes.items():
-            plane[row : row + strip[2], col : col + strip[3]] = result[labels[name]]
 
     def _run(self, rec: Recording) -> Result:
         result = rec.run()
         for stage, seconds in result.times_s.items():
             self.times_s[stage.rpartition("/")[2]] += seconds
         return result
+
+
+class _ShiftedShot(_Shot):
+    """One frame of a CCD: the tiles bring the light, then charge goes by columns and by rows."""
+
+    def __init__(
+        self,
+        renderer: Renderer,
+        rect: Rect,
+        names: dict[str, type],
+        folder: Path | None,
+        *given: float,
+    ) -> None:
+        sensor = renderer.camera.sensor
+        tiled = needed(rect, sensor, renderer.plan.runs)
+        super().__init__(renderer, tiled, {"light": np.float32}, folder, *given)
+        size = sensor.frame.read[2], tiled[3]
+        self.charge = _on_host("charge", size, np.float32, folder)
+        self.wanted = rect
+        self.found = {
+            name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
+        }
+
+    def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
+        """Render the light of all tiles; then read out."""
+        super().render(tile_px, progress)
+        renderer, light = self.renderer, self.planes["light"]
+        read_out = ReadOut(
+            renderer.device,
+            renderer.camera.sensor,
+            self.shot,
+            renderer.plan.runs,
+            renderer.memory_bytes // STRIP_SHARE,
+            self._run,
+        )
+        read_out.columns(light, self.rect, self.charge)
+        drawn = {name: plane for name, plane in self.found.items() if name != "rate"}
+        read_out.rows(self.charge, self.rect[1], self.wanted, drawn)
+        if "rate" in self.found:  # none in the overscan
+            row, col, rows, cols = overlap(self.wanted, self.rect)
+            top, left = row - self.rect[0], col - self.rect[1]
+            self.found["rate"][...] = 0
+            self.found["rate"][
+                row - self.wanted[0] : row - self.wanted[0] + rows,
+                col - self.wanted[1] : col - self.wanted[1] + cols,
+            ] = light[top : top + rows, left : left + cols]
+        self.planes = self.found
+
+    def _outputs(
+        self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
+    ) -> dict[str, Array]:
+        renderer = self.renderer
+        glare, sensor = renderer.resident_glare, renderer.camera.sensor
+        light = record_light(rec, rates, glare, sensor, strip, tile, renderer.plan.runs)
+        return {"light": light}
 
 
 def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None) -> np.ndarray:

@@ -33,12 +33,18 @@ from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.adc_model import DualGain
+from gpusim.sensor.bloom import record_bloom
 from gpusim.sensor.border import record_border
+from gpusim.sensor.cti import record_cti
+from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.merge import record_merge
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.smear import record_smear
+from gpusim.sensor.smear_model import Smear
+from gpusim.sensor.traps import record_traps
 
 BLOCKS = 3  # that one run convolves: a pass of one dispatch is mostly its beginning and end
 RUNS = 5  # of which the fastest counts
@@ -121,7 +127,7 @@ def _read(path: Path) -> Costs | None:
 def measure(device: Device, progress: Progress | None = None) -> Costs:
     """Time every stage on a small piece of its work."""
     tell = progress or (lambda done, total: None)
-    parts = (_host, _source, _transforms, _others, _sensor, _dispatch)
+    parts = (_host, _source, _transforms, _others, _sensor, _ccd, _dispatch)
     ns: dict[str, float] = {}
     lengths: dict[int, float] = {}
     for number, part in enumerate(parts):
@@ -313,6 +319,19 @@ def _sensor(device: Device) -> dict[str | int, float]:
     low = {"temporal_dark_noise_e": 12, "black_level_dn": 256, "switch_dn": 3800}
     dual = DualGain(system_gain_dn_per_e=sensor.system_gain_dn_per_e / 8, **low)
     record_merge(rec, dn, dn, sensor.model_copy(update={"dual_gain": dual}), label="merged")
+    return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
+
+
+def _ccd(device: Device) -> dict[str | int, float]:
+    """Time what CCDs do to their charge, at a mid-grey."""
+    rec = Recording(device)
+    rate = rec.buffer("rate", (SIDE, SIDE), np.float32)
+    rec.upload(rate, np.full(rate.shape, 1e3, np.float32))
+    charge = record_smear(rec, rate, rate, Smear(kind="frame_transfer", row_s=1e-6))
+    charge, _ = record_bloom(rec, charge, 1e5)
+    charge = record_cti(rec, charge, 1e-5, label="shifted")
+    traps = Cti(traps=(Species(density=1.0, release_transfers=5.0),), groups=1)
+    record_traps(rec, charge, traps, well_e=1e5)
     return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
 
 

@@ -32,7 +32,7 @@ from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import TRANSFORMS, Memory, Needed, cheapest_grid, planes_at_nodes
 from gpusim.plan.predict import alias_error, cells_within, cut_error
-from gpusim.plan.stages import Plan, PlanStage, describe
+from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -132,7 +132,7 @@ def plan_optics(
     stages = describe(
         chosen, basis, sensor, scene, costs, identity, noise, force, problem.left_out()
     )
-    of_sensor = ("mosaic", "exposure", "noise", "adc")
+    of_sensor = ("mosaic", "exposure", "noise", *CCD_STAGES, "adc")
     return Plan(
         basis=basis,
         scales=scales,

@@ -13,11 +13,13 @@ from gpusim.plan.candidates import Candidate, Part, RunnerUp
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
+from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 REASON = 60  # of which a reason may take
+CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")
 
 
 @dataclass(frozen=True)
@@ -287,7 +289,7 @@ def _sensor_stages(
             f"{sensor.temporal_dark_noise_e:g} e-, in noise",
             "the sensor has no temporal dark noise" if noise else off,
         ),
-        PlanStage("smear, cti", False, "a CMOS sensor does not shift its charge"),
+        *_shift_stages(sensor, costs, timed),
         PlanStage(
             "linearity",
             sensor.linearity is not None,
@@ -320,6 +322,37 @@ def sensor_runs(sensor: Sensor) -> Callable[[str], bool]:
 
     stages = _sensor_stages(sensor, LAVAPIPE, True, part)
     return {one.name for one in stages if one.runs}.__contains__
+
+
+def _shift_stages(
+    sensor: Sensor, costs: Costs, timed: Callable[[PlanStage], PlanStage]
+) -> tuple[PlanStage, ...]:
+    """Describe what a CCD does to its charge on the way."""
+    pixels = math.prod(sensor.frame.read[2:])
+    none = "the sensor file gives none" if sensor.is_ccd else "the charge is not shifted"
+    smear = sensor.smear
+    by = smear and ("line by line" if smear.leak is None else f"{smear.leak:g} of the light leaks")
+
+    def transfer(name: str, cti: Cti | None) -> PlanStage:
+        if cti is None:
+            return PlanStage(name, False, none)
+        if cti.traps:
+            work = pixels * (cti.groups + 1) / 2
+            reason = f"{len(cti.traps)} kinds of traps, {cti.groups} groups of transfers"
+            return PlanStage(name, True, reason, None, costs.seconds("traps", work))
+        reason = f"{cti.inefficiency:g} of each packet left behind in each transfer"
+        return PlanStage(name, True, reason, None, costs.seconds("cti", pixels))
+
+    return (
+        timed(PlanStage("smear", True, f"{smear.kind.replace('_', ' ')}, {by}"))
+        if smear
+        else PlanStage("smear", False, none),
+        timed(PlanStage("bloom", True, "charge above the full well flows along the columns"))
+        if sensor.bloom
+        else PlanStage("bloom", False, none),
+        transfer("parallel cti", sensor.parallel_cti),
+        transfer("serial cti", sensor.serial_cti),
+    )
 
 
 def _linearity(sensor: Sensor) -> str:

@@ -48,6 +48,18 @@ class Border(Strict):
         )
 
 
+class Overscan(Strict):
+    """What is read after the last row and column of pixels: packets that were never exposed.
+
+    Attributes
+    ----------
+    rows, cols : int
+    """
+
+    rows: int = Field(default=0, ge=0, le=MAX_BORDER)
+    cols: int = Field(default=0, ge=0, le=MAX_BORDER)
+
+
 @dataclass(frozen=True)
 class Frame:
     """The areas of a frame, each within the next.

@@ -49,6 +49,31 @@ class Shot:
     frame: int
 
 
+def record_light(
+    rec: Recording,
+    sites: Array,
+    glare: Array,
+    sensor: Sensor,
+    rect: Rect,
+    lit: Rect,
+    runs: Callable[[str], bool],
+) -> Array:
+    """Record the light on a rectangle of pixels, electrons/s (rows, cols): see `record_readout`."""
+    seen, rate = overlap(rect, sensor.frame.lit), sites
+    if 0 in seen[2:]:
+        rate = record_border(rec, None, seen, rect)
+    else:
+        # Of a sensor without filters the plane is the frame, where one strip takes it whole.
+        if runs("mosaic") or seen != lit:
+            cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
+            rate = record_mosaic(
+                rec, sites, glare, sensor, seen[2:], origin=seen[:2], cell_origin=cell
+            )
+        if seen != rect:
+            rate = record_border(rec, rate, seen, rect)
+    return rate
+
+
 def record_readout(
     rec: Recording,
     sites: Array,
@@ -82,19 +107,8 @@ def record_readout(
     dict of str to Array
         ``rate`` (electrons/s) and ``electrons``, f32, and ``dn``, u32: each (rows, cols).
     """
-    frame = sensor.frame
-    seen, origin, rate = overlap(rect, frame.lit), frame.on_chip(rect), sites
-    if 0 in seen[2:]:
-        rate = record_border(rec, None, seen, rect)
-    else:
-        # Of a sensor without filters the plane is the frame, where one strip takes it whole.
-        if runs("mosaic") or seen != lit:
-            cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
-            rate = record_mosaic(
-                rec, sites, glare, sensor, seen[2:], origin=seen[:2], cell_origin=cell
-            )
-        if seen != rect:
-            rate = record_border(rec, rate, seen, rect)
+    rate = record_light(rec, sites, glare, sensor, rect, lit, runs)
+    origin = sensor.frame.on_chip(rect)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
     electrons = record_exposure(
         rec, rate, sensor, shot.exposure_s, origin=origin, prnu=runs("prnu"), **clipped

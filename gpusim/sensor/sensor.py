@@ -21,8 +21,10 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
-from gpusim.sensor.frame import Border, Frame
+from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.mistakes import read_yaml, user_error
+from gpusim.sensor.smear_model import Smear
 from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
@@ -148,6 +150,14 @@ class Sensor(Strict):
         Pixels around those, shielded from light, which are read out with them: whole filter
         patterns above and to the left, for the pattern goes on there. A region (`roi`) keeps the
         border, as wide, around itself.
+    overscan : Overscan, optional
+        Of a CCD, rows and columns that are read after the last ones: see `gpusim.sensor.ccd`.
+    smear : Smear, optional
+        Of a CCD, light that is collected while charge is shifted.
+    bloom : bool
+        Whether a CCD has no anti-blooming: charge above the full well then flows along the column.
+    parallel_cti, serial_cti : Cti, optional
+        Of a CCD, charge that is left behind along columns and along rows.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -180,6 +190,11 @@ class Sensor(Strict):
     column_offset: ColumnOffset | None = None
     dual_gain: DualGain | None = None
     optical_black: Border | None = None
+    overscan: Overscan | None = None
+    smear: Smear | None = None
+    bloom: bool = False
+    parallel_cti: Cti | None = None
+    serial_cti: Cti | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -247,6 +262,10 @@ class Sensor(Strict):
                 f"{columns}, one for each column that is read",
                 field="column_offset.offsets_dn",
                 value=f"{len(given)} values",
+            )
+        if self.dual_gain and self.is_ccd:
+            raise wrong(
+                "dual_gain in a CCD", "one read of each packet: no dual_gain", field="dual_gain"
             )
         if dual := self.dual_gain:
             self._check_dual_gain(dual)
@@ -354,7 +373,15 @@ class Sensor(Strict):
         """The areas that are read out."""
         lit = (0, 0, self.rows, self.cols)
         pixels = lit if self.optical_black is None else self.optical_black.around(lit)
-        return Frame(lit, pixels, pixels)
+        after = self.overscan or Overscan()
+        row, col, rows, cols = pixels
+        return Frame(lit, pixels, (row, col, rows + after.rows, cols + after.cols))
+
+    @property
+    def is_ccd(self) -> bool:
+        """Whether charge is shifted through other pixels on its way to the read-out."""
+        parts = (self.overscan, self.smear, self.parallel_cti, self.serial_cti)
+        return self.bloom or any(part is not None for part in parts)
 
     @property
     def channels(self) -> tuple[str, ...]:
