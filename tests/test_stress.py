@@ -12,7 +12,7 @@ from gpusim import stress
 from gpusim.cli import stress as command
 from gpusim.errors import UserError
 from gpusim.sensor.adc_model import Linearity
-from gpusim.stress import CASES, levels, made, noise, readout, sensor_files
+from gpusim.stress import CASES, data_sheet, levels, made, noise, readout, sensor_files
 from gpusim.stress.table import FAILED, HELD, REFUSED, Row, judged
 
 
@@ -121,6 +121,18 @@ def test_planted_errors_fail_the_cases_of_the_read_out(monkeypatch: pytest.Monke
             planted.setattr(readout, function, plant)
             (row,) = stress.run(tuple(case[0] for case in CASES if case[0].startswith(name)))
         assert row.verdict == FAILED, row
+
+
+def test_a_planted_error_fails_the_data_sheets(monkeypatch: pytest.MonkeyPatch):
+    rows = data_sheet.loop.rows
+
+    def of_another(found, sensor):
+        gain = 1.03 * sensor.system_gain_dn_per_e
+        return rows(found, sensor.model_copy(update={"system_gain_dn_per_e": gain}))
+
+    monkeypatch.setattr(data_sheet.loop, "rows", of_another)
+    (row,) = stress.run(("data sheet of a sensor of 100 electrons",))
+    assert row.verdict == FAILED and "sigma off" in row.got
 
 
 def test_one_failure_is_the_exit_code(monkeypatch: pytest.MonkeyPatch, tmp_path, capsys):

@@ -305,10 +305,15 @@ def characterise(levels: Sequence[Level], pattern: Sequence[str]) -> Characteris
     if all("response_gain_dn_per_e" in one.figures for one in channels):
         unlike = [one.figures["response_gain_dn_per_e"] for one in channels]
         figures["response_gain_dn_per_e"] = _weighted(unlike)
+    if variance.value < LEAST_DARK_VARIANCE_DN2:
+        notes.append(
+            f"the temporal dark noise is lost in the converter's steps; the standard takes "
+            f"{math.sqrt(LEAST_DARK_VARIANCE_DN2):.2g} DN in its place, which is an upper limit"
+        )
+        variance = Figure(LEAST_DARK_VARIANCE_DN2, variance.u)
     figures["temporal_dark_noise_dn"] = Figure.root(variance.value, variance.u)
-    figures["temporal_dark_noise_e"] = _root(
-        variance.value - QUANTISATION_DN2, variance.u, gain, 1.0
-    )
+    without_steps = variance.value - QUANTISATION_DN2
+    figures["temporal_dark_noise_e"] = _root(without_steps, variance.u, gain, 1.0)
     if current_dn is not None:
         figures["dark_current_e_per_s"] = _over(current_dn, gain)
         figures["dark_current_variance_e_per_s"] = _over(current_dn2, gain, power=2)
@@ -398,16 +403,14 @@ def _channel(
         efficiency.value * photons.value,
         math.hypot(efficiency.u * photons.value, efficiency.value * photons.u),
     )
-    noise = Figure.root(
-        max(dark_variance.value, LEAST_DARK_VARIANCE_DN2),
-        dark_variance.u,
-    )
+    noise = Figure.root(max(dark_variance.value, LEAST_DARK_VARIANCE_DN2), dark_variance.u)
     least_e = _over(noise, gain)
     least_e = Figure(least_e.value + 0.5, least_e.u)
     least = _over(least_e, efficiency)
-    line = _linearity(transfer)
-    inside = line.deviation_percent[line.fitted]
-    deviation_u = 100 * np.sqrt(transfer.mean_u2[line.fitted]) / transfer.signal[line.fitted]
+    straight = _linearity(transfer)
+    inside = straight.deviation_percent[straight.fitted]
+    fitted = straight.fitted
+    deviation_u = 100 * np.sqrt(transfer.mean_u2[fitted]) / transfer.signal[fitted]
     figures |= {
         "responsivity_dn_per_photon": responsivity,
         "quantum_efficiency": efficiency,
@@ -424,7 +427,8 @@ def _channel(
             float(inside.max()), float(deviation_u[inside.argmax()])
         ),
     }
-    return Channel(name, wavelength, rows * cols * len(sites), transfer, line, bright, figures)
+    pixels = rows * cols * len(sites)
+    return Channel(name, wavelength, pixels, transfer, straight, bright, figures)
 
 
 def _response_gain(bright: Pattern, dark: Pattern, of_response: Parts, gain: Figure) -> Figure:
@@ -625,13 +629,13 @@ def _dark_lines(
         return first, None, None
     if times < LEAST_TIMES:
         notes.append(f"{times} exposure times in the dark, the standard asks for {LEAST_TIMES}")
-    _, mean = _line(series.exposure_s, series.mean, series.mean_u2)
-    start, variance = _line(series.exposure_s, series.variance, series.variance_u2)
+    _, mean = line(series.exposure_s, series.mean, series.mean_u2)
+    start, variance = line(series.exposure_s, series.variance, series.variance_u2)
     return start, mean, variance
 
 
-def _line(x: np.ndarray, y: np.ndarray, u2: np.ndarray) -> tuple[Figure, Figure]:
-    """Return offset and slope of the weighted line through points."""
+def line(x: np.ndarray, y: np.ndarray, u2: np.ndarray) -> tuple[Figure, Figure]:
+    """Return offset and slope of the line through points, weighted by their uncertainties."""
     weight = 1 / np.maximum(u2, 1e-30)
     total = weight.sum()
     middle = weight @ x / total

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
 from gpusim.metrics.emva import LEAST_TIMES, Level
 from gpusim.metrics.statistics import Accumulator
@@ -25,6 +26,7 @@ BEYOND = 1.1  # of the highest light, over what should saturate
 LEVELS = 66  # evenly spaced up to there: 60 of them up to saturation
 DARK_SIGNAL_E = 50.0  # that the longest dark frame should hold
 LONGEST_S = 60.0
+LEAST_STEPS = 16  # of the converter, and sigmas of dark noise, up to saturation
 
 
 @dataclass(frozen=True)
@@ -73,8 +75,21 @@ def lights(
     For each wavelength at which a channel responds most: pairs of frames at evenly spaced levels up
     to beyond saturation, and a stack at half of it. In the dark: a stack and, for the dark current,
     pairs at evenly spaced exposure times.
+
+    Raises
+    ------
+    UserError
+        The sensor saturates in its own dark noise, or within few steps of its converter.
     """
     full = sensor.saturation_e
+    steps, noise = full * sensor.system_gain_dn_per_e, sensor.temporal_dark_noise_e
+    if steps < LEAST_STEPS or full < LEAST_STEPS * noise:
+        raise UserError(
+            "the sensor has no range for a photon transfer",
+            field="full_well_e, bit_depth",
+            value=f"{full:.3g} e- in {steps:.3g} DN, dark noise {noise:g} e-",
+            allowed=f"{LEAST_STEPS} DN or more, and so many times the dark noise",
+        )
     wanted = [Light(exposure_s, 0.0, None, stack)]
     longest = LONGEST_S
     if sensor.dark_current_e_per_s > 0:

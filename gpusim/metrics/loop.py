@@ -19,16 +19,20 @@ from scipy.stats import poisson
 
 from gpusim.metrics.emva import (
     DRAWS,
+    LEAST_DARK_VARIANCE_DN2,
     QUANTISATION_DN2,
     UNDERFLOW_SHARE,
     Channel,
     Characterisation,
     Figure,
+    line,
 )
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
 COVERAGE = 3  # k: 99.7 % of normal deviations lie within
+ROUNDING = 1e-9  # of a figure without noise: of the sums that it is made of
+SMALLEST = 1e-6  # e-^2, %^2: variances that matter to nobody, where no pixel of an array shows one
 # Rounding is as good as independent noise of 1/12 DN^2 where the noise is wider than half a step:
 # its variance is then off by less than 1 % (B. Widrow & I. Kollar, Quantization Noise, 2008).
 COARSE_DN = 0.5
@@ -58,8 +62,10 @@ class Row:
     recovered : float
     uncertainty : float
         Expanded, of `recovered`, with the coverage factor k of COVERAGE.
+    sigmas : float
+        Distance of the two in standard uncertainties; of a root of a variance that of the variance.
     within : bool
-        Whether the two agree within the uncertainty.
+        Whether they agree within the uncertainty.
     """
 
     parameter: str
@@ -69,6 +75,7 @@ class Row:
     reason: str
     recovered: float
     uncertainty: float
+    sigmas: float
     within: bool
 
 
@@ -158,11 +165,11 @@ def _in_the_dark(found: Characterisation, sensor: Sensor, reason: str, gain: flo
         model = _Model(sensor, sensor.black_level_dn)
         times = found.series.exposure_s
         mean, variance = model.levels(np.zeros_like(times), times * current)
-        weights = found.series.mean_u2**-0.5, found.series.variance_u2**-0.5
-        current = float(np.polyfit(times, mean, 1, w=weights[0])[0]) / gain
-        slope, start = np.polyfit(times, variance, 1, w=weights[1])
-        spread = float(slope) / gain**2
-        noise = math.sqrt(max(start - QUANTISATION_DN2, 0.0)) / gain
+        current = line(times, mean, found.series.mean_u2)[1].value / gain
+        start, slope = line(times, variance, found.series.variance_u2)
+        spread = slope.value / gain**2
+        least = max(start.value, LEAST_DARK_VARIANCE_DN2)
+        noise = math.sqrt(least - QUANTISATION_DN2) / gain
         exposure_s = found.dark.exposure_s if found.dark else 0.0
         offsets = model.offset_spread_dn(exposure_s * sensor.dark_current_e_per_s) / gain
     columns_e, of_columns = _column_offsets_dn(sensor) / gain, ""
@@ -215,12 +222,16 @@ def _row(
     """Judge one figure; one that is a root of a variance as that variance, whose law is normal."""
     if figure.square is None:
         uncertainty = COVERAGE * figure.u
-        within = abs(figure.value - expected) <= uncertainty
+        away, u = abs(figure.value - expected), figure.u
+        least = ROUNDING * abs(expected)
     else:
         most = max(figure.square, 0.0) + COVERAGE * figure.square_u
         uncertainty = math.sqrt(most) - figure.value
-        within = abs(figure.square - expected**2) <= COVERAGE * figure.square_u
-    return Row(parameter, unit, sheet, expected, reason, figure.value, uncertainty, bool(within))
+        away, u = abs(figure.square - expected**2), figure.square_u
+        least = SMALLEST
+    sigmas = away / max(u, least, np.finfo(float).tiny)
+    within = bool(sigmas <= COVERAGE)
+    return Row(parameter, unit, sheet, expected, reason, figure.value, uncertainty, sigmas, within)
 
 
 def _why(sensor: Sensor, exposure_s: float) -> str:
@@ -236,7 +247,7 @@ def _why(sensor: Sensor, exposure_s: float) -> str:
     if noise < COARSE_DN:
         reasons.append(f"the dark noise of {noise:.2g} DN is finer than the converter's steps")
     level = min(sensor.site_black_dn) + gain * dark_e
-    if not spread or ndtr((0.5 - level) / spread) > UNDERFLOW_SHARE:
+    if spread and ndtr((0.5 - level) / spread) > UNDERFLOW_SHARE:
         reasons.append(f"the black level of {sensor.black_level_dn:g} DN lets the converter clip")
     return "; ".join(reasons)
 
@@ -275,7 +286,7 @@ class _Model:
     def _unlike(self, light_e: float, dark_e: float) -> np.ndarray:
         """Return mean and variance by response and by offset: (responses, 2, offsets)."""
         spread = self.sensor.prnu_percent / 100
-        means = light_e * (1 + spread * self.nodes) + dark_e
+        means = np.maximum(light_e * (1 + spread * self.nodes), 0) + dark_e
         return np.array([self._pixels(mean, self.nodes) for mean in means])
 
     def offset_spread_dn(self, dark_e: float) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gpusim.stress import ccd, levels, noise, optics, readout, sensor_files
+from gpusim.stress import ccd, data_sheet, levels, noise, optics, readout, sensor_files
 from gpusim.stress.table import Case, Row, judged
 
 # In the order that light takes. A new part of the chain brings a module with its own table and a
@@ -19,6 +19,7 @@ CASES: tuple[Case, ...] = (
     *ccd.CASES,
     *levels.CASES,
     *readout.CASES,
+    *data_sheet.CASES,
     *sensor_files.CASES,
 )
 
