@@ -100,6 +100,8 @@ class Capture:
     certificate : Certificate or None
     camera, scene, seed, frame, exposure_s, accuracy
         What was asked for.
+    temperature_c : float
+        Of the sensor.
     """
 
     raw: np.ndarray
@@ -123,6 +125,7 @@ class Capture:
     frame: int
     exposure_s: float
     accuracy: Accuracy
+    temperature_c: float
 
     @property
     def lit(self) -> Rect:
@@ -301,6 +304,7 @@ class Renderer:
         *,
         seed: int = 0,
         frame: int = 0,
+        temperature_c: float | None = None,
         tile: tuple[int, int, int, int] | None = None,
         tile_px: int | None = None,
         keep: tuple[str, ...] = (),
@@ -316,6 +320,8 @@ class Renderer:
             Of the temporal noise, 0 to 2^64 - 1.
         frame : int
             Frames of one seed have independent noise.
+        temperature_c : float, optional
+            Of the sensor; by default that at which its dark current was measured.
         tile : (x, y, width, height), optional
             The rectangle of lit pixels to render, and nothing that it does not need. It is the
             same, bit for bit, as that of the whole frame.
@@ -333,8 +339,8 @@ class Renderer:
         Raises
         ------
         UserError
-            For an exposure, seed, rectangle or tile out of range, or when the memory does not
-            suffice for the smallest tile.
+            For an exposure, temperature, seed, rectangle or tile out of range, or when the memory
+            does not suffice for the smallest tile.
         """
         sensor = self.camera.sensor
         _check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
@@ -349,8 +355,12 @@ class Renderer:
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
         if self.accuracy.probes:
             names["rate"] = np.float32
+        if temperature_c is None:
+            temperature_c = sensor.reference_temperature_c
+        sensor.dark_current_at(temperature_c)  # refuses what is none
         kind = _ShiftedShot if sensor.is_ccd else _Shot
-        shot = kind(self, rect, names, folder, exposure_s, seed, frame)
+        taken = Shot(exposure_s, seed, frame, temperature_c)
+        shot = kind(self, rect, names, folder, taken)
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
         with self.device.pool.within(self.memory_bytes):
@@ -402,6 +412,7 @@ class Renderer:
             frame=frame,
             exposure_s=exposure_s,
             accuracy=self.accuracy,
+            temperature_c=temperature_c,
         )
 
     def lines(self, rect: Rect) -> Iterator[tuple[int, list[tuple[int, int]]]]:
@@ -532,12 +543,9 @@ class _Shot:
         rect: Rect,
         names: dict[str, type],
         folder: Path | None,
-        exposure_s: float,
-        seed: int,
-        frame: int,
+        shot: Shot,
     ) -> None:
-        self.renderer, self.rect = renderer, rect
-        self.shot = Shot(exposure_s, seed, frame)
+        self.renderer, self.rect, self.shot = renderer, rect, shot
         self.planes = {
             name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
         }
@@ -711,11 +719,11 @@ class _ShiftedShot(_Shot):
         rect: Rect,
         names: dict[str, type],
         folder: Path | None,
-        *given: float,
+        shot: Shot,
     ) -> None:
         sensor = renderer.camera.sensor
         tiled = needed(rect, sensor, renderer.plan.runs)
-        super().__init__(renderer, tiled, {"light": np.float32}, folder, *given)
+        super().__init__(renderer, tiled, {"light": np.float32}, folder, shot)
         size = sensor.frame.read[2], tiled[3]
         self.charge = _on_host("charge", size, np.float32, folder)
         self.wanted = rect
@@ -792,6 +800,7 @@ def capture(
     exposure_s: float,
     seed: int = 0,
     frame: int = 0,
+    temperature_c: float | None = None,
     accuracy: Accuracy | None = None,
     memory_bytes: int | None = None,
     tile: tuple[int, int, int, int] | None = None,
@@ -810,6 +819,7 @@ def capture(
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     _rectangle(tile, camera.sensor)  # before the long work
+    camera.sensor.dark_current_at(temperature_c)  # as well
     renderer = Renderer(
         camera,
         scene,
@@ -825,6 +835,7 @@ def capture(
             exposure_s,
             seed=seed,
             frame=frame,
+            temperature_c=temperature_c,
             tile=tile,
             tile_px=tile_px,
             keep=keep,

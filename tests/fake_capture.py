@@ -85,5 +85,6 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
         seed=7,
         frame=3,
         exposure_s=1 / 60,
+        temperature_c=25.0,
         accuracy=Accuracy(tolerance=1e-3, probes=2),
     )

@@ -25,6 +25,7 @@ from gpusim.plan.costs import LAVAPIPE
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
+from gpusim.sensor.noise_model import Defects, LineNoise, ResetNoise
 from gpusim.sensor.sensor import ColourFilterArray
 
 LENS = bank(coma_um=0.6, falloff=0.1, halo=0.01)
@@ -300,13 +301,54 @@ def test_planes_that_are_left_out_are_zero(monkeypatch, whole: Capture):
 QUIET = {"prnu_percent": 0.0, "dsnu_e": 0.0, "temporal_dark_noise_e": 0.0}
 
 
+FIRST = sensor().first_row, sensor().first_col  # defects are counted on the chip
+MUCH = {
+    "dcnu_percent": 50.0,
+    "full_well_knee": 0.8,
+    "lines": LineNoise(prnu_row_percent=1, dsnu_column_e=3, row_noise_e=2),
+    "reset_noise": ResetNoise(noise_e=4),
+    "defects": Defects(
+        pixels=[
+            {"row": FIRST[0] + 20, "col": FIRST[1] + 30, "kind": "stuck", "value": 77},
+            {"row": FIRST[0] + 21, "col": FIRST[1] + 30, "kind": "dead"},
+        ],
+        hot_fraction=0.01,
+        hot_e_per_s=1e5,
+    ),
+}
+
+
+def test_a_sensor_with_every_noise_is_the_same_in_tiles():
+    camera = StubCamera(LENS, sensor(**MUCH))
+    with rendering(camera, scene(shapes())) as one:
+        assert all(map(one.plan.runs, ("dcnu", "knee", "defects", "prnu lines", "line noise")))
+        kept = {"seed": 5, "keep": ("electrons",)}
+        shot = one.capture(EXPOSURE_S, **kept)
+        part = one.capture(EXPOSURE_S, tile=(27, 18, 9, 7), **kept)
+        cut = one.capture(EXPOSURE_S, tile_px=32, **kept)
+        warm = one.capture(EXPOSURE_S, temperature_c=80, **kept)
+    assert_close(part.electrons, shot.electrons[18:25, 27:36].copy(), atol=0)
+    assert_close(cut.electrons, shot.electrons, atol=0)
+    assert shot.electrons[20, 30] == 77 and shot.electrons[21, 30] < 50
+    assert (shot.temperature_c, warm.temperature_c) == (25.0, 80.0)
+    # Dark current 640 times as high, and the hot pixels' too
+    assert warm.electrons.mean() > shot.electrons.mean() + 5
+
+
+def test_a_temperature_that_is_none_is_refused(renderer: Renderer):
+    with pytest.raises(UserError, match="not a temperature"):
+        renderer.capture(EXPOSURE_S, temperature_c=-274)
+
+
 @pytest.mark.parametrize(
     ("camera", "stages"),
     [
         (StubCamera(LENS, monochrome(**QUIET)), ("mosaic", "prnu", "dsnu", "read noise")),
         (StubCamera(LENS, sensor(**QUIET)), ("prnu", "dsnu", "read noise")),
+        (StubCamera(LENS, sensor()), ("prnu lines", "dcnu", "dsnu lines", "reset noise")),
+        (StubCamera(LENS, sensor()), ("line noise",)),
     ],
-    ids=["monochrome", "colour"],
+    ids=["monochrome", "colour", "lines", "line noise"],
 )
 def test_stages_at_identity_are_left_out_and_forcing_them_changes_nothing(camera, stages):
     shots = []
@@ -321,7 +363,8 @@ def test_stages_at_identity_are_left_out_and_forcing_them_changes_nothing(camera
     if "mosaic" in stages:
         assert "mosaic" not in left_out.times_s and "mosaic" in forced.times_s
     # The control: a sensor that needs them runs them, and its frame is another.
-    needs = StubCamera(LENS, monochrome() if "mosaic" in stages else sensor())
+    made = monochrome if "mosaic" in stages else sensor
+    needs = StubCamera(LENS, made(**({} if "prnu" in stages else MUCH)))
     with rendering(needs, scene(shapes())) as one:
         assert all(one.plan.runs(stage) for stage in stages if stage != "mosaic")
         assert np.any(one.capture(EXPOSURE_S, seed=5).raw != left_out.raw)

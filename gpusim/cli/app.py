@@ -56,6 +56,10 @@ def render(
     exposure: Annotated[
         str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")
     ] = "1/60",
+    temperature: Annotated[
+        float | None,
+        typer.Option(metavar="C", help="Of the sensor, in Celsius; that of its data if not given."),
+    ] = None,
     luminance: Annotated[
         float | None,
         typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
@@ -115,6 +119,7 @@ def render(
         scene,
         out,
         exposure=exposure,
+        temperature_c=temperature,
         luminance_cd_m2=luminance,
         tolerance=tolerance,
         probes=certify,

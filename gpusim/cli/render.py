@@ -40,6 +40,7 @@ def run(
     out: Path,
     *,
     exposure: str,
+    temperature_c: float | None,
     luminance_cd_m2: float | None,
     tolerance: str,
     probes: int,
@@ -67,6 +68,7 @@ def run(
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     check_filter_array(camera.sensor)
+    camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2)
     device = default_device()
     if dry_run:
@@ -91,6 +93,7 @@ def run(
                 exposure_s=exposure_s,
                 seed=seed,
                 frame=frame,
+                temperature_c=temperature_c,
                 accuracy=accuracy,
                 memory_bytes=memory_bytes,
                 tile=rectangle,

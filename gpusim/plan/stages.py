@@ -14,6 +14,7 @@ from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.noise_model import LineNoise, Masks
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
@@ -239,6 +240,17 @@ def _sensor_stages(
         return replace(stage, predicted_cost_s=cost_s)
 
     off = "noise is switched off"
+    lines, masks, law = sensor.lines or LineNoise(), sensor.masks or Masks(), sensor.read_noise_law
+
+    def effect(name: str, used: str, unused: str) -> PlanStage:
+        """Describe a part of exposure or noise, which may be drawn also where it is zero."""
+        return part(name, noise and name in sensor.effects, used, unused if noise else off)
+
+    def fixed(name: str, used: str | None, unused: str) -> PlanStage:
+        """Describe what cannot be done where the sensor has it not."""
+        runs = noise and name in sensor.effects
+        return PlanStage(name, runs, used if runs else unused if noise else off)
+
     glare, sites = sensor.veiling_glare, len(sensor.site_channels())
     mosaic = part(
         "mosaic",
@@ -267,27 +279,48 @@ def _sensor_stages(
             )
         ),
         PlanStage("cross-talk", False, "the sensor file gives none"),
-        part(
-            "prnu",
-            noise and sensor.prnu_percent > 0,
-            f"{sensor.prnu_percent:g} % of the signal, in exposure",
-            "all pixels respond alike" if noise else off,
+        effect("prnu", f"{sensor.prnu_percent:g} % of the signal", "all pixels respond alike"),
+        effect(
+            "prnu lines",
+            f"rows {lines.prnu_row_percent:g} %, columns {lines.prnu_column_percent:g} %",
+            "all rows and columns respond alike",
         ),
+        fixed("gain mask", masks.gain, "the sensor file names no multiplicative mask"),
+        effect("dcnu", f"{sensor.dcnu_percent:g} % of the dark current", "dark current is even"),
         timed(
             PlanStage("exposure", True, "exposure time, dark current" + ", full well" * (not noise))
         ),
-        timed(PlanStage("noise", noise, "Poisson, full well" if noise else off)),
-        part(
-            "dsnu",
-            noise and sensor.dsnu_e > 0,
-            f"{sensor.dsnu_e:g} e-, in noise",
-            "all pixels have the same offset" if noise else off,
+        fixed("defects", "dead, hot and stuck pixels", "the sensor file lists none"),
+        fixed("two numbers", "a normal law in place of Poisson's", "shot noise has Poisson's law"),
+        fixed(
+            "knee",
+            f"soft from {sensor.full_well_knee:.0%} of the full well on",
+            "the full well is a hard limit",
         ),
-        part(
+        timed(PlanStage("noise", noise, "shot noise, full well" if noise else off)),
+        effect("dsnu", f"{sensor.dsnu_e:g} e-", "all pixels have the same offset"),
+        effect(
+            "dsnu lines",
+            f"rows {lines.dsnu_row_e:g} e-, columns {lines.dsnu_column_e:g} e-",
+            "all rows and columns have the same offset",
+        ),
+        fixed("offset mask", masks.offset_e, "the sensor file names no additive mask"),
+        effect(
+            "reset noise",
+            f"{sensor.reset_noise_at(None):.3g} e- at the reference temperature",
+            "none is left",
+        ),
+        effect(
             "read noise",
-            noise and (sensor.temporal_dark_noise_e > 0 or sensor.dual_gain is not None),
-            f"{sensor.temporal_dark_noise_e:g} e-, in noise",
-            "the sensor has no temporal dark noise" if noise else off,
+            f"{sensor.temporal_dark_noise_e:g} e-" + ", by its table" * (law is not None),
+            "it is one of the two numbers"
+            if "two numbers" in sensor.effects
+            else "the sensor has no temporal dark noise",
+        ),
+        effect(
+            "line noise",
+            f"rows {lines.row_noise_e:g} e-, columns {lines.column_noise_e:g} e-",
+            "rows and columns are as quiet as their pixels",
         ),
         *_shift_stages(sensor, costs, timed),
         PlanStage(

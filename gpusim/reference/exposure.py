@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import ndtri
 
-from gpusim.reference.philox import PRNU, shared_word
+from gpusim.reference.philox import (
+    DARK_CURRENT,
+    PRNU,
+    PRNU_COLUMN,
+    PRNU_ROW,
+    column_deviate,
+    deviate,
+    row_deviate,
+)
 
 
 def dark_current(
@@ -15,12 +22,6 @@ def dark_current(
     return mu_i_e_per_s * 2.0 ** ((temperature_c - reference_c) / doubling_c)
 
 
-def response(row: np.ndarray, col: np.ndarray, serial_number: int, prnu: float) -> np.ndarray:
-    """Return the relative response 1 + PRNU z of each pixel."""
-    word = shared_word(row, col, 0, PRNU, serial_number)
-    return 1 + prnu * ndtri((word + 0.5) / 2**32)
-
-
 def exposure(
     rate: np.ndarray,
     exposure_s: float,
@@ -28,10 +29,23 @@ def exposure(
     prnu: float,
     dark_current_e_per_s: float,
     serial_number: int,
+    prnu_row: float = 0.0,
+    prnu_column: float = 0.0,
+    dcnu: float = 0.0,
+    mask: np.ndarray | float = 1.0,
     origin: tuple[int, int] = (0, 0),
     limit_e: float = np.inf,
 ) -> np.ndarray:
     """Return the mean electrons of a rectangle of pixels from rates in electrons/s."""
     row, col = np.indices(rate.shape)
-    light = rate * response(row + origin[0], col + origin[1], serial_number, prnu)
-    return np.minimum(exposure_s * (np.maximum(light, 0) + dark_current_e_per_s), limit_e)
+    row, col = row + origin[0], col + origin[1]
+    key = serial_number
+    response = 1 + prnu * deviate(row, col, 0, PRNU, key)
+    response += prnu_row * row_deviate(row, 0, PRNU_ROW, key)
+    response += prnu_column * column_deviate(col, 0, PRNU_COLUMN, key)
+    # Log-normal of mean 1 and standard deviation dcnu.
+    variance = np.log(1 + dcnu**2)
+    z = deviate(row, col, 0, DARK_CURRENT, key)
+    dark = dark_current_e_per_s * np.exp(np.sqrt(variance) * z - variance / 2)
+    light = np.maximum(rate * mask * response, 0)
+    return np.minimum(exposure_s * (light + dark), limit_e)

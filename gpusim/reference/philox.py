@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import ndtri
 
 SHOT, READ, PRNU, DSNU = 1, 2, 3, 4
+PRNU_ROW, PRNU_COLUMN, DSNU_ROW, DSNU_COLUMN = 5, 6, 7, 8
+ROW_NOISE, COLUMN_NOISE, RESET, DARK_CURRENT = 9, 10, 11, 12
 COLUMN = 32
 """Purposes: upper half of the last counter word."""
 
@@ -39,3 +42,18 @@ def shared_word(
     counter = np.stack(np.broadcast_arrays(col // 4, row, np.uint64(frame), last), axis=-1)
     words = philox(counter, (key & 0xFFFFFFFF, key >> 32))
     return np.take_along_axis(words, np.asarray(col % 4, np.intp)[..., None], axis=-1)[..., 0]
+
+
+def deviate(row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int) -> np.ndarray:
+    """Return the standard normal deviate of each pixel, the quantile of its word."""
+    return ndtri((shared_word(row, col, frame, purpose, key) + 0.5) / 2**32)
+
+
+def row_deviate(row: np.ndarray, frame: int, purpose: int, key: int) -> np.ndarray:
+    """Return the deviate of each pixel's row: that of its first pixel."""
+    return deviate(row, np.zeros_like(row), frame, purpose, key)
+
+
+def column_deviate(col: np.ndarray, frame: int, purpose: int, key: int) -> np.ndarray:
+    """Return the deviate of each pixel's column: that of its pixel in the first row."""
+    return deviate(np.zeros_like(col), col, frame, purpose, key)

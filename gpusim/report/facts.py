@@ -57,6 +57,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "raw_rows": capture.raw.shape[0],
             "raw_cols": capture.raw.shape[1],
             "exposure_s": float(capture.exposure_s),
+            "temperature_c": float(capture.temperature_c),
             "seed": capture.seed,
             "frame": capture.frame,
             "wall_s": float(capture.wall_s),

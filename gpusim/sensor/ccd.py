@@ -2,13 +2,13 @@
 
 Towards row 0 and column 0, which are read first; what is read after the last of them is overscan.
 
-1. exposure, as of any sensor
+1. exposure, dead and hot pixels, as of any sensor
 2. smear: what light makes in the packets of whole columns on their way, from rates not clipped
 3. noise, its first half: shot noise of all that; full well, unless charge blooms
 4. bloom: charge above the full well flows along the columns
 5. cti or traps, parallel: along the columns
 6. cti or traps, serial: along the rows
-7. noise, its second half: what is added when the charge is read
+7. noise, its second half: what is added when the charge is read; stuck pixels
 8. adc
 
 Smear comes before the transfer's inefficiency, so that its trails point the right way in the
@@ -33,6 +33,7 @@ from gpusim.sensor.bloom import record_bloom
 from gpusim.sensor.border import record_border
 from gpusim.sensor.cti import record_cti
 from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.defects import record_defects, record_stuck
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect
 from gpusim.sensor.noise import record_noise
@@ -100,10 +101,14 @@ def record_columns(
         rate,
         sensor,
         shot.exposure_s,
+        temperature_c=shot.temperature_c,
         origin=frame.on_chip(rect),
-        prnu=runs("prnu"),
+        runs=runs,
         **({} if runs("smear") else clipped),
     )
+    if runs("defects"):
+        warm = {"temperature_c": shot.temperature_c, "origin": frame.on_chip(rect)}
+        record_defects(rec, mean, sensor, shot.exposure_s, **warm)
     if overscan:
         rate = record_border(rec, rate, rect, read, label="framed rate")
         mean = record_border(rec, mean, rect, read, label="framed mean")
@@ -120,6 +125,7 @@ def record_columns(
             origin=frame.on_chip(read),
             label="charge",
             read_out=False,
+            runs=runs,
         )
     if runs("bloom"):
         photosites = (rect[0] - read[0], rect[0] - read[0] + rect[2])
@@ -170,11 +176,13 @@ def record_rows(
             sensor,
             seed=shot.seed,
             frame=shot.frame,
+            temperature_c=shot.temperature_c,
             origin=origin,
             shot=False,
-            dsnu=runs("dsnu"),
-            read_noise=runs("read noise"),
+            runs=runs,
         )
+    if runs("defects"):
+        record_stuck(rec, electrons, sensor, origin=origin)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
     return {"electrons": electrons, "dn": dn}
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Kernel, Recording
+from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.words import quads, words
 
@@ -21,7 +23,7 @@ def record_exposure(
     temperature_c: float | None = None,
     origin: tuple[int, int] = (0, 0),
     label: str = "mean",
-    prnu: bool = True,
+    runs: Callable[[str], bool] | None = None,
     limit_e: float = float(np.finfo(np.float32).max),
 ) -> Array:
     """Record the exposure of a rectangle of pixels.
@@ -32,7 +34,7 @@ def record_exposure(
     rate : Array (rows, cols) or (1, rows, cols), f32
         Electrons/s.
     sensor : Sensor
-        Gives PRNU and dark current.
+        Gives responses and dark current.
     exposure_s : float
     temperature_c : float, optional
         Of the sensor; by default that at which its dark current was measured.
@@ -40,8 +42,9 @@ def record_exposure(
         Row and column of the first pixel.
     label : str
         Of the buffer that is returned.
-    prnu : bool
-        Whether to draw the pixels' responses: a sensor without PRNU does not need it.
+    runs : callable, optional
+        Whether an effect is drawn, by its name in the plan: "prnu", "prnu lines", "dcnu", "gain
+        mask"; by default those that the sensor has.
     limit_e : float
         Where the mean is clipped, electrons: the full well where no noise is drawn after it.
 
@@ -62,12 +65,22 @@ def record_exposure(
             value=exposure_s,
             allowed="seconds, from 0 up",
         )
-    if temperature_c is None:
-        temperature_c = sensor.reference_temperature_c
+    runs = runs or sensor.effects.__contains__
     rows, cols = rate.shape[-2:]
     mean = rec.buffer(label, (rows, cols), "f4")
-    kernel = Kernel("sensor/exposure", PRNU=prnu)
     row0, col0 = origin[0] + sensor.first_row, origin[1] + sensor.first_col
+    kernel = Kernel(
+        "sensor/exposure",
+        PRNU=runs("prnu"),
+        PRNU_LINES=runs("prnu lines"),
+        DCNU=runs("dcnu"),
+        MASK=runs("gain mask"),
+    )
+    mask = rate  # any buffer, where it is not read
+    if runs("gain mask"):
+        mask = rec.buffer("gain mask", (rows, cols), "f4")
+        rec.upload(mask, sensor.masks.part("gain", sensor.lit_place(origin), (rows, cols)))
+    lines = sensor.lines or LineNoise()
     params = {
         "serial": words(sensor.serial_number),
         "row0": row0,
@@ -76,8 +89,12 @@ def record_exposure(
         "cols": cols,
         "exposure_s": exposure_s,
         "prnu": sensor.prnu_percent / 100,
+        "prnu_row": lines.prnu_row_percent / 100,
+        "prnu_column": lines.prnu_column_percent / 100,
         "dark_e": exposure_s * sensor.dark_current_at(temperature_c),
+        "log_dcnu": math.sqrt(math.log1p((sensor.dcnu_percent / 100) ** 2)),
         "limit_e": limit_e,
     }
-    kernel.record(rec, kernel.cover(quads(col0, cols), rows), params, rate=rate, mean=mean)
+    groups = kernel.cover(quads(col0, cols), rows)
+    kernel.record(rec, groups, params, rate=rate, mask=mask, mean=mean)
     return mean

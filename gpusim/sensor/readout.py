@@ -1,12 +1,15 @@
 """The sensor on one screen: what happens to the signal, in this order.
 
 1. mosaic: each photosite's own light, and the veiling glare; border: none on the optical black
-2. exposure: response of each pixel (PRNU), exposure time, dark current
-3. noise: shot noise of light and dark current, full well; then the read-out's offset (DSNU) and
-   temporal dark noise
-4. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
-5. merge, of sensors that read each charge at two gains: temporal dark noise and adc once for each,
-   then one linear code of both
+2. exposure: response of pixels, rows and columns (PRNU, multiplicative mask), exposure time, dark
+   current of each pixel (DCNU)
+3. defects: dead and hot pixels
+4. noise: shot noise of light and dark current, full well; then what the read-out adds: offsets of
+   pixels, rows and columns (DSNU, additive mask), noise of reset, read-out, rows and columns
+5. defects: stuck pixels
+6. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
+7. merge, of sensors that read each charge at two gains: temporal dark noise, that of lines, stuck
+   pixels and adc once for each, then one linear code of both
 
 The order is part of the contract: response before shot noise, so that it does not change the
 slope of the photon transfer; all that moves charge before all that is added when it is read.
@@ -20,6 +23,7 @@ from dataclasses import dataclass
 from gpusim.gpu import Array, Recording
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.border import record_border
+from gpusim.sensor.defects import record_defects, record_stuck
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect, overlap
 from gpusim.sensor.merge import record_merge
@@ -29,6 +33,8 @@ from gpusim.sensor.sensor import Sensor
 
 # By this the seed of the second read differs from that of the first: noise of its own.
 LOW_GAIN_SEED = 0x6C6F775F6761696E
+# What each of two reads has of its own; the rest comes once, with the charge.
+EACH_READ = ("read noise", "line noise")
 
 
 @dataclass(frozen=True)
@@ -42,11 +48,14 @@ class Shot:
         Of the temporal noise, 0 to 2^64 - 1.
     frame : int
         Frames of one seed have independent noise.
+    temperature_c : float, optional
+        Of the sensor; by default that at which its dark current was measured.
     """
 
     exposure_s: float
     seed: int
     frame: int
+    temperature_c: float | None = None
 
 
 def record_light(
@@ -110,22 +119,22 @@ def record_readout(
     rate = record_light(rec, sites, glare, sensor, rect, lit, runs)
     origin = sensor.frame.on_chip(rect)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
-    electrons = record_exposure(
-        rec, rate, sensor, shot.exposure_s, origin=origin, prnu=runs("prnu"), **clipped
-    )
+    placed = {"origin": origin}
+    warm = placed | {"temperature_c": shot.temperature_c}
+    electrons = record_exposure(rec, rate, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
+    if runs("defects"):
+        record_defects(rec, electrons, sensor, shot.exposure_s, **warm)
     if runs("noise"):
-        electrons = record_noise(
-            rec,
-            electrons,
-            sensor,
-            seed=shot.seed,
-            frame=shot.frame,
-            origin=origin,
-            dsnu=runs("dsnu"),
-            read_noise=runs("read noise") and not runs("merge"),
-        )
+        keyed = {"seed": shot.seed, "frame": shot.frame}
+
+        def once(name: str) -> bool:
+            return runs(name) and not (runs("merge") and name in EACH_READ)
+
+        electrons = record_noise(rec, electrons, sensor, runs=once, **keyed, **warm)
     if runs("merge"):
         return {"rate": rate} | _two_reads(rec, electrons, sensor, shot, origin, runs)
+    if runs("defects"):
+        record_stuck(rec, electrons, sensor, **placed)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
     return {"rate": rate, "electrons": electrons, "dn": dn}
 
@@ -153,8 +162,10 @@ def _two_reads(
                 origin=origin,
                 label=f"{name} gain",
                 shot=False,
-                dsnu=False,
+                runs=lambda effect: effect in EACH_READ and runs(effect),
             )
+        if runs("defects"):
+            record_stuck(rec, read, sensor, origin=origin)
         reads.append(read)
         offset = runs("column fpn")
         codes.append(

@@ -24,6 +24,7 @@ from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.mistakes import read_yaml, user_error
+from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.smear_model import Smear
 from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
@@ -158,6 +159,22 @@ class Sensor(Strict):
         Whether a CCD has no anti-blooming: charge above the full well then flows along the column.
     parallel_cti, serial_cti : Cti, optional
         Of a CCD, charge that is left behind along columns and along rows.
+    dcnu_percent : float
+        Standard deviation of the dark current between pixels, per cent of its mean; log-normal.
+    full_well_knee : float
+        Share of the full well from which on it fills ever more slowly, 0..1; 1: a hard limit.
+    lines : LineNoise, optional
+        What rows and columns have in common, fixed and temporal.
+    reset_noise : ResetNoise, optional
+    read_noise_law : ReadNoiseLaw, optional
+        The shape of the temporal dark noise, where it is not normal.
+    gaussian_variance_per_e : float, optional
+        Temporal noise by two numbers in place of Poisson's law and read noise: normal, its variance
+        the square of ``temporal_dark_noise_e`` and this for each electron of the signal.
+    masks : Masks, optional
+        A fixed pattern from files.
+    defects : Defects, optional
+        Dead, hot and stuck pixels.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -195,6 +212,14 @@ class Sensor(Strict):
     bloom: bool = False
     parallel_cti: Cti | None = None
     serial_cti: Cti | None = None
+    dcnu_percent: NotNegative = 0
+    full_well_knee: float = Field(default=1, gt=0, le=1)
+    lines: LineNoise | None = None
+    reset_noise: ResetNoise | None = None
+    read_noise_law: ReadNoiseLaw | None = None
+    gaussian_variance_per_e: NotNegative | None = None
+    masks: Masks | None = None
+    defects: Defects | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -222,6 +247,21 @@ class Sensor(Strict):
                 f"multiples of {down} and {across}, as the filter pattern",
                 field="optical_black",
             )
+        if self.gaussian_variance_per_e is not None:
+            for field in ("read_noise_law", "dual_gain"):
+                if getattr(self, field) is not None:
+                    raise wrong(
+                        f"{field} gives a read noise that gaussian_variance_per_e replaces",
+                        "one of the two",
+                    )
+        for pixel in self.defects.pixels if self.defects else ():
+            row, col = pixel.row - self.first_row, pixel.col - self.first_col
+            if not (0 <= row < self.rows and 0 <= col < self.cols):
+                raise wrong(
+                    f"the defect pixel {pixel.row}, {pixel.col} lies beside the sensor",
+                    f"rows from {self.first_row}, {self.rows} of them; columns from "
+                    f"{self.first_col}, {self.cols} of them",
+                )
         if unknown := set(self.sources) - set(type(self).model_fields):
             raise wrong(
                 f"sources names no field: {', '.join(sorted(unknown))}",
@@ -427,19 +467,69 @@ class Sensor(Strict):
             for letter in dict.fromkeys(name[0] for name in self.channels)
         }
 
-    def dark_current_at(self, temperature_c: float) -> float:
-        """Return the dark current at a temperature, electrons per second (EMVA 1288, section 3.2).
+    @property
+    def effects(self) -> frozenset[str]:
+        """What of noise and fixed patterns this sensor has, by the names of the plan."""
+        lines, masks = self.lines or LineNoise(), self.masks or Masks()
+        two_numbers = self.gaussian_variance_per_e is not None
+        has = {
+            "prnu": self.prnu_percent > 0,
+            "prnu lines": lines.prnu_row_percent > 0 or lines.prnu_column_percent > 0,
+            "dcnu": self.dcnu_percent > 0,
+            "gain mask": masks.gain is not None,
+            "defects": self.defects is not None,
+            "two numbers": two_numbers,
+            "knee": self.full_well_knee < 1,
+            "dsnu": self.dsnu_e > 0,
+            "dsnu lines": lines.dsnu_row_e > 0 or lines.dsnu_column_e > 0,
+            "offset mask": masks.offset_e is not None,
+            "reset noise": self.reset_noise is not None,
+            "read noise": not two_numbers
+            and (self.temporal_dark_noise_e > 0 or self.dual_gain is not None),
+            "line noise": lines.row_noise_e > 0 or lines.column_noise_e > 0,
+        }
+        return frozenset(name for name, needed in has.items() if needed)
+
+    def lit_place(self, origin: tuple[int, int]) -> tuple[int, int]:
+        """Return where a pixel lies on the chip's lit area, by row and col, for files that list it.
+
+        ``origin`` counts from the first pixel that is read, and the border comes before the lit
+        area: there numbers are below those of the first lit pixel.
+        """
+        row, col = self.frame.read[:2]
+        return origin[0] + row + self.first_row, origin[1] + col + self.first_col
+
+    def dark_current_factor(self, temperature_c: float | None) -> float:
+        """Return the dark current at a temperature over that at the reference temperature.
+
+        It doubles with each ``doubling_temperature_c`` (EMVA 1288, section 3.2).
 
         Parameters
         ----------
-        temperature_c : float
-            Temperature of the sensor, degrees Celsius.
+        temperature_c : float or None
+            Temperature of the sensor, degrees Celsius; None: the reference temperature.
 
         Raises
         ------
         UserError
             Not a temperature above absolute zero.
         """
+        rise = self._checked(temperature_c) - self.reference_temperature_c
+        return 2 ** (rise / self.doubling_temperature_c)
+
+    def dark_current_at(self, temperature_c: float | None) -> float:
+        """Return the dark current at a temperature, electrons per second: see above."""
+        return self.dark_current_e_per_s * self.dark_current_factor(temperature_c)
+
+    def reset_noise_at(self, temperature_c: float | None) -> float:
+        """Return the reset noise at a temperature, electrons; 0 where there is none."""
+        known = self._checked(temperature_c)
+        return 0.0 if self.reset_noise is None else self.reset_noise.at(known)
+
+    def _checked(self, temperature_c: float | None) -> float:
+        """Return a temperature of the sensor, degrees Celsius; None: the reference temperature."""
+        if temperature_c is None:
+            return self.reference_temperature_c
         if not ABSOLUTE_ZERO_C < temperature_c < math.inf:
             raise UserError(
                 "not a temperature of a sensor",
@@ -447,8 +537,7 @@ class Sensor(Strict):
                 value=temperature_c,
                 allowed=f"above {ABSOLUTE_ZERO_C} degrees Celsius",
             )
-        rise = temperature_c - self.reference_temperature_c
-        return self.dark_current_e_per_s * 2 ** (rise / self.doubling_temperature_c)
+        return temperature_c
 
     def at_low_gain(self) -> Sensor:
         """Return the sensor as it reads at the low gain of two."""
@@ -526,6 +615,10 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
             )
     data = read_yaml(path)
     try:
-        return Sensor.model_validate(data, context={"folder": path.parent})
+        sensor = Sensor.model_validate(data, context={"folder": path.parent})
     except ValidationError as error:
         raise user_error(error, Sensor, path) from error
+    if sensor.masks is None:
+        return sensor
+    area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)
+    return sensor.model_copy(update={"masks": sensor.masks.placed(path.parent, area)})

@@ -5,13 +5,22 @@
 // its counter and key, so tiles, order and adapter never change it. Where a purpose needs one word a pixel, one call
 // serves the four pixels 4q .. 4q+3 of a row: counter.x = q, and pixel col takes word col % 4.
 
-// Purposes: the upper half of counter.w; the lower half counts draws.
-const PURPOSE_SHOT = 0x10000u;   // key: the capture's seed
-const PURPOSE_READ = 0x20000u;   // key: the capture's seed
-const PURPOSE_PRNU = 0x30000u;   // key: the sensor's serial number; frame 0
-const PURPOSE_DSNU = 0x40000u;   // key: the sensor's serial number; frame 0
-const PURPOSE_COLUMN = 0x200000u;   // offset of a column's converter; key: the serial number; frame and row 0
-const DRAW_MASK = 0xFFFFu;
+// Purposes: the upper half of counter.w; the lower half counts draws. Temporal noise is keyed by the capture's seed and
+// counts frames; what belongs to the sensor is keyed by its serial number, with frame 0. What rows and columns have in
+// common takes the first call of the row, or the first row.
+const PURPOSE_SHOT = 0x10000u;            // seed
+const PURPOSE_READ = 0x20000u;            // seed
+const PURPOSE_PRNU = 0x30000u;            // serial number
+const PURPOSE_DSNU = 0x40000u;            // serial number
+const PURPOSE_PRNU_ROW = 0x50000u;        // serial number
+const PURPOSE_PRNU_COLUMN = 0x60000u;     // serial number
+const PURPOSE_DSNU_ROW = 0x70000u;        // serial number
+const PURPOSE_DSNU_COLUMN = 0x80000u;     // serial number
+const PURPOSE_ROW_NOISE = 0x90000u;       // seed
+const PURPOSE_COLUMN_NOISE = 0xA0000u;    // seed
+const PURPOSE_RESET = 0xB0000u;           // seed
+const PURPOSE_DARK_CURRENT = 0xC0000u;    // serial number
+const PURPOSE_COLUMN = 0x200000u;         // serial number: offset of a column's converter; row 0
 
 // The upper 32 bits of a * b, by 16-bit halves; no partial sum exceeds 32 bits.
 fn multiply_high(a: u32, b: u32) -> u32 {

@@ -21,6 +21,9 @@ SERIAL = (3 << 32) + 12345
 LEVEL = 1e-3  # of each statistical test; the seeds are fixed
 
 
+OFF = dict.fromkeys(("PRNU_LINES", "DCNU", "MASK"), False)
+
+
 def on_device(
     rate: np.ndarray,
     origin=(0, 0),
@@ -30,7 +33,9 @@ def on_device(
     spare=0,
     serial=SERIAL,
     limit_e=1e30,
-    draws=True,
+    mask=None,
+    figures=None,
+    **overrides,
 ) -> np.ndarray:
     rows, cols = rate.shape
     params = {
@@ -43,14 +48,16 @@ def on_device(
         "prnu": prnu,
         "dark_e": dark_e,
         "limit_e": limit_e,
+        **dict.fromkeys(("prnu_row", "prnu_column", "log_dcnu"), 0.0),
+        **(figures or {}),
     }
     result = run_stage(
         "sensor/exposure",
         (-(-(origin[1] % 4 + cols) // 128), -(-rows // 2), 1),
         params,
-        {"rate": rate},
+        {"rate": rate, "mask": np.zeros(1, F32) if mask is None else mask},
         {"mean": (rows * cols + spare, F32)},
-        PRNU=draws,
+        **(OFF | overrides),
     )
     return result["mean"]
 
@@ -88,9 +95,99 @@ def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: 
 def test_without_prnu_nothing_is_drawn_and_nothing_changes():
     rate = rates((37, 131))
     drawn = on_device(rate, (3, 2), prnu=0.0)
-    assert_close(on_device(rate, (3, 2), prnu=0.0, draws=False), drawn, atol=0)
+    assert_close(on_device(rate, (3, 2), prnu=0.0, PRNU=False), drawn, atol=0)
     # The control: where there is PRNU, what is not drawn is missed.
-    assert np.any(on_device(rate, (3, 2), draws=False) != on_device(rate, (3, 2)))
+    assert np.any(on_device(rate, (3, 2), PRNU=False) != on_device(rate, (3, 2)))
+
+
+LINED = {"prnu_row": 0.02, "prnu_column": 0.03}
+
+
+def test_rows_columns_dark_currents_and_mask_are_those_of_the_reference():
+    rate = rates((150, 411))
+    mask = np.random.default_rng(52).uniform(0, 2, rate.shape).astype(F32)
+    dcnu = 0.8
+    expected = exposure(
+        rate.astype(float),
+        float(F32(0.02)),
+        prnu=float(F32(0.01)),
+        dark_current_e_per_s=float(F32(50)) / float(F32(0.02)),
+        serial_number=SERIAL,
+        prnu_row=float(F32(0.02)),
+        prnu_column=float(F32(0.03)),
+        dcnu=dcnu,
+        mask=mask.astype(float),
+        origin=(17, 5),
+    )
+    figures = LINED | {"log_dcnu": np.sqrt(np.log1p(dcnu**2))}
+    drawn = {"PRNU_LINES": True, "DCNU": True, "MASK": True}
+    found = on_device(rate, (17, 5), dark_e=50, mask=mask, figures=figures, **drawn)
+    # Of the light nine roundings and 1e-6 of the deviates' shares, 5 sigmas of 6 % together. Of the
+    # dark signal exp, 3 + 2 * 3 ULP of 2^-23, and its argument to 0.7 * 1e-6 * 5.
+    light = 9 * 2.0**-24 + 5e-6 * 0.06
+    assert_close(found.reshape(rate.shape), expected, rtol=light + 18 * 2.0**-24 + 4e-6)
+    for name in drawn:  # the control
+        without = on_device(
+            rate, (17, 5), dark_e=50, mask=mask, figures=figures, **(drawn | {name: False})
+        )
+        assert np.abs(without / expected.ravel() - 1).max() > 0.01
+
+
+def test_lines_do_not_depend_on_the_tile():
+    drawn = {"figures": LINED, "PRNU_LINES": True, "PRNU": False}
+    whole = on_device(np.ones((40, 130), F32), **drawn).reshape(40, 130)
+    part = on_device(np.ones((9, 21), F32), (13, 50), **drawn).reshape(9, 21)
+    assert_close(part, whole[13:22, 50:71].copy(), atol=0)
+    response = whole - whole.mean()
+    assert np.linalg.matrix_rank(response.astype(float), tol=1e-6) == 2  # rows and columns alone
+
+
+def test_rows_and_columns_have_their_variances():
+    shape, sigma = (512, 512), 0.01
+    for name, axis in (("prnu_row", 1), ("prnu_column", 0)):
+        drawn = {"figures": {name: sigma}, "PRNU_LINES": True, "PRNU": False}
+        z = on_device(np.ones(shape, F32), exposure_s=1, dark_e=0, **drawn).reshape(shape)
+        line = (z[:, 0] if axis else z[0]).astype(float)
+        assert np.array_equal(z, np.broadcast_to(np.expand_dims(line, axis), shape))
+        line = (line - 1) / sigma
+        assert kstest(line, "norm").pvalue > LEVEL
+        for shift in (1, 2, 4):
+            bound = np.sqrt(chi2.isf(LEVEL / 3, 1) / 512)
+            assert abs(np.mean(line * np.roll(line, shift))) < bound
+
+
+def test_dark_currents_have_the_mean_and_the_spread_that_they_should():
+    n, dcnu = 512 * 512, 0.5
+    figures = {"log_dcnu": np.sqrt(np.log1p(dcnu**2))}
+    found = on_device(
+        np.zeros((512, 512), F32), dark_e=10, figures=figures, DCNU=True, PRNU=False
+    ).astype(float)
+    assert found.min() > 0
+    bound = np.sqrt(chi2.isf(LEVEL / 2, 1))
+    assert abs(found.mean() / 10 - 1) < bound * dcnu / np.sqrt(n)
+    # Relative variance of a log-normal's variance: w^4 + 2 w^3 + 3 w^2 - 4, w = 1 + dcnu^2, over n
+    w = 1 + dcnu**2
+    spread = np.sqrt((w**4 + 2 * w**3 + 3 * w**2 - 4) / n)
+    assert abs((found / 10).var() / dcnu**2 - 1) < bound * spread
+    z = np.log(found / 10) / figures["log_dcnu"] + figures["log_dcnu"] / 2
+    assert kstest(z, "norm").pvalue > LEVEL
+
+
+def test_fixed_patterns_are_unrelated():
+    ones = np.ones((256, 256), F32)
+    dark = {"figures": {"log_dcnu": 0.1}, "DCNU": True, "PRNU": False}
+    fields = [
+        on_device(ones, exposure_s=1, dark_e=0),
+        on_device(0 * ones, dark_e=1, **dark),
+        on_device(ones, figures={"prnu_row": 1e-2}, PRNU_LINES=True, PRNU=False),
+        on_device(ones, figures={"prnu_column": 1e-2}, PRNU_LINES=True, PRNU=False),
+    ]
+    for place, one in enumerate(fields):
+        for other in fields[:place]:
+            for transposed in (other, other.reshape(256, 256).T.ravel()):
+                # Of lines there are 256 only.
+                bound = 4.5 / 16 if place > 1 else 4.5 / 256
+                assert abs(np.corrcoef(one, transposed)[0, 1]) < bound
 
 
 def test_the_mean_is_clipped_where_nothing_is_drawn_after_it():

@@ -6,10 +6,10 @@ The law of the Poisson counts is tested in test_poisson, that of the deviates in
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from scipy.stats import chi2, kstest
+from scipy.stats import chi2, kstest, norm
 
 from gpusim.gpu import Device, Kernel, Recording
-from gpusim.reference.noise import noise, poisson
+from gpusim.reference.noise import noise, poisson, softened
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.sensor import load_sensor
 
@@ -17,6 +17,9 @@ F32 = np.float32
 SEED, SERIAL = (9 << 32) + 77, (5 << 32) + 88
 LEVEL = 1e-3  # of each statistical test; the seeds are fixed
 QUIET = {"full_well_e": 1e9, "temporal_dark_noise_e": 0.0, "dsnu_e": 0.0}
+
+
+OFF = dict.fromkeys(("DSNU_LINES", "MASK", "RESET", "LINES"), False)
 
 
 def on_device(
@@ -29,9 +32,13 @@ def on_device(
     seed=SEED,
     serial=SERIAL,
     spare=0,
+    mask=None,
+    quantiles=None,
+    figures=None,
     **overrides,
 ) -> np.ndarray:
     rows, cols = mean.shape
+    names = ("knee_e", "variance_per_e", "reset_noise_e", "row_noise_e", "column_noise_e")
     params = {
         "seed": (seed & 0xFFFFFFFF, seed >> 32),
         "serial": (serial & 0xFFFFFFFF, serial >> 32),
@@ -43,14 +50,21 @@ def on_device(
         "full_well_e": full_well_e,
         "temporal_dark_noise_e": temporal_dark_noise_e,
         "dsnu_e": dsnu_e,
+        **dict.fromkeys((*names, "dsnu_row_e", "dsnu_column_e"), 0.0),
+        **(figures or {}),
     }
+    nothing = np.zeros(1, F32)
     result = run_stage(
         "sensor/noise",
         (-(-(origin[1] % 4 + cols) // 128), -(-rows // 2), 1),
         params,
-        {"mean": mean},
+        {
+            "mean": mean,
+            "mask": nothing if mask is None else mask,
+            "quantiles": nothing if quantiles is None else quantiles,
+        },
         {"electrons": (rows * cols + spare, F32)},
-        **overrides,
+        **(OFF | overrides),
     )
     electrons = result["electrons"]
     return electrons if spare else electrons.reshape(mean.shape)
@@ -129,10 +143,12 @@ UNRELATED = np.sqrt(chi2.isf(1e-4, 1)) / SIDE
 SHIFTS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (0, 3), (0, 4), (2, 0), (4, 4)]
 
 PARTS = {
-    "shot, inversion": (3.0, QUIET),
-    "shot, rejection": (900.0, QUIET),
+    "shot, sums": (3.0, QUIET),
+    "shot, expansion": (900.0, QUIET),
     "read": (0.0, {**QUIET, "temporal_dark_noise_e": 1.0}),
     "dsnu": (0.0, {**QUIET, "dsnu_e": 1.0}),
+    "reset": (0.0, {**QUIET, "figures": {"reset_noise_e": 1.0}, "RESET": True}),
+    "two numbers": (900.0, {**QUIET, "figures": {"variance_per_e": 1.0}, "GAUSSIAN": True}),
 }
 
 
@@ -153,7 +169,7 @@ def test_neighbours_are_unrelated_and_no_row_or_column_stands_out(name: str):
         assert field.std(axis).min() > 0.8
 
 
-@pytest.mark.parametrize("name", ["shot, inversion", "shot, rejection", "read"])
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "dsnu"])
 def test_frames_and_seeds_are_unrelated(name: str):
     field = part_of_noise(name)
     for changed in ({"frame": 5}, {"seed": SEED + 1}, {"seed": SEED + (1 << 32)}):
@@ -170,11 +186,51 @@ def test_the_dark_pattern_belongs_to_the_sensor_alone():
 
 def test_purposes_are_unrelated_even_under_one_key():
     same_key = {"seed": 7, "serial": 7, "frame": 0}
-    fields = [part_of_noise(name, **same_key) for name in ("shot, rejection", "read", "dsnu")]
+    fields = [
+        part_of_noise(name, **same_key) for name in ("shot, expansion", "read", "dsnu", "reset")
+    ]
     for place, one in enumerate(fields):
         for other in fields[:place]:
             for shift in [(0, 0), *SHIFTS]:
                 assert abs(correlation(one, np.roll(other, shift, (0, 1)))) < UNRELATED
+
+
+def lines_of(name: str, **changed) -> np.ndarray:
+    """Return the deviates of rows or of columns, each line from the noise that has it alone."""
+    drawn = {"DSNU_LINES": name.startswith("dsnu"), "LINES": not name.startswith("dsnu")}
+    settings = {**QUIET, "figures": {name: 1.0}, **drawn, **changed}
+    field = on_device(np.zeros((SIDE, SIDE), F32), **settings).astype(float)
+    axis = 1 if "row" in name else 0
+    assert np.array_equal(field, np.broadcast_to(field.mean(axis, keepdims=True), field.shape))
+    return field.mean(axis)
+
+
+LINE_NAMES = ("row_noise_e", "column_noise_e", "dsnu_row_e", "dsnu_column_e")
+
+
+def test_lines_are_normal_and_unrelated_even_under_one_key():
+    same_key = {"seed": 7, "serial": 7, "frame": 0}
+    lines = [lines_of(name, **same_key) for name in LINE_NAMES]
+    bound = np.sqrt(chi2.isf(1e-4, 1) / SIDE)
+    for place, one in enumerate(lines):
+        assert kstest(one, "norm").pvalue > LEVEL
+        for shift in (1, 2, 3, 4):
+            assert abs(correlation(one, np.roll(one, shift))) < bound
+        for other in lines[:place]:
+            for shift in (-1, 0, 1):
+                assert abs(correlation(one, np.roll(other, shift))) < bound
+
+
+@pytest.mark.parametrize("name", LINE_NAMES)
+def test_lines_are_of_the_frame_or_of_the_sensor(name: str):
+    bound = np.sqrt(chi2.isf(1e-4, 1) / SIDE)
+    line = lines_of(name)
+    own, others = {"frame": 5, "seed": SEED + 1}, {"serial": SERIAL + 1}
+    if name.startswith("dsnu"):
+        own, others = others, own
+    for change in own.items():
+        assert abs(correlation(line, lines_of(name, **dict([change])))) < bound
+    assert np.array_equal(line, lines_of(name, **others))
 
 
 def test_read_noise_is_normal():
@@ -219,6 +275,130 @@ def test_a_half_is_that_of_the_reference(half: str):
         # Two additions of up to 22 000: 2^-24 * 22 000 * 2
         assert_close(found, expected, atol=2.8e-3)
         assert found.max() > 20_000  # the well is no part of the read-out
+
+
+# --- the other laws ---
+
+
+ALL = {
+    "reset_noise_e": 7.0,
+    "row_noise_e": 2.0,
+    "column_noise_e": 5.0,
+    "dsnu_row_e": 3.0,
+    "dsnu_column_e": 4.0,
+}
+
+
+def heavy(z: np.ndarray) -> np.ndarray:
+    """Return quantiles of a law with tails, at deviates of the normal law."""
+    return z + 0.05 * z**3
+
+
+TABLE = heavy(np.linspace(-6.5, 6.5, 1025)).astype(F32)
+
+
+def test_everything_that_is_read_with_the_charge_is_that_of_the_reference():
+    charge = means((60, 411))
+    mask = np.random.default_rng(62).uniform(-50, 50, charge.shape).astype(F32)
+    expected = noise(
+        charge.astype(float),
+        full_well_e=8180.0,
+        temporal_dark_noise_e=3.0,
+        dsnu_e=1.5,
+        seed=SEED,
+        frame=4,
+        serial_number=SERIAL,
+        origin=(17, 5),
+        shot=False,
+        mask=mask.astype(float),
+        law=heavy,
+        **ALL,
+    )
+    drawn = {"SHOT": False, "MASK": True, "RESET": True, "READ_TABLE": True}
+    drawn |= {"DSNU_LINES": True, "LINES": True}
+    found = on_device(charge, (17, 5), mask=mask, quantiles=TABLE, figures=ALL, **drawn)
+    # Seven additions to 22 000. The table's cells: 3 h^2 / 8 of the second derivative, 0.3 z.
+    tolerance = 7 * 2.0**-24 * 22_500 + 3 * (13 / 1024) ** 2 / 8 * 0.3 * 5 + 1e-5 * 12
+    assert_close(found, expected, atol=tolerance)
+    for name in ("MASK", "RESET", "READ_TABLE", "DSNU_LINES", "LINES"):  # the control
+        off = drawn | {name: False}
+        without = on_device(charge, (17, 5), mask=mask, quantiles=TABLE, figures=ALL, **off)
+        assert np.abs(without - expected).max() > 1
+
+
+def test_two_numbers_are_those_of_the_reference():
+    mean = means((60, 411))
+    expected = noise(
+        mean.astype(float),
+        full_well_e=8180.0,
+        temporal_dark_noise_e=3.0,
+        dsnu_e=0.0,
+        seed=SEED,
+        frame=4,
+        serial_number=SERIAL,
+        variance_per_e=float(F32(1.3)),
+    )
+    figures = {"variance_per_e": 1.3}
+    drawn = {"GAUSSIAN": True, "DSNU": False, "READ_NOISE": False}
+    found = on_device(mean, figures=figures, **drawn)
+    # sigma up to 170, deviates to 1e-6 of 5 sigmas, and four roundings of either
+    assert_close(found, expected, atol=170 * 5 * 1.5e-6, rtol=4 * 2.0**-24)
+    assert found.min() < 0 < (found == 8180).sum()
+
+
+def test_two_numbers_have_their_variance_on_a_line():
+    """The variance is a + b mean: by chi-square at five means."""
+    a, b, n = 3.0**2, 0.7, SIDE**2
+    drawn = {"GAUSSIAN": True, "DSNU": False, "READ_NOISE": False, "full_well_e": 1e6}
+    for mean in (0.0, 10.0, 100.0, 1e3, 1e4):
+        field = on_device(
+            np.full((SIDE, SIDE), mean, F32), figures={"variance_per_e": b}, **drawn
+        ).astype(float)
+        sigma = np.sqrt(a + b * mean)
+        assert abs(field.mean() - mean) < norm.isf(LEVEL / 20) * sigma / SIDE
+        low, high = chi2.interval(1 - LEVEL / 10, n - 1)
+        assert low < field.var() * n / sigma**2 < high
+
+
+@pytest.mark.parametrize("knee", [0.5, 0.9])
+def test_a_soft_well_is_that_of_the_reference(knee: float):
+    mean = np.geomspace(10, 1e6, 256 * 64).astype(F32).reshape(256, 64)
+    expected = noise(
+        mean.astype(float),
+        full_well_e=8180.0,
+        temporal_dark_noise_e=0.0,
+        dsnu_e=0.0,
+        seed=SEED,
+        frame=4,
+        serial_number=SERIAL,
+        knee_e=knee * 8180,
+        read_out=False,
+    )
+    figures = {"knee_e": knee * 8180}
+    drawn = {"KNEE": True, "DSNU": False, "READ_NOISE": False}
+    found = on_device(mean, figures=figures, **drawn)
+    # exp to 3 + 2 * 10 ULP of what is at most 1, times 4090; a count now and then (test_poisson)
+    tolerance = 4090 * 23 * 2.0**-23 + 2.0**-24 * 8180
+    assert_close(found, expected, atol=tolerance, outliers=5 / mean.size, outlier_atol=1.1)
+    assert found.max() == 8180
+
+
+def test_a_soft_well_fills_without_a_step_or_a_kink():
+    charge = np.linspace(0, 30_000, 200_001)
+    held = softened(charge, 8180.0, 0.8 * 8180)
+    slope = np.diff(held) / np.diff(charge)
+    assert np.all(slope >= 0) and np.all(slope[charge[1:] < 6544] > 1 - 1e-9)
+    assert np.abs(np.diff(slope)).max() < 1.01 * 0.15 / 1636  # the second derivative at the knee
+    assert held[-1] < 8180
+
+
+def test_the_law_of_the_table_is_drawn():
+    """Kolmogorov's test against the law whose quantiles the table lists."""
+    quiet = {**QUIET, "temporal_dark_noise_e": 1.0}
+    field = on_device(np.zeros((SIDE, SIDE), F32), quantiles=TABLE, READ_TABLE=True, **quiet)
+    grid = np.linspace(-8, 8, 100_001)
+    assert kstest(field.ravel(), lambda x: norm.cdf(np.interp(x, heavy(grid), grid))).pvalue > LEVEL
+    assert kstest(field.ravel(), "norm").pvalue < 1e-9  # the control
 
 
 # --- the host ---
