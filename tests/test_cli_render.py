@@ -83,6 +83,10 @@ def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     ran = shot(tmp_path, *given, "--tolerance", 1e-2, "--certify", 5, "--keep", "rate")
     assert ran.code == 0, ran.err
     assert (asked["exposure_s"], asked["seed"], asked["frame"]) == (1 / 250, 11, 2)
+    assert asked["temperature_c"] is None
+    assert shot(tmp_path, "--temperature", -20.5).code == 0
+    assert asked["temperature_c"] == -20.5
+    assert shot(tmp_path, *given, "--tolerance", 1e-2, "--certify", 5, "--keep", "rate").code == 0
     assert (asked["tile_px"], asked["keep"]) == (512, ("rate",))
     assert asked["accuracy"] == Accuracy(1e-2, 5)
     assert shot(tmp_path, "--tolerance", "0.1sigma").code == 0
@@ -198,6 +202,11 @@ def test_a_failure_leaves_earlier_files_as_they_were(
 )
 def test_a_wrong_exposure_is_refused(tmp_path: Path, text: str):
     assert_refused(shot(tmp_path, f"--exposure={text}"), "--exposure", text, "1/60")
+
+
+@pytest.mark.parametrize("text", ["-273.15", "-300", "nan"])
+def test_a_temperature_below_absolute_zero_is_refused(tmp_path: Path, text: str):
+    assert_refused(shot(tmp_path, f"--temperature={text}"), "temperature_c", "-273.15")
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from gpusim.gpu import Device, Recording
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.noise import record_noise
+from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor, load_sensor
 
 F32 = np.float32
@@ -28,11 +29,16 @@ def capture(
     return rec.run()[label].astype(float)
 
 
-@pytest.mark.parametrize("prnu_percent", [0.0, 5.0])
-def test_the_slope_of_photon_transfer_is_the_system_gain(device: Device, prnu_percent: float):
+LINES = LineNoise(prnu_row_percent=2, prnu_column_percent=3, dsnu_row_e=5, dsnu_column_e=4)
+
+
+@pytest.mark.parametrize(("prnu_percent", "lines"), [(0.0, None), (5.0, None), (5.0, LINES)])
+def test_the_slope_of_photon_transfer_is_the_system_gain(
+    device: Device, prnu_percent: float, lines: LineNoise | None
+):
     """Temporal variance over mean signal: K, whatever the PRNU: it comes before the noise."""
     sensor = load_sensor("imx477").model_copy(
-        update={"prnu_percent": prnu_percent, "bit_depth": 14}
+        update={"prnu_percent": prnu_percent, "bit_depth": 14, "lines": lines, "dcnu_percent": 30}
     )
     signal, variance = [], []
     for rate in (0.0, 1000.0, 2000.0, 4000.0, 6000.0):
