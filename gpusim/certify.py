@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Callable
@@ -241,7 +242,7 @@ def certify(
         Row and column of the rectangle's first pixel.
     """
     started = time.perf_counter()
-    there = choose_probes(rate, sensor.period[0], accuracy.probes)
+    there = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
     pixels = there + origin
     truth = true_rates(bank, sensor, scene, placed, pixels, progress)
     truth += glare_at(sensor, glare, pixels)

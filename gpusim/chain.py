@@ -55,7 +55,8 @@ from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.ccd import ReadOut, needed
 from gpusim.sensor.frame import overlap, parts_around
-from gpusim.sensor.readout import Shot, record_light, record_readout
+from gpusim.sensor.planes import planes_of
+from gpusim.sensor.readout import Shot, record_light, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
@@ -265,8 +266,7 @@ class Renderer:
                     self.device, self.bank, sensor, self.placed.highlights, scene.spectra, tolerance
                 )
             )
-        channels = list(sensor.channels)
-        sites = [channels.index(name) for name in sensor.site_channels()]
+        sites = list(planes_of(sensor).channels)
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
             convolve = convolution(self.device, scale, source.needed, aperture_um, sites)
@@ -429,7 +429,7 @@ class Renderer:
         """Return the device memory that is taken for a while, beside tile, scene and kernels."""
         planes = self.plan.basis.coefficients.shape[1]
         scratch = max(convolve.scratch_bytes(planes) for convolve in self.convolutions)
-        strip = strip_bytes(self.frame, self.memory_bytes)
+        strip = strip_bytes(self.frame, self.memory_bytes, self._around)
         return max(scratch, strip) + RESERVE_BYTES
 
     def room(self) -> int:
@@ -471,13 +471,19 @@ class Renderer:
             (self.sources[n].load_bytes(line[:1]) for n, line in self.lines(self.lit(self.frame))),
             default=0,
         )
-        tile = tile_bytes((0, 0, SMALLEST_PX, SMALLEST_PX), self.period)
+        side = SMALLEST_PX + 2 * self._around
+        tile = tile_bytes((0, 0, side, side), self.period, self.layers)
         return kernels + source + tile + self.working_bytes()
 
     @property
     def period(self) -> int:
-        """Rows and columns of the filter pattern."""
+        """Pixels from a sample of the planes to the next: those of tiles lie between such."""
         return self.plan.scales[0].grid.period
+
+    @property
+    def layers(self) -> int:
+        """Planes of each pixel."""
+        return self.plan.scales[0].grid.layers
 
     @property
     def frame(self) -> Rect:
@@ -485,10 +491,11 @@ class Renderer:
         return self.camera.sensor.frame.read
 
     def lit(self, rect: Rect) -> Rect:
-        """Return the lit pixels of a rectangle; of one without any, the pixel next to it.
+        """Return the lit pixels that a rectangle needs; of one without any, the pixel next to it.
 
         So that there always are planes of the sites, of which the border then takes nothing.
         """
+        _, rect = rects_of(rect, self.camera.sensor, self.plan.runs)
         sides = []
         for first, count, size in zip(
             rect[:2], rect[2:], self.camera.sensor.frame.lit[2:], strict=True
@@ -497,6 +504,13 @@ class Renderer:
             sides.append((begin, max(min(first + count, size) - begin, 1)))
         (row, rows), (col, cols) = sides
         return row, col, rows, cols
+
+    @property
+    def _around(self) -> int:
+        """Pixels whose light a tile or a strip needs on each side, at most."""
+        pixel = self.camera.sensor.rows - 1, 0, 1, 1
+        _, seen = rects_of(pixel, self.camera.sensor, self.plan.runs)
+        return pixel[0] - seen[0]
 
     def _hold(self, rect: Rect, tile_px: int | None, report: Progress) -> None:
         """Bring onto the device what further frames need as well, if there is room for all."""
@@ -512,8 +526,8 @@ class Renderer:
             largest = max(largest, self.sources[number].load_bytes(line))
         pairs = list(zip(self.convolutions, wanted, strict=True))
         needed = sum(convolve.load_bytes(blocks) for convolve, blocks in pairs)
-        tiles = tiles_of(rect, self.period, self.memory_bytes, tile_px)
-        planes = max(tile_bytes(tile, self.period) for tile in tiles)
+        tiles = tiles_of(rect, self.period, self.memory_bytes, tile_px, self.layers)
+        planes = max(tile_bytes(self.lit(tile), self.period, self.layers) for tile in tiles)
         if needed + largest + planes <= self.room():
             total = sum(len(c.nodes_of(blocks) - c.nodes.keys()) for c, blocks in pairs)
             done = iter(range(1, total + 1))
@@ -558,7 +572,7 @@ class _Shot:
         renderer = self.renderer
         period = renderer.period
         self._check_memory()
-        tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px))
+        tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px, renderer.layers))
         done, left = 0, sum(map(self._steps, tiles))
 
         def advance() -> None:
@@ -610,7 +624,8 @@ class _Shot:
         renderer = self.renderer
         device, period = renderer.device, renderer.period
         whole = aligned(renderer.lit(tile), period)
-        sites = (period**2, whole[2] // period, whole[3] // period)
+        count = renderer.plan.scales[0].grid.sites
+        sites = (count, whole[2] // period, whole[3] // period)
         rates = device.empty("rates", sites, np.float32)
         try:
             rec = Recording(device)
@@ -701,6 +716,7 @@ class _Shot:
             tile,
             self.shot,
             renderer.plan.runs,
+            self.planes,
         )
 
     def _run(self, rec: Recording) -> Result:

@@ -203,7 +203,7 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
             whole = _fine(renderer, oversampling, whole_um, core, "whole")
             return replace(plan, scales=(whole,)), {"cut": 0.0}
         fine = _fine(renderer, oversampling, cut_um, core, "core")
-        period = sensor.period[0]
+        period = renderer.period
         stride = 4 if period == 4 else 1
         pitch_um = sensor.pixel_pitch_um * period / stride
         images, places = _images(renderer)
@@ -247,7 +247,7 @@ def _fine(
     pitch_um = sensor.pixel_pitch_um / oversampling
     images, places = _images(renderer)
     kernels = field_kernels(images, places, renderer.bank.pitch_um, pitch_um, part)
-    stride = oversampling * sensor.period[0]
+    stride = oversampling * renderer.period
     grid = _grid(renderer, stride, reach_um / pitch_um, first.grid.cells)
     return Scale(name, grid, pitch_um, first.sigma, kernels)
 
@@ -258,7 +258,8 @@ def _grid(renderer: Renderer, stride: int, reach: float, cells: tuple[int, int])
     half = math.ceil((reach + GUARD) / stride) * stride
     for length in TRANSFORMS:
         if length - 2 * half >= max(8 * stride, length // 4):
-            return SimGrid(sensor.rows, sensor.cols, stride, sensor.period[0], length, half, cells)
+            where = sensor.rows, sensor.cols, stride, renderer.period, length, half, cells
+            return SimGrid(*where, renderer.layers)
     raise UserError(
         "The kernels are too wide for the longest transform.",
         field="reach",
@@ -307,9 +308,9 @@ def sweep(
     # By transforms: the knobs that are turned are theirs.
     chosen = Renderer(camera, scene, unprobed, device, exposure_s=exposure_s, method="fft")
     try:
-        all_of_them = list(variants(accuracy, sensor.period[0]))
+        all_of_them = list(variants(accuracy, chosen.period))
         rate, seconds = _timed(chosen, exposure_s)
-        pixels = choose_probes(rate, sensor.period[0], accuracy.probes)
+        pixels = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
         started = time.perf_counter()
         truth = true_rates(
             chosen.bank,

@@ -20,7 +20,7 @@ from gpusim.lens.bank import Bank
 
 TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
-STAGES += ["mosaic", "exposure", "noise", "adc", "sensor-12mp"]
+STAGES += ["mosaic", "crosstalk", "exposure", "noise", "adc", "sensor-12mp"]
 STAGES += ["smear", "cti-linear", "cti-trap"]
 FRAMES = ["render-demo", "frame-12mp", "frame-12mp-mono", "scaling"]
 SMALL = (128, 168)  # a fraction of a second for each stage

@@ -11,6 +11,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import rawpy
+import tifffile
 from command_line import Ran, assert_refused, gpusim, process
 from fake_capture import COLS, ROWS, fake_capture
 from PIL import Image
@@ -69,6 +70,37 @@ def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
     assert report["files"] == [*FILES, "electrons.exr", "rate.exr"]
     assert report["command"][:4] == ["gpusim", "render", "demo", "demo"]
     assert "</html>" in (out / "report.html").read_text()
+
+
+def test_filters_that_no_dng_has_are_written_as_tiff(
+    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Red and clear: the raw numbers, and a picture that says what it is."""
+    plain = fake_capture()
+    sensor, efficiency = plain.camera.sensor, plain.camera.sensor.quantum_efficiency
+    curves = {"R": efficiency.channels["R"], "W": efficiency.channels["G"]}
+    sensor = sensor.model_copy(
+        update={
+            "cfa": sensor.cfa.model_copy(update={"pattern": [["R", "W"], ["W", "W"]]}),
+            "quantum_efficiency": efficiency.model_copy(update={"channels": curves}),
+        }
+    )
+    camera = dataclasses.replace(plain.camera, sensor=sensor)
+    changed = dataclasses.replace(plain, camera=camera, white_e={"R": 500.0, "W": 1000.0})
+    monkeypatch.setattr(render, "take", lambda camera, scene, **given: changed)
+    ran = shot(tmp_path)
+    assert ran.code == 0, ran.err
+    assert {file.name for file in tmp_path.iterdir()} == {"raw.tif", *FILES} - {"raw.dng"}
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "raw.tif"), plain.raw)
+    picture = np.asarray(Image.open(tmp_path / "developed.png"))
+    assert np.ptp(picture, axis=2).max() == 0
+    # A red pixel of half the white, by the sRGB curve: 0.5 is 188.
+    gain, black = sensor.system_gain_dn_per_e, sensor.black_level_dn
+    at = np.argwhere(np.abs(plain.raw[::2, ::2] - black - gain * 250) < 4)[0] * 2
+    assert abs(int(picture[tuple(at)][0]) - 188) <= 2
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["files"][0] == "raw.tif"
+    assert any("does not develop" in note for note in report["scene"]["notes"])
 
 
 def test_develop_gives_the_picture_again(asked: dict[str, Any], tmp_path: Path):
@@ -287,7 +319,7 @@ def test_a_rectangle_outside_the_frame_and_too_little_memory_are_refused(tmp_pat
 
 def test_an_unknown_or_missing_camera_is_refused(tmp_path: Path):
     out = tmp_path / "out"
-    assert_refused(gpusim("render", "kodak", "demo", "--out", out), "CAMERA", "kodak", "demo")
+    assert_refused(gpusim("render", "none-such", "demo", "--out", out), "CAMERA", "kodak", "demo")
     missing = tmp_path / "none.yaml"
     assert_refused(gpusim("render", missing, "demo", "--out", out), missing)
 

@@ -42,6 +42,7 @@ from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy
 from gpusim.reference.adc import adc
 from gpusim.reference.columns import columns
+from gpusim.reference.crosstalk import crosstalk
 from gpusim.reference.direct import direct
 from gpusim.reference.exposure import exposure
 from gpusim.reference.lattice import lattice
@@ -54,9 +55,12 @@ from gpusim.reference.warp import warp
 from gpusim.scene import Chart, Disc, PlacedRaster, Raster, Scene, make_scene
 from gpusim.scene.spectra import rgb_reflectances, white_radiance
 from gpusim.sensor.adc import record_adc
+from gpusim.sensor.crosstalk import record_crosstalk
+from gpusim.sensor.crosstalk_model import Kernels
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
+from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor, load_sensor
 
 EXPOSURE_S = 1 / 60
@@ -71,6 +75,13 @@ FRAME_FOCAL_MM, SCALING_FOCAL_MM = 12.0, 24.0
 SCALING = (0.285, 0.57, 1.0, 2.0)  # of the frame's sides: 1, 4, 12 and 49 MP
 FRAME_SIGMA, FRAME_PROBES = 0.1, 256
 DOT_UM = 30.0  # radius of the dots that paint paints
+# More to the right than to the left, and from green to red more than to the others.
+SPREAD = Kernels(
+    {
+        "*": [[0.002, 0.012, 0.002], [0.011, 0.93, 0.013], [0.002, 0.01, 0.002]],
+        "G>R": [[0.0, 0.014, 0.0], [0.012, 0.0, 0.015], [0.0, 0.012, 0.0]],
+    }
+)
 PART = 64  # side of what a sensor stage's error is found on, pixels
 Run = Callable[[], object]
 
@@ -648,7 +659,23 @@ def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     if stage == "mosaic":
         light = device.resident("glare", glare)
         record = partial(record_mosaic, planes=source, glare=light, sensor=sensor, shape=frame)
-        expected = mosaic(sites[:, : PART // 2, : PART // 2], glare, (2, 2))
+        table = planes_of(sensor).sites
+        expected = mosaic(sites, glare, table, 2, (PART, PART))
+    elif stage == "crosstalk":
+        whole = (0, 0, *frame)
+        record = partial(
+            record_crosstalk,
+            signal=source,
+            kernels=SPREAD,
+            sensor=sensor,
+            given=whole,
+            wanted=whole,
+            frame=whole,
+        )
+        # Beyond the last pixels of the part the frame goes on.
+        inner = (slice(PART - 1), slice(PART - 1))
+        names = np.tile(np.array(sensor.cfa.pattern), (PART // 2, PART // 2))
+        expected = crosstalk(part, names, SPREAD.between, (2, 2))[inner]
     elif stage == "exposure":
         record = partial(record_exposure, rate=source, sensor=sensor, exposure_s=EXPOSURE_S)
         current = sensor.dark_current_at(sensor.reference_temperature_c)
@@ -668,7 +695,8 @@ def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     sample, rec = Recording(device), Recording(device)
     label = sample.download(record(sample))
     record(rec)
-    found = error(sample.run()[label][:PART, :PART], expected)
+    rows, cols = expected.shape
+    found = error(sample.run()[label][:rows, :cols], expected)
     return Job(rec.run, plane.size, found, 2 * plane.nbytes, plane.size, peers)
 
 
@@ -860,6 +888,7 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "modes": ("row transforms weighted with two maps, one plane", modes_job),
     "direct": ("a sum over 16 x 16 taps, one plane to three channels", direct_job),
     "mosaic": ("filter sites to pixels", partial(sensor_job, "mosaic")),
+    "crosstalk": ("shares of eight neighbours, by channel", partial(sensor_job, "crosstalk")),
     "exposure": ("exposure time, PRNU, dark current", partial(sensor_job, "exposure")),
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
     "adc": ("quantisation", partial(sensor_job, "adc")),

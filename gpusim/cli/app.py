@@ -110,7 +110,7 @@ def render(
     ] = False,
     adapter: Adapter = None,
 ) -> None:
-    """Render a capture: raw.dng, developed.png, report.json and report.html."""
+    """Render a capture: raw.dng (.tif where DNG has no such filters), developed.png, report."""
     from gpusim.cli.render import run
 
     choose_adapter(adapter)

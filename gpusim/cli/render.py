@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from PIL import Image
 
 from gpusim import report
@@ -20,8 +21,8 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.isp.develop import develop
-from gpusim.isp.dng import check_filter_array, write_dng
+from gpusim.isp.develop import develop, develops, undeveloped
+from gpusim.isp.dng import has_dng, write_dng
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.signal import brightest_e
@@ -67,7 +68,6 @@ def run(
     camera = load_camera(camera_name)
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
-    check_filter_array(camera.sensor)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2)
     device = default_device()
@@ -173,21 +173,39 @@ def kept_planes(text: str) -> tuple[str, ...]:
 
 
 def write(capture: Capture, folder: Path) -> dict[str, Any]:
-    """Write all files of a capture into `folder`; return the facts of the report."""
+    """Write all files of a capture into `folder`; return the facts of the report.
+
+    Where no DNG reader has the filter array, the raw frame is a TIFF, and the picture is grey.
+    """
     planes = {name: getattr(capture, name) for name in KEPT_PLANES}
     kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
-    names = ["raw.dng", "developed.png", "report.json", "report.html", *kept]
-    write_dng(
-        folder / "raw.dng",
-        capture.raw,
-        capture.camera.sensor.cut(*capture.lit[:2]),
-        active_area=capture.active_area,
-        masked_areas=capture.masked_areas,
-        white_e=capture.white_e,
-        exposure_s=capture.exposure_s,
-        transmission=capture.transmission,
-    )
-    developed = develop(folder / "raw.dng")
+    sensor = capture.camera.sensor.cut(*capture.lit[:2])
+    raw = "raw.dng" if has_dng(sensor) else "raw.tif"
+    names = [raw, "developed.png", "report.json", "report.html", *kept]
+    if raw == "raw.dng":
+        write_dng(
+            folder / raw,
+            capture.raw,
+            sensor,
+            active_area=capture.active_area,
+            masked_areas=capture.masked_areas,
+            white_e=capture.white_e,
+            exposure_s=capture.exposure_s,
+            transmission=capture.transmission,
+        )
+    else:
+        from tifffile import imwrite
+
+        plain = np.ascontiguousarray(capture.raw, np.uint16)
+        imwrite(folder / raw, plain, photometric="minisblack")
+    row, col, rows, cols = capture.active_area
+    if raw == "raw.dng" and develops(sensor, rows, cols):
+        developed = develop(folder / raw)
+    else:
+        lit = capture.raw[row : row + rows, col : col + cols]
+        developed = undeveloped(lit, sensor, capture.white_e)
+        note = f"LibRaw does not develop this filter array at this size: {raw}, and a grey picture"
+        capture = replace(capture, notes=(*capture.notes, note))
     Image.fromarray(developed).save(folder / "developed.png")
     for name, plane in kept.items():
         write_exr(folder / name, {"Y": plane})

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gpusim.errors import UserError
 
+if TYPE_CHECKING:
+    from gpusim.sensor.sensor import Sensor
+
+XTRANS_TILE = 512  # pixels, of LibRaw's demosaicing of X-Trans
 SRGB_GAMMA = (2.4, 12.92)  # power and slope at black of the sRGB curve, IEC 61966-2-1
 
 
@@ -57,6 +62,39 @@ def develop(path: str | Path) -> np.ndarray:
             value=_text(error),
             allowed="a raw file, such as DNG",
         ) from None
+
+
+def develops(sensor: Sensor, rows: int, cols: int) -> bool:
+    """Return whether LibRaw develops a frame: X-Trans only if it fills one of its tiles."""
+    return sensor.period == (2, 2) or min(rows, cols) >= XTRANS_TILE
+
+
+def undeveloped(raw: np.ndarray, sensor: Sensor, white_e: dict[str, float]) -> np.ndarray:
+    """Return the raw frame as a grey picture: each pixel over what it has of the scene's white.
+
+    For filter arrays that no raw developer has; of a monochrome sensor it is the picture.
+
+    Parameters
+    ----------
+    raw : ndarray (rows, cols)
+        Digital numbers of the lit pixels, with the pattern's phase at the first of them.
+    sensor : Sensor
+    white_e : dict of str to float
+        Mean electrons that the scene's white makes on the axis by channel.
+
+    Returns
+    -------
+    ndarray (rows, cols, 3), uint8
+    """
+    rows, cols = (np.arange(n) % step for n, step in zip(raw.shape, sensor.period, strict=True))
+    white = np.array([white_e[name] for name in sensor.site_channels()]).reshape(sensor.period)
+    black = np.array(sensor.site_black_dn).reshape(sensor.period)
+    full = np.maximum(sensor.system_gain_dn_per_e * white, 1e-9)
+    light = (raw - black[rows[:, None], cols]) / full[rows[:, None], cols]
+    light = np.clip(light, 0.0, 1.0)
+    power, slope = SRGB_GAMMA
+    shown = np.where(light <= 0.0031308, slope * light, 1.055 * light ** (1 / power) - 0.055)
+    return np.repeat(np.round(255 * shown).astype(np.uint8)[:, :, None], 3, axis=2)
 
 
 def _baseline_exposure_ev(path: Path) -> float:

@@ -48,6 +48,10 @@ TAGS = {
     "NoiseProfile": 51041,
 }
 BYTE, ASCII, SHORT, LONG, RATIONAL, SRATIONAL, DOUBLE = "B", "s", "H", "I", "2I", "2i", "d"
+# Fujifilm's filter array: every row and column holds all colours.
+XTRANS = np.array(
+    [list(row) for row in ("GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG")]
+)
 DENOMINATOR = 1_000_000  # of rationals: six decimals
 LEVEL_DENOMINATOR = 1000  # of black levels: at most 65535, and numerators have 32 bits
 EXIF_VERSION, EXIF_ISO = 36864, 34855  # tags of the Exif part
@@ -110,21 +114,32 @@ def _corners(area: Rect) -> tuple[int, int, int, int]:
     return row, col, row + rows, col + cols
 
 
+def has_dng(sensor: Sensor) -> bool:
+    """Return whether DNG readers have a sensor's filter array: 2 x 2 of R, G and B, or X-Trans.
+
+    LibRaw and dcraw take other tables for 2 x 2, or two columns of them, and show wrong colours.
+    """
+    pattern = sensor.cfa.letters
+    if np.shape(pattern) == (2, 2):
+        return set(chain.from_iterable(pattern)) == set(CHANNELS)
+    shifts = np.ndindex(np.shape(XTRANS))
+    return any(np.array_equal(pattern, np.roll(XTRANS, shift, (0, 1))) for shift in shifts)
+
+
 def check_filter_array(sensor: Sensor) -> None:
     """Refuse a filter array that no DNG reader has.
 
     Raises
     ------
     UserError
-        When it is not 2 x 2 of R, G and B.
+        When it is neither 2 x 2 of R, G and B nor X-Trans.
     """
-    pattern = sensor.cfa.letters
-    if np.shape(pattern) != (2, 2) or set(chain.from_iterable(pattern)) != set(CHANNELS):
+    if not has_dng(sensor):
         raise UserError(
             "no DNG reader has this filter array",
             field="cfa.pattern",
-            value=pattern,
-            allowed="2 x 2 of R, G and B",
+            value=" / ".join("".join(row) for row in sensor.cfa.letters),
+            allowed="2 x 2 of R, G and B; or 6 x 6 of X-Trans, from any of its pixels",
         )
 
 
@@ -152,7 +167,7 @@ def write_dng(
     raw : ndarray (rows, cols), uint16
         Digital numbers, those of the optical black included.
     sensor : Sensor
-        Filter array of 2 x 2, of R, G and B; black levels, bit depth, gain, full well, read noise,
+        Filter array as `has_dng` has it; black levels, bit depth, gain, full well, read noise,
         non-linearity, which readers undo by the table that is written, and quantum efficiencies.
     white_e : dict of str to float
         Mean electrons that the scene's white makes on the axis by channel.
@@ -195,7 +210,7 @@ def write_dng(
         "UniqueCameraModel": (ASCII, f"gpusim {sensor.name}"),
         "Orientation": (SHORT, (1,)),
         "ExposureTime": (RATIONAL, _exposure(exposure_s)),
-        "CFARepeatPatternDim": (SHORT, (2, 2)),
+        "CFARepeatPatternDim": (SHORT, sensor.period),
         "CFAPattern": (BYTE, [CHANNELS.index(letter) for row in pattern for letter in row]),
         "BlackLevel": (RATIONAL, _rationals(black_dn, LEVEL_DENOMINATOR)),
         "WhiteLevel": (LONG, (white_dn,)),

@@ -16,6 +16,7 @@ from gpusim.gpu import Device, Recording
 from gpusim.metrics.emva import LEAST_TIMES, Level
 from gpusim.metrics.statistics import Accumulator
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.planes import planes_of
 from gpusim.sensor.readout import Shot, record_readout
 from gpusim.sensor.sensor import Sensor
 
@@ -161,20 +162,20 @@ def take(
 
     Mean electrons per second of a photosite are eta mu_p / t (EMVA 1288 R3.1, section 2.1).
     """
-    sites = sensor.site_channels()
-    rates = np.zeros(len(sites), np.float32)
+    made = planes_of(sensor)
+    rates = np.zeros(len(made.channels), np.float32)
     if light.photons:
         rates += [
-            np.interp(light.wavelength_nm, WAVELENGTHS_NM, sensor.qe[name])
+            np.interp(light.wavelength_nm, WAVELENGTHS_NM, sensor.qe[sensor.channels[channel]])
             * light.photons
             / light.exposure_s
-            for name in sites
+            for channel in made.channels
         ]
-    py, px = sensor.period
+    rows, cols = (-(-side // made.period) for side in (sensor.rows, sensor.cols))
     rec = Recording(device)
-    planes = rec.buffer("sites", (len(sites), sensor.rows // py, sensor.cols // px), np.float32)
+    planes = rec.buffer("sites", (len(rates), rows, cols), np.float32)
     rec.upload(planes, np.broadcast_to(rates[:, None, None], planes.shape).copy())
-    glare = rec.buffer("glare", (len(sites),), np.float32)
+    glare = rec.buffer("glare", (len(sensor.site_channels()),), np.float32)
     rec.clear(glare)
     whole = (0, 0, sensor.rows, sensor.cols)
     shot = Shot(light.exposure_s, seed, frame)

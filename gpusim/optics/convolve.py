@@ -125,15 +125,16 @@ class Transforms:
         """
         grid = self.grid
         names = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
-        self.columns.record(
-            rec,
-            groups=(grid.window // 2 + 1, 1, 1),
-            params={**columns, "site_channels": self.site_channels},
-            twiddle=self.twiddle,
-            spectra=scratch.spectra,
-            **dict(zip(names, kernels, strict=True)),
-            folded=scratch.folded,
-        )
+        for first in range(0, self.columns.overrides["C"], 4):
+            self.columns.record(
+                rec,
+                groups=(grid.window // 2 + 1, 1, 1),
+                params={**columns, "first": first, "site_channels": self.site_channels},
+                twiddle=self.twiddle,
+                spectra=scratch.spectra,
+                **dict(zip(names, kernels, strict=True)),
+                folded=scratch.folded,
+            )
         row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
         origin = grid.window_origin(block)
         self.lattice.record(

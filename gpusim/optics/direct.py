@@ -69,12 +69,11 @@ def tap_layout(grid: SimGrid, support: int, outputs: Outputs) -> TapLayout:
     """Lay out taps up to `support` samples from a photosite's centre."""
     shifts = [shift for _, *both in outputs.places for shift in both]
     low, high = math.ceil(-max(shifts) - support), math.floor(support - min(shifts))
-    stride = max(grid.stride, 4)
-    places = grid.period * stride // grid.stride
-    columns = min(places, 2)
+    stride, across = max(grid.stride, 4), grid.sites_across
+    places = across * stride // grid.stride
+    columns = 1 if places % 2 else 2
     offsets = tuple(
-        place // grid.period * grid.stride + place % grid.period * outputs.step
-        for place in range(places)
+        place // across * grid.stride + place % across * outputs.step for place in range(places)
     )
     layout = TapLayout(low, high, stride, places, columns, offsets, 0, 0)
     last = max(
@@ -117,7 +116,7 @@ def spatial_kernels(
     return result
 
 
-def packed_taps(taps: np.ndarray, layout: TapLayout, period: int, of_site: list[int]) -> np.ndarray:
+def packed_taps(taps: np.ndarray, layout: TapLayout, across: int, of_site: list[int]) -> np.ndarray:
     """Return taps as shaders/optics/direct reads them.
 
     Parameters
@@ -125,21 +124,22 @@ def packed_taps(taps: np.ndarray, layout: TapLayout, period: int, of_site: list[
     taps : ndarray (J, kernels, n, n)
         [d_y, d_x] from `layout.low` to `layout.high`.
     layout : TapLayout
-    period : int
-        Of the CFA.
+    across : int
+        Sites side by side.
     of_site : list of int
         Kernel of each site.
 
     Returns
     -------
-    ndarray (J, period, places / columns, n, groups, columns, 4), float32
+    ndarray (J, sites / across, places / columns, n, groups, columns, 4), float32
     """
     columns, lines = layout.columns, layout.lines
-    shape = (len(taps), period, layout.places // columns, lines, columns, 4 * layout.groups)
+    down = len(of_site) // across
+    shape = (len(taps), down, layout.places // columns, lines, columns, 4 * layout.groups)
     packed = np.zeros(shape, np.float32)
     backwards = taps[:, :, ::-1, ::-1]
-    for row, place in np.ndindex(period, layout.places):
-        kernel = of_site[period * row + place % period]
+    for row, place in np.ndindex(down, layout.places):
+        kernel = of_site[across * row + place % across]
         first = layout.offsets[place] - layout.high - 4 * layout.first_group(place)
         pair, column = divmod(place, columns)
         packed[:, row, pair, :, column, first : first + lines] = backwards[:, kernel]
@@ -289,7 +289,8 @@ class Direct(NodeStore):
             R=grid.half_size,
             D=grid.stride,
             STRIDE=layout.stride,
-            PERIOD=grid.period,
+            PERIOD=grid.sites_across,
+            DOWN=grid.period,
             STEP=self.outputs.step,
             PLACES=layout.places,
             COLUMNS=layout.columns,
@@ -307,7 +308,9 @@ class Direct(NodeStore):
         layout = self.layout
         spread = spatial_kernels(kernels, self.aperture, self.scale.sigma, self.outputs.places)
         kept = slice(self.half_size + layout.low, self.half_size + layout.high + 1)
-        return packed_taps(spread[:, :, kept, kept], layout, self.grid.period, self.outputs.of_site)
+        return packed_taps(
+            spread[:, :, kept, kept], layout, self.grid.sites_across, self.outputs.of_site
+        )
 
     def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
         """Return the PSF nodes around blocks; one PSF is that of the first."""

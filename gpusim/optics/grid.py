@@ -31,6 +31,8 @@ class SimGrid:
         Reach R of the kernels: they span 2 R samples; a multiple of `stride`.
     cells : (int, int)
         Cells between PSF nodes in x and in y.
+    layers : int
+        Planes of each site: 1, or where P = 1 one for each colour channel.
     """
 
     rows: int
@@ -40,6 +42,7 @@ class SimGrid:
     length: int
     half_size: int
     cells: tuple[int, int]
+    layers: int = 1
 
     @property
     def oversampling(self) -> float:
@@ -53,8 +56,13 @@ class SimGrid:
 
     @property
     def sites(self) -> int:
-        """Sites of the CFA period."""
-        return self.period**2
+        """Planes of photosites: the sites of the CFA period, or the layers of the only one."""
+        return self.layers * self.period**2
+
+    @property
+    def sites_across(self) -> int:
+        """Sites side by side; layers count as such, at the same place."""
+        return self.layers * self.period
 
     @property
     def window(self) -> int:

@@ -77,15 +77,20 @@ class Outputs:
     of_site: list[int]
 
 
-def outputs_of(grid: SimGrid, site_channels: list[int], channels: int) -> Outputs:
-    """Choose what the kernels are made for.
+def own_kernels(stride: int, period: int, layers: int, channels: int) -> bool:
+    """Return whether each site has a kernel of its own.
 
-    Where a site lies whole samples from the next, the shaders shift one kernel per channel; else
-    each site has a kernel of its own.
+    Where a site lies whole samples from the next, shaders/optics/columns shifts those of up to four
+    channels.
     """
+    return layers > 1 or stride % period != 0 or channels > 4
+
+
+def outputs_of(grid: SimGrid, site_channels: list[int], channels: int) -> Outputs:
+    """Choose what the kernels are made for: channels, or sites that have kernels of their own."""
     # A pixel's centre, in samples from the centre of its first sample.
     first = (grid.oversampling - 1) / 2
-    if grid.stride % grid.period == 0:
+    if not own_kernels(grid.stride, grid.period, grid.layers, channels):
         places = [(channel, first, first) for channel in range(channels)]
         return Outputs(places, grid.stride // grid.period, list(site_channels))
     places = [
@@ -93,6 +98,8 @@ def outputs_of(grid: SimGrid, site_channels: list[int], channels: int) -> Output
             channel,
             *(first + grid.oversampling * k for k in (site % grid.period, site // grid.period)),
         )
+        if grid.layers == 1
+        else (channel, first, first)
         for site, channel in enumerate(site_channels)
     ]
     return Outputs(places, 0, list(range(len(site_channels))))

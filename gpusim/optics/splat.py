@@ -22,8 +22,10 @@ from threadpoolctl import threadpool_limits
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import FieldPsfs, Places
+from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
 from gpusim.scene.highlights import Highlights
+from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
 
 HIGHLIGHT = np.dtype(
@@ -257,7 +259,8 @@ class Splat:
         spectra: np.ndarray,
         tolerance: float,
     ) -> None:
-        self.period = sensor.period[0]
+        planes = planes_of(sensor)
+        self.period, self.planes = planes.period, len(planes.channels)
         half_um = np.array([sensor.cols, sensor.rows]) * sensor.pixel_pitch_um / 2
         # As far as light can come from; some highlights there still miss all pixels.
         reach_um = bank.psf.shape[-1] * bank.pitch_um + bank.lateral_um
@@ -268,14 +271,12 @@ class Splat:
         fields, places = bank.places(float(np.hypot(*half_um)) + reach_um)
         sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
         kernels = Tables(bank, sensor, spectra, sides.max())
-        channels = list(sensor.channels)
-        self.site_channels = [0, 0, 0, 0]
-        for site, name in enumerate(sensor.site_channels()):
-            self.site_channels[site // 8] |= channels.index(name) << (4 * (site % 8))
+        channels = sensor.channels
+        self.site_channels = packed_channels(planes.channels)
         self.fours = -(-len(spectra) // 4)
         self.kernel = Kernel(
             "optics/splat",
-            S=self.period**2,
+            S=self.planes,
             PERIOD=self.period,
             C=len(channels),
             FOURS=self.fours,
@@ -359,7 +360,7 @@ class Splat:
         for group in self.groups:
             self.kernel.record(
                 rec,
-                groups=(last[0] - first[0] + 1, last[1] - first[1] + 1, self.period**2),
+                groups=(last[0] - first[0] + 1, last[1] - first[1] + 1, self.planes),
                 params={
                     "first": first,
                     "origin": (col0, row0),

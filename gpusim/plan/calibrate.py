@@ -35,6 +35,8 @@ from gpusim.sensor.adc import record_adc
 from gpusim.sensor.adc_model import DualGain
 from gpusim.sensor.bloom import record_bloom
 from gpusim.sensor.border import record_border
+from gpusim.sensor.crosstalk import record_crosstalk
+from gpusim.sensor.crosstalk_model import Kernels
 from gpusim.sensor.cti import record_cti
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.exposure import record_exposure
@@ -305,7 +307,7 @@ def _blocks_time(device: Device, convolution: Convolution, planes: int) -> dict[
 
 
 def _sensor(device: Device) -> dict[str | int, float]:
-    """Time mosaic, border, exposure, noise, adc and merge at a mid-grey."""
+    """Time mosaic, border, cross-talk of 3 x 3, exposure, noise, adc, merge at a mid-grey."""
     sensor = load_sensor("imx477").roi(SIDE, SIDE)
     rec = Recording(device)
     planes = rec.buffer("planes", (4, SIDE // 2, SIDE // 2), np.float32)
@@ -313,13 +315,16 @@ def _sensor(device: Device) -> dict[str | int, float]:
     rec.upload(planes, np.full(planes.shape, 1e5, np.float32))
     rec.clear(glare)
     rate = record_mosaic(rec, planes, glare, sensor, (SIDE, SIDE))
-    rate = record_border(rec, rate, (0, 0, SIDE, SIDE), (0, 0, SIDE, SIDE))
+    whole, even = (0, 0, SIDE, SIDE), Kernels({"*": [[1 / 9] * 3] * 3})
+    rate = record_border(rec, rate, whole, whole)
+    rate = record_crosstalk(rec, rate, even, sensor, whole, whole)
     mean = record_exposure(rec, rate, sensor, 0.01)
     dn = record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
     low = {"temporal_dark_noise_e": 12, "black_level_dn": 256, "switch_dn": 3800}
     dual = DualGain(system_gain_dn_per_e=sensor.system_gain_dn_per_e / 8, **low)
     record_merge(rec, dn, dn, sensor.model_copy(update={"dual_gain": dual}), label="merged")
-    return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
+    found = {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
+    return found | {"crosstalk": found["crosstalk"] / 9}
 
 
 def _ccd(device: Device) -> dict[str | int, float]:

@@ -68,6 +68,7 @@ def cheapest_grid(
     work: Callable[[SimGrid, Needed], dict[str, float]],
     memory: Callable[[SimGrid, Needed], Memory],
     preparation: Callable[[SimGrid, Needed], float],
+    layers: int = 1,
 ) -> Layout:
     """Return the grid that takes the least time for one frame, among those that fit the memory.
 
@@ -88,6 +89,8 @@ def cheapest_grid(
         Returns what the kernels take.
     preparation : callable
         Returns the predicted seconds for the kernels.
+    layers : int
+        See `SimGrid`.
 
     Raises
     ------
@@ -115,7 +118,9 @@ def cheapest_grid(
         for finer in sorted(choices):
             if any(n * 2 * stride > size for n, size in zip(finer, extent, strict=True)):
                 continue
-            grid = SimGrid(sensor.rows, sensor.cols, stride, period, length, half_size, finer)
+            grid = SimGrid(
+                sensor.rows, sensor.cols, stride, period, length, half_size, finer, layers
+            )
             planes = needed(grid)
             taken = memory(grid, planes)
             if taken.block_bytes > BLOCK_BYTES or taken.largest_bytes > MAX_BINDING_BYTES:

@@ -26,7 +26,7 @@ from gpusim.optics.kernels import (
 )
 from gpusim.optics.methods import METHODS
 from gpusim.optics.modes import Decomposition, mode_decomposition
-from gpusim.optics.nodes import Scale
+from gpusim.optics.nodes import Scale, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
@@ -36,6 +36,7 @@ from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
+from gpusim.sensor.planes import Planes, planes_of
 from gpusim.sensor.sensor import Sensor
 
 # The planes' error is that of the worst spectrum in its weakest channel; the rest is well below it.
@@ -94,17 +95,9 @@ def plan_optics(
     Raises
     ------
     UserError
-        When a PSF is wider than the longest transform allows, the CFA period is no power of two, or
-        a part of the error cannot be as small as the tolerance asks: which, and how small it is.
+        When a PSF is wider than the longest transform allows, or a part of the error cannot be as
+        small as the tolerance asks: which, and how small it is.
     """
-    period = sensor.period[0]
-    if period not in (1, 2, 4) or sensor.period[1] != period:
-        raise UserError(
-            "The convolution samples CFA patterns of 1, 2 or 4 rows and columns.",
-            field="cfa.pattern",
-            value=f"{sensor.period[0]} x {sensor.period[1]}",
-            allowed="1 x 1, 2 x 2 or 4 x 4",
-        )
     basis = reduce_spectra(
         scene.spectra,
         spectral_weights(bank, sensor),
@@ -132,7 +125,7 @@ def plan_optics(
     stages = describe(
         chosen, basis, sensor, scene, costs, identity, noise, force, problem.left_out()
     )
-    of_sensor = ("mosaic", "exposure", "noise", *CCD_STAGES, "adc")
+    of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
     return Plan(
         basis=basis,
         scales=scales,
@@ -163,7 +156,7 @@ class _Problem:
 
         `cut`: of those that the tolerance allows, only those that cut the PSFs.
         """
-        tolerance, period = self.accuracy.tolerance, self.sensor.period[0]
+        tolerance, period = self.accuracy.tolerance, self.planes.period
         allowed = [n for n in OVERSAMPLINGS if n * period <= 8]
         found: list[Candidate] = []
         for oversampling in allowed:
@@ -232,7 +225,7 @@ class _Problem:
         self, methods: Sequence[str], oversampling: int, alias: float, cut_um: float | None
     ) -> list[Candidate]:
         """Work out each method on one sim grid; with a cut, the tails by whatever is cheapest."""
-        tolerance, period = self.accuracy.tolerance, self.sensor.period[0]
+        tolerance, period = self.accuracy.tolerance, self.planes.period
         pitch_um = self.sensor.pixel_pitch_um / oversampling
         weights = self._parts(cut_um)
         # 20 um hold 98 % of the energy at f/2.8.
@@ -312,8 +305,10 @@ class _Problem:
         UserError
             Where the method cannot do it.
         """
-        period = self.sensor.period[0]
-        outputs = len(self.sensor.channels) if stride % period == 0 else period**2
+        period = self.planes.period
+        layers, outputs = self.planes.layers, len(self.sensor.channels)
+        if own_kernels(stride, period, layers, outputs):
+            outputs = len(self.planes.channels)
         options: dict[str, object] = {}
         errors: dict[str, float] = {}
         rank = 0
@@ -383,7 +378,7 @@ class _Problem:
                 lines = pairs * grid.block[1] * grid.length * 8
                 return Memory(2 * pairs * half, max(pairs * half, lines))
             if method == "direct":
-                half = self.sensor.period[0] ** 2 * (2 * support + 12) ** 2 * 8
+                half = len(self.planes.channels) * (2 * support + 12) ** 2 * 8
             return Memory(4 * most * half, most * half)
 
         edges_s = 0.0
@@ -400,6 +395,7 @@ class _Problem:
             work,
             memory,
             preparation,
+            layers,
         )
         return Part(name, pitch_um, layout, method, options, rank), errors
 
@@ -421,10 +417,11 @@ class _Problem:
             self.sensor.rows,
             self.sensor.cols,
             stride,
-            self.sensor.period[0],
+            self.planes.period,
             TRANSFORMS[-1],
             half_size,
             (1, 1),
+            self.planes.layers,
         )
         few = tuple(min(count, most) for count, most in zip(cells, MODES_CELLS, strict=True))
         key = (pitch_um, few) if name != "tail" else (pitch_um, few, float(weight.sum()))
@@ -453,11 +450,14 @@ class _Problem:
             sigma=self.sigma,
         )
 
+    @cached_property
+    def planes(self) -> Planes:
+        return planes_of(self.sensor)
+
     @property
     def sites(self) -> list[int]:
-        """Channel of each CFA site."""
-        channels = list(self.sensor.channels)
-        return [channels.index(name) for name in self.sensor.site_channels()]
+        """Channel of each plane."""
+        return list(self.planes.channels)
 
     # The scene
 
@@ -537,11 +537,11 @@ class _Problem:
     def coarse_stride(self) -> int:
         # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
         # kernels of its own, and shaders/optics/columns sums four.
-        return 4 if self.sensor.period[0] == 4 else 1
+        return 4 if self.planes.period == 4 else 1
 
     @property
     def coarse_pitch_um(self) -> float:
-        return self.sensor.pixel_pitch_um * self.sensor.period[0] / self.coarse_stride
+        return self.sensor.pixel_pitch_um * self.planes.period / self.coarse_stride
 
     @cached_property
     def _lost(self) -> dict[float, float]:

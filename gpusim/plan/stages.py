@@ -239,6 +239,16 @@ def _sensor_stages(
         cost_s = costs.seconds(stage.name, pixels) if stage.runs else None
         return replace(stage, predicted_cost_s=cost_s)
 
+    def spread(name: str, kind: str, what: str) -> PlanStage:
+        kernels = sensor.crosstalk and getattr(sensor.crosstalk, kind)
+        if kernels is None:
+            return PlanStage(name, False, f"the sensor file gives no {kind} cross-talk")
+        work = math.prod(sensor.frame.pixels[2:]) * kernels.side**2
+        side = f"{kernels.side} x {kernels.side}"
+        return PlanStage(
+            name, True, f"{side} pixels {what}", None, costs.seconds("crosstalk", work)
+        )
+
     off = "noise is switched off"
     lines, masks, law = sensor.lines or LineNoise(), sensor.masks or Masks(), sensor.read_noise_law
 
@@ -278,7 +288,7 @@ def _sensor_stages(
                 else "the sensor file gives no optical black",
             )
         ),
-        PlanStage("cross-talk", False, "the sensor file gives none"),
+        spread("crosstalk", "optical", "of light and diffusing charge"),
         effect("prnu", f"{sensor.prnu_percent:g} % of the signal", "all pixels respond alike"),
         effect(
             "prnu lines",
@@ -298,6 +308,7 @@ def _sensor_stages(
             "the full well is a hard limit",
         ),
         timed(PlanStage("noise", noise, "shot noise, full well" if noise else off)),
+        spread("coupling", "electrical", "of collected charge, by the crosstalk stage"),
         effect("dsnu", f"{sensor.dsnu_e:g} e-", "all pixels have the same offset"),
         effect(
             "dsnu lines",

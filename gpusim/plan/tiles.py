@@ -12,7 +12,9 @@ Rect = tuple[int, int, int, int]  # first row and column, rows and columns
 # around a block of 88 x 88 pixels some megabytes, and the more of them are at hand the better.
 TILE_SHARE = 8  # an eighth for the planes of a tile
 STRIP_SHARE = 16  # a sixteenth for a strip on its way through the sensor
-STRIP_PLANES = 8  # rate, framed, mean, electrons, numbers; up to three of them on their way out
+# Rate, framed, mean, electrons, numbers, up to three of them on their way out; and what cross-talk
+# makes of the rate and of the charge, and the rate without it.
+STRIP_PLANES = 12
 RESERVE_BYTES = 1 << 20  # for the parameters and the clocks of one line of blocks
 SMALLEST_PX = 64  # side of the smallest tile: below it only the kernels count
 WIDE_PX = 1024  # height from which tiles are as wide as the frame
@@ -26,19 +28,22 @@ def aligned(rect: Rect, period: int) -> Rect:
     return row0, col0, row1 - row0, col1 - col0
 
 
-def tile_bytes(rect: Rect, period: int) -> int:
-    """Return the device memory that the planes of a tile take."""
+def tile_bytes(rect: Rect, period: int, layers: int = 1) -> int:
+    """Return the device memory that the planes of a tile take, `layers` of each pixel."""
     _, _, rows, cols = aligned(rect, period)
-    return size_class(4 * rows * cols)
+    return size_class(4 * layers * rows * cols)
 
 
-def strip_bytes(rect: Rect, budget: int) -> int:
-    """Return the device memory that a strip of a tile takes."""
+def strip_bytes(rect: Rect, budget: int, around: int = 0) -> int:
+    """Return the device memory that a strip of a tile takes, with some rows above and below it."""
     _, _, rows, cols = rect
-    return STRIP_PLANES * size_class(4 * cols * min(rows, _strip_rows(cols, budget)))
+    height = min(rows, _strip_rows(cols, budget) + 2 * around)
+    return STRIP_PLANES * size_class(4 * cols * height)
 
 
-def tiles_of(rect: Rect, period: int, budget: int, side: int | None = None) -> list[Rect]:
+def tiles_of(
+    rect: Rect, period: int, budget: int, side: int | None = None, layers: int = 1
+) -> list[Rect]:
     """Cut a rectangle into tiles, row by row.
 
     Parameters
@@ -50,12 +55,14 @@ def tiles_of(rect: Rect, period: int, budget: int, side: int | None = None) -> l
         Device memory, bytes.
     side : int, optional
         Largest side of a tile, at least one period; without it, the memory decides.
+    layers : int
+        Planes of each pixel.
     """
     row, col, rows, cols = rect
     if side is not None:
         height = width = side // period * period
     else:
-        pixels = min(MAX_BINDING_BYTES, budget // TILE_SHARE) // 4
+        pixels = min(MAX_BINDING_BYTES, budget // TILE_SHARE) // (4 * layers)
         height, width = pixels // (cols + 2 * period), cols
         if height < min(WIDE_PX, rows):
             height = width = max(math.isqrt(pixels), SMALLEST_PX)

@@ -5,25 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 
-def mosaic(planes: np.ndarray, glare: np.ndarray, period: tuple[int, int]) -> np.ndarray:
-    """Interleave the planes of the filter sites.
+def mosaic(
+    planes: np.ndarray, glare: np.ndarray, sites: np.ndarray, period: int, shape: tuple[int, int]
+) -> np.ndarray:
+    """Take each pixel from its plane.
 
     Parameters
     ----------
-    planes : ndarray (S, rows / py, cols / px)
+    planes : ndarray (planes, rows / period, cols / period)
         Electrons/s.
     glare : ndarray (S,)
         Electrons/s.
-    period : (int, int)
-        Rows py and columns px of the filter pattern.
+    sites : ndarray (py, px, 2) of int
+        Plane and glare of each pixel of the pattern.
+    period : int
+        Pixels from a sample of a plane to the next.
+    shape : (int, int)
+        Rows and columns.
 
     Returns
     -------
     ndarray (rows, cols), float64
         Electrons/s.
     """
-    py, px = period
-    rate = np.empty((planes.shape[1] * py, planes.shape[2] * px))
-    for site, (plane, light) in enumerate(zip(planes, glare, strict=True)):
-        rate[site // px :: py, site % px :: px] = np.maximum(plane.astype(np.float64), 0.0) + light
+    rate = np.empty(shape)
+    py, px, _ = sites.shape
+    for row, col in np.ndindex(shape):
+        plane, light = sites[row % py, col % px]
+        own = float(planes[plane, row // period, col // period])
+        rate[row, col] = max(own, 0.0) + float(glare[light])
     return rate

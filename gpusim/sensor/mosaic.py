@@ -1,9 +1,14 @@
-"""Mosaic: from a plane a filter site to a value a pixel. Stage ``shaders/sensor/mosaic.wgsl``."""
+"""Mosaic: from planes of the filters to a value a pixel. Stage ``shaders/sensor/mosaic.wgsl``."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from gpusim.gpu import Array, Kernel, Recording
+from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
+
+ROWS = 16  # of an invocation, as in the shader
 
 
 def record_mosaic(
@@ -23,9 +28,9 @@ def record_mosaic(
     ----------
     rec : Recording
     planes : Array (S, plane_rows, plane_cols), f32
-        Electrons/s of each site of the filter pattern, row by row.
-    glare : Array (S,), f32
-        Veiling glare of each site, electrons/s.
+        Electrons/s: see `gpusim.sensor.planes`.
+    glare : Array (sites,), f32
+        Veiling glare of each site of the filter pattern, row by row, electrons/s.
     sensor : Sensor
         Gives the filter pattern.
     shape : (int, int)
@@ -33,7 +38,7 @@ def record_mosaic(
     origin : (int, int)
         Row and column of its first pixel.
     cell_origin : (int, int)
-        Row and column, in whole filter patterns, of the first sample of the planes.
+        Row and column, in samples of the planes, of the first of them.
     label : str
         Of the buffer that is returned.
 
@@ -47,17 +52,21 @@ def record_mosaic(
     ValueError
         The planes do not cover the rectangle, or are not those of the sensor's pattern.
     """
-    period = sensor.period
-    sites, *plane_shape = planes.shape
-    axes = zip(cell_origin, origin, shape, period, plane_shape, strict=True)
+    made = planes_of(sensor)
+    count, *plane_shape = planes.shape
+    axes = zip(cell_origin, origin, shape, plane_shape, strict=True)
     covered = all(
-        cell <= first // step and (first + count - 1) // step < cell + size
-        for cell, first, count, step, size in axes
+        cell <= first // made.period and (first + number - 1) // made.period < cell + size
+        for cell, first, number, size in axes
     )
-    if not covered or sites != period[0] * period[1] or glare.shape != (sites,):
+    sites = len(sensor.site_channels())
+    if not covered or count != len(made.channels) or glare.shape != (sites,):
         raise ValueError(f"{planes} from cell {cell_origin} does not give {shape} from {origin}")
+    table = rec.buffer(f"{label} sites", made.sites.shape, np.uint32)
+    rec.upload(table, made.sites.astype(np.uint32))
     rate = rec.buffer(label, shape, "f4")
-    kernel = Kernel("sensor/mosaic", PY=period[0], PX=period[1])
+    py, px, _ = made.sites.shape
+    kernel = Kernel("sensor/mosaic", P=made.period, PY=py, PX=px)
     params = {
         "row0": origin[0],
         "col0": origin[1],
@@ -68,6 +77,6 @@ def record_mosaic(
         "plane_rows": plane_shape[0],
         "plane_cols": plane_shape[1],
     }
-    groups = kernel.cover(shape[1], shape[0])
-    kernel.record(rec, groups, params, planes=planes, glare=glare, rate=rate)
+    groups = kernel.cover(shape[1], py * -(-shape[0] // (py * ROWS)))
+    kernel.record(rec, groups, params, planes=planes, glare=glare, sites=table, rate=rate)
     return rate

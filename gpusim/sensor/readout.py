@@ -1,15 +1,19 @@
 """The sensor on one screen: what happens to the signal, in this order.
 
 1. mosaic: each photosite's own light, and the veiling glare; border: none on the optical black
-2. exposure: response of pixels, rows and columns (PRNU, multiplicative mask), exposure time, dark
+2. crosstalk, optical: light and diffusing charge that reach other pixels
+3. exposure: response of pixels, rows and columns (PRNU, multiplicative mask), exposure time, dark
    current of each pixel (DCNU)
-3. defects: dead and hot pixels
-4. noise: shot noise of light and dark current, full well; then what the read-out adds: offsets of
-   pixels, rows and columns (DSNU, additive mask), noise of reset, read-out, rows and columns
-5. defects: stuck pixels
-6. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
-7. merge, of sensors that read each charge at two gains: temporal dark noise, that of lines, stuck
-   pixels and adc once for each, then one linear code of both
+4. defects: dead and hot pixels
+5. noise, its first half: shot noise of light and dark current, full well
+6. crosstalk, electrical ("coupling" in the plan): collected charge that is seen at other pixels
+7. noise, its second half, what the read-out adds: offsets of pixels, rows and columns (DSNU,
+   additive mask), noise of reset, read-out, rows and columns; one dispatch with the first where
+   nothing comes between them
+8. defects: stuck pixels
+9. adc: system gain, non-linearity, black level, column offsets, quantisation, clip
+10. merge, of sensors that read each charge at two gains: temporal dark noise, that of lines, stuck
+    pixels and adc once for each, then one linear code of both
 
 The order is part of the contract: response before shot noise, so that it does not change the
 slope of the photon transfer; all that moves charge before all that is added when it is read.
@@ -17,18 +21,21 @@ slope of the photon transfer; all that moves charge before all that is added whe
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from gpusim.gpu import Array, Recording
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.border import record_border
+from gpusim.sensor.crosstalk import grown, reach, record_crosstalk
+from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.defects import record_defects, record_stuck
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect, overlap
 from gpusim.sensor.merge import record_merge
 from gpusim.sensor.mosaic import record_mosaic
-from gpusim.sensor.noise import record_noise
+from gpusim.sensor.noise import READ_OUT, record_noise
+from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
 
 # By this the seed of the second read differs from that of the first: noise of its own.
@@ -66,21 +73,48 @@ def record_light(
     rect: Rect,
     lit: Rect,
     runs: Callable[[str], bool],
+    label: str = "rate",
 ) -> Array:
     """Record the light on a rectangle of pixels, electrons/s (rows, cols): see `record_readout`."""
     seen, rate = overlap(rect, sensor.frame.lit), sites
     if 0 in seen[2:]:
-        rate = record_border(rec, None, seen, rect)
-    else:
-        # Of a sensor without filters the plane is the frame, where one strip takes it whole.
-        if runs("mosaic") or seen != lit:
-            cell = lit[0] // sensor.period[0], lit[1] // sensor.period[1]
-            rate = record_mosaic(
-                rec, sites, glare, sensor, seen[2:], origin=seen[:2], cell_origin=cell
-            )
-        if seen != rect:
-            rate = record_border(rec, rate, seen, rect)
-    return rate
+        return record_border(rec, None, seen, rect, label=f"framed {label}")
+    # Of a sensor without filters the plane is the frame, where one strip takes it whole.
+    if runs("mosaic") or seen != lit:
+        period = planes_of(sensor).period
+        cell = lit[0] // period, lit[1] // period
+        where = {"origin": seen[:2], "cell_origin": cell, "label": label}
+        rate = record_mosaic(rec, sites, glare, sensor, seen[2:], **where)
+    if seen == rect:
+        return rate
+    return record_border(rec, rate, seen, rect, label=f"framed {label}")
+
+
+def _kernels(sensor: Sensor, runs: Callable[[str], bool]) -> tuple[Kernels | None, Kernels | None]:
+    """Return the sensor's optical and electrical cross-talk, where they run."""
+    spread = sensor.crosstalk or Crosstalk.model_construct()
+    return (
+        spread.optical if runs("crosstalk") else None,
+        spread.electrical if runs("coupling") else None,
+    )
+
+
+def rects_of(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> tuple[Rect, Rect]:
+    """Return the pixels that collect charge for a rectangle, and those whose light they take.
+
+    Each is the rectangle and what cross-talk needs around it, as far as the sensor goes.
+
+    Parameters
+    ----------
+    rect : (row, col, rows, cols)
+    sensor : Sensor
+    runs : callable
+        Whether a stage runs, by its name in the plan.
+    """
+    frame, period = sensor.frame.pixels, sensor.period
+    optical, electrical = _kernels(sensor, runs)
+    collecting = grown(rect, reach(electrical, period), frame) if electrical else rect
+    return collecting, grown(collecting, reach(optical, period), frame) if optical else collecting
 
 
 def record_readout(
@@ -92,6 +126,7 @@ def record_readout(
     lit: Rect,
     shot: Shot,
     runs: Callable[[str], bool],
+    keep: Collection[str] = (),
 ) -> dict[str, Array]:
     """Record what the sensor makes of the light on a rectangle of pixels.
 
@@ -99,42 +134,62 @@ def record_readout(
     ----------
     rec : Recording
     sites : Array (S, rows, cols), f32
-        Electrons/s of each site of the filter pattern, row by row.
-    glare : Array (S,), f32
-        Veiling glare of each site, electrons/s.
+        Electrons/s: see `gpusim.sensor.planes`.
+    glare : Array (sites,), f32
+        Veiling glare of each site of the filter pattern, row by row, electrons/s.
     sensor : Sensor
     rect : (row, col, rows, cols)
         The rectangle, counted from the first lit pixel: the border has negative numbers.
     lit : (row, col, rows, cols)
-        The pixels that ``sites`` hold, whole filter patterns: what of the rectangle sees light.
+        The pixels that ``sites`` hold, whole periods of the planes: what of `rects_of` sees light.
     shot : Shot
     runs : callable
         Whether a stage runs, by its name in the plan.
+    keep : collection of str
+        With "rate", the light on the rectangle is returned also where it is not met on the way.
 
     Returns
     -------
     dict of str to Array
         ``rate`` (electrons/s) and ``electrons``, f32, and ``dn``, u32: each (rows, cols).
     """
-    rate = record_light(rec, sites, glare, sensor, rect, lit, runs)
-    origin = sensor.frame.on_chip(rect)
+    frame = sensor.frame
+    optical, electrical = _kernels(sensor, runs)
+    collecting, taking = rects_of(rect, sensor, runs)
+    spread = rate = record_light(rec, sites, glare, sensor, taking, lit, runs)
+    if optical:
+        spread = record_crosstalk(rec, rate, optical, sensor, taking, collecting)
+    if "rate" in keep and taking != rect:
+        rate = record_light(rec, sites, glare, sensor, rect, lit, runs, "own rate")
+    origin = frame.on_chip(collecting)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
-    placed = {"origin": origin}
-    warm = placed | {"temperature_c": shot.temperature_c}
-    electrons = record_exposure(rec, rate, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
+    warm = {"origin": origin, "temperature_c": shot.temperature_c}
+    electrons = record_exposure(rec, spread, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
     if runs("defects"):
         record_defects(rec, electrons, sensor, shot.exposure_s, **warm)
-    if runs("noise"):
-        keyed = {"seed": shot.seed, "frame": shot.frame}
 
-        def once(name: str) -> bool:
-            return runs(name) and not (runs("merge") and name in EACH_READ)
+    def once(name: str) -> bool:
+        return runs(name) and not (runs("merge") and name in EACH_READ)
 
-        electrons = record_noise(rec, electrons, sensor, runs=once, **keyed, **warm)
+    keyed = {"seed": shot.seed, "frame": shot.frame, "runs": once}
+    if not electrical:
+        if runs("noise"):
+            electrons = record_noise(rec, electrons, sensor, **keyed, **warm)
+    else:
+        if runs("noise"):
+            half = {"label": "charge", "read_out": False}
+            electrons = record_noise(rec, electrons, sensor, **keyed, **warm, **half)
+        electrons = record_crosstalk(
+            rec, electrons, electrical, sensor, collecting, rect, label="coupled"
+        )
+        origin = frame.on_chip(rect)
+        warm |= {"origin": origin}
+        if runs("noise") and any(map(once, READ_OUT.values())):
+            electrons = record_noise(rec, electrons, sensor, shot=False, **keyed, **warm)
     if runs("merge"):
         return {"rate": rate} | _two_reads(rec, electrons, sensor, shot, origin, runs)
     if runs("defects"):
-        record_stuck(rec, electrons, sensor, **placed)
+        record_stuck(rec, electrons, sensor, origin=origin)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
     return {"rate": rate, "electrons": electrons, "dn": dn}
 

@@ -21,8 +21,10 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
+from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.frame import Border, Frame, Overscan
+from gpusim.sensor.misregistration import mixed_pattern
 from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.smear_model import Smear
@@ -31,6 +33,20 @@ from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
 CFA_LETTERS = "RGBCMYW"
+# By the names under which they are known; W is what RCCB and RCCC call C, clear.
+PATTERNS = {
+    "RGGB": ("RG", "GB"),
+    "BGGR": ("BG", "GR"),
+    "GRBG": ("GR", "BG"),
+    "GBRG": ("GB", "RG"),
+    "RCCB": ("RW", "WB"),
+    "RCCC": ("RW", "WW"),
+    "RGBW": ("RG", "BW"),
+    "quad Bayer": ("RRGG", "RRGG", "GGBB", "GGBB"),
+    "X-Trans": ("GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG"),
+    "monochrome": ("W",),
+}
+MAX_CHANNELS = 16  # that the shaders tell apart
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
 MAX_RAW_DN = 65535  # raw files hold 16 bits
@@ -42,10 +58,35 @@ class ColourFilterArray(Strict):
     """The filter pattern, from the upper left pixel: a channel for each photosite, row by row.
 
     A channel is a letter of :data:`CFA_LETTERS`, which is the colour of its filter, and may have
-    more after it: Gr and Gb are green photosites of unlike response.
+    more after it: Gr and Gb are green photosites of unlike response. A file may also give one of
+    the names of :data:`PATTERNS`, in which C is clear: a photosite without a filter, W.
+
+    Attributes
+    ----------
+    pattern : list of list of str
+    shift_px : (float, float)
+        x, y by which the filters lie to the right of their pixels, and below, pixels. What is
+        loaded from a file has the mixtures that its pixels then see: see :meth:`Sensor.mixed`.
     """
 
     pattern: list[list[str]]
+    shift_px: tuple[float, float] = (0.0, 0.0)
+
+    @field_validator("pattern", mode="before")
+    @classmethod
+    def _by_name(cls, pattern: object) -> object:
+        if not isinstance(pattern, str):
+            return pattern
+        if pattern not in PATTERNS:
+            raise wrong(f"there is no pattern {pattern!r}", f"a table, or {', '.join(PATTERNS)}")
+        return [list(row) for row in PATTERNS[pattern]]
+
+    @field_validator("shift_px")
+    @classmethod
+    def _within_a_pixel(cls, shift: tuple[float, float]) -> tuple[float, float]:
+        if max(map(abs, shift)) > 1:
+            raise wrong("the filters are shifted by more than a pixel", "x, y from -1 to 1 pixel")
+        return shift
 
     @property
     def letters(self) -> list[list[str]]:
@@ -175,6 +216,8 @@ class Sensor(Strict):
         A fixed pattern from files.
     defects : Defects, optional
         Dead, hot and stuck pixels.
+    crosstalk : Crosstalk, optional
+        Shares of the signal that are found at other pixels.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -220,6 +263,7 @@ class Sensor(Strict):
     gaussian_variance_per_e: NotNegative | None = None
     masks: Masks | None = None
     defects: Defects | None = None
+    crosstalk: Crosstalk | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -231,6 +275,13 @@ class Sensor(Strict):
                 f"quantum_efficiency has {', '.join(sorted(curves))}",
                 "the same channels in both",
                 field="cfa.pattern",
+            )
+        if len(curves) > MAX_CHANNELS:
+            raise wrong(
+                "there are too many channels",
+                f"{MAX_CHANNELS} at most",
+                field="quantum_efficiency.channels",
+                value=len(curves),
             )
         if self.black_level_dn >= self.max_dn:
             raise wrong(
@@ -262,6 +313,16 @@ class Sensor(Strict):
                     f"rows from {self.first_row}, {self.rows} of them; columns from "
                     f"{self.first_col}, {self.cols} of them",
                 )
+        shifts = (self.overscan, self.smear, self.parallel_cti, self.serial_cti)
+        if self.crosstalk and (self.bloom or any(one is not None for one in shifts)):
+            raise wrong(
+                "cross-talk is simulated of sensors that do not shift their charge",
+                "no overscan, smear, bloom or cti beside it",
+                field="crosstalk",
+            )
+        for kind in ("optical", "electrical"):
+            if self.crosstalk and (kernels := getattr(self.crosstalk, kind)):
+                kernels.check(f"crosstalk.{kind}", self.cfa.pattern)
         if unknown := set(self.sources) - set(type(self).model_fields):
             raise wrong(
                 f"sources names no field: {', '.join(sorted(unknown))}",
@@ -459,6 +520,48 @@ class Sensor(Strict):
         """Mean quantum efficiency of the photosites of each filter colour, by letter: (61,)."""
         return self.by_colour(self.qe)
 
+    def mixed(self) -> Sensor:
+        """Return the sensor whose channels are the mixtures that its pixels see.
+
+        Of a filter array that lies beside its pixels (``cfa.shift_px``) each photosite sees the
+        filters over it in proportion to the part of its aperture that they cover, and sites of one
+        letter become unlike channels (Gr, Gb). Scene and image are sampled as before; the aperture
+        is taken to see one mixture all over.
+
+        Raises
+        ------
+        UserError
+            Another field tells channels apart by their names, which change here.
+        """
+        if not any(self.cfa.shift_px):
+            return self
+        by_name = {"channel_black_level_dn": self.channel_black_level_dn}
+        if self.crosstalk:
+            kernels = (self.crosstalk.optical, self.crosstalk.electrical)
+            by_name["crosstalk"] = any(one and set(one.root) != {"*"} for one in kernels)
+        for field, given in by_name.items():
+            if given:
+                raise UserError(
+                    "the filters' shift makes other channels than those that are named",
+                    field=field,
+                    allowed="the same for all channels; or cfa.pattern and quantum_efficiency "
+                    "with the mixtures, and no shift",
+                )
+        names, mixtures = mixed_pattern(
+            self.cfa.pattern, self.cfa.shift_px, math.sqrt(self.fill_factor)
+        )
+        measured = self.quantum_efficiency
+        curves = {
+            name: sum(share * np.array(measured.channels[one]) for one, share in mixture).tolist()
+            for name, mixture in mixtures.items()
+        }
+        return self.model_copy(
+            update={
+                "cfa": ColourFilterArray(pattern=names),
+                "quantum_efficiency": measured.model_copy(update={"channels": curves}),
+            }
+        )
+
     def by_colour(self, of_channel: Mapping[str, Value]) -> dict[str, Value]:
         """Return the mean over the photosites of each filter colour, by letter."""
         sites = self.site_channels()
@@ -615,7 +718,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
             )
     data = read_yaml(path)
     try:
-        sensor = Sensor.model_validate(data, context={"folder": path.parent})
+        sensor = Sensor.model_validate(data, context={"folder": path.parent}).mixed()
     except ValidationError as error:
         raise user_error(error, Sensor, path) from error
     if sensor.masks is None:

@@ -15,14 +15,15 @@
 // spectra (planes, BY, T), kernels (planes, T/2+1, LANES/8, C, 4, 8, 2) per node [electrons/s per unit
 // of the plane, divided by T^2], ky = (2 a + b) LANES + 8 g + l at [.., g, c, a, l, b]: what eight lanes load lies together.
 // -> folded (ceil(S/2), M/2+1, M, 2) electrons/s: sites 2 p and 2 p + 1 side by side.
-// Dispatch: (M/2+1, 1, 1) workgroups of LANES = T/8 invocations.
+// Dispatch: (M/2+1, 1, 1) workgroups of LANES = T/8 invocations; of more than four channels once for each four of them, from
+// `first` on. Then each site has a kernel of its own, and a dispatch makes the sites of its kernels.
 #include "line_fft"
 
 override T: u32 = 512u;           // transform length, samples
 override LANES: u32 = 64u;        // T/8
 override FIRST_RADIX: u32 = 8u;   // 2, 4 or 8: T = FIRST_RADIX 8^k
 override BY: u32 = 336u;          // block height, samples
-override C: u32 = 3u;             // channels in the kernels, 1 to 4
+override C: u32 = 3u;             // channels in the kernels
 override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
 override M: u32 = 128u;           // T/D
 override SITE_RADIX: u32 = 2u;    // 2, 4 or 8: M = SITE_RADIX 8^k
@@ -35,6 +36,7 @@ struct Params {
     first_s: f32,
     step_s: f32,
     planes: u32,                  // coefficient planes that the block needs
+    first: u32,                   // of the channels of this dispatch
     site_channels: vec4u,         // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
@@ -188,6 +190,8 @@ fn fold(x: Octet, pair: u32, q: u32, t: u32, o_y: u32, across: u32, mirrored: bo
 @compute @workgroup_size(LANES, 1, 1)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t: u32) {
     let q = group.x;
+    let first_pair = select(0u, params.first / 2u, C > 4u);
+    let end_pair = select(PAIRS, min(first_pair + 2u, PAIRS), C > 4u);
     let r0 = upper_weight(t);
     let r1 = upper_weight(t + LANES);
     let r2 = upper_weight(t + 2u * LANES);
@@ -206,7 +210,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
         var sum_2 = Sum();
         var sum_3 = Sum();
         for (var j = 0u; j < params.planes; j++) {
-            let i = (j * (T / 2u + 1u) + kx) * C * (T / 2u) + t / 8u * C * 32u + t % 8u;
+            let i = (j * (T / 2u + 1u) + kx) * C * (T / 2u) + (t / 8u * C + params.first) * 32u + t % 8u;
             let a0 = sides(j, kx, t);
             let a1 = sides(j, kx, t + LANES);
             let a2 = sides(j, kx, t + 2u * LANES);
@@ -239,10 +243,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
                 if (C > 3u) { sum_3 = add_lower(sum_3, lower, i + 96u); }
             }
         }
-        for (var pair = 0u; pair < PAIRS; pair++) {
+        for (var pair = first_pair; pair < end_pair; pair++) {
             let site = 2u * pair;
-            let even = channel_of(site);
-            let odd = channel_of(site + 1u);
+            let even = channel_of(site) - params.first;
+            let odd = channel_of(site + 1u) - params.first;
             var x = sum_0;
             if (C > 1u && even == 1u) { x = sum_1; }
             if (C > 2u && even == 2u) { x = sum_2; }
@@ -263,8 +267,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     // D pairs of lines at a time, M/8 lanes each.
     let slot = t / (M / 8u);
     let lane = t % (M / 8u);
-    for (var first = 0u; first < PAIRS; first += D) {
-        let pair = first + slot;
+    for (var next = first_pair; next < end_pair; next += D) {
+        let pair = next + slot;
         let there = (min(pair, PAIRS - 1u) * (M / 2u + 1u) + q) * M + lane;
         let x = Octet(
             pair_conj(folded[there]),
@@ -277,7 +281,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
             pair_conj(folded[there + 7u * M / 8u]),
         );
         let y = line_fft(x, lane, slot * M, M, SITE_RADIX);
-        if (pair < PAIRS) {
+        if (pair < end_pair) {
             folded[there] = pair_conj(y.v0);
             folded[there + M / 8u] = pair_conj(y.v1);
             folded[there + 2u * M / 8u] = pair_conj(y.v2);

@@ -15,10 +15,10 @@
 // taps, are loaded for 128 multiply-adds (8 to 15 GFLOP/s on lavapipe with 2 cores; one photosite to an invocation, 13 times
 // less: tools/record.md).
 //
-// planes (J, BY, BX); taps (J, PERIOD, places / COLUMNS, LINES, GROUPS, COLUMNS, 4) per node: line l, number n of the last
+// planes (J, BY, BX); taps (J, DOWN, places / COLUMNS, LINES, GROUPS, COLUMNS, 4) per node: line l, number n of the last
 // three axes stand for d_y = HIGH - l and d_x = offset(c) - 4 first_group - n, zero where no such tap is.
 // -> rates (S, rows, cols) electrons/s.
-// Dispatch: (eights of photosites, line by line, in workgroups of 64; PERIOD places / COLUMNS; 1).
+// Dispatch: (eights of photosites, line by line, in workgroups of 64; DOWN places / COLUMNS; 1).
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 
 override EIGHTS: u32 = 16u;       // of photosites in a line
@@ -27,7 +27,8 @@ override BY: u32 = 336u;          // block height, samples
 override R: u32 = 88u;            // from the window's first sample to the block's: a multiple of 4 and of D
 override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
 override STRIDE: u32 = 4u;        // samples from one of the eight to the next: the larger of D and 4
-override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
+override PERIOD: u32 = 2u;        // sites side by side: site = PERIOD row + column
+override DOWN: u32 = 2u;          // and below one another
 override STEP: u32 = 2u;          // samples from a site to the next; 0 where the taps hold the sites' places
 override PLACES: u32 = 2u;        // PERIOD STRIDE / D
 override COLUMNS: u32 = 2u;       // places of an invocation: 2, or 1 where there is no more
@@ -132,7 +133,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             let y = u32(top + i32(line));
             let t = params.first_t + f32(y) * params.step_t;
             let from_block = (j * BY + y) * (BX / 4u);
-            let weights = (((j * PERIOD + row) * (PLACES / COLUMNS) + place / COLUMNS) * LINES + line) * GROUPS;
+            let weights = (((j * DOWN + row) * (PLACES / COLUMNS) + place / COLUMNS) * LINES + line) * GROUPS;
             for (var part = 0u; part < STRIDE / 4u; part++) {
                 let v = start + i32(part);
                 var a0 = source(from_block, v);

@@ -13,7 +13,7 @@ override LANES: u32 = 64u;        // T/8
 override D: u32 = 4u;             // samples from a photosite to the next of the same site
 override M: u32 = 128u;           // T/D, photosites of one site across the window
 override SITE_RADIX: u32 = 2u;    // 2, 4 or 8: M = SITE_RADIX 8^k
-override S: u32 = 4u;             // sites of the CFA period
+override S: u32 = 4u;             // sites of the CFA period, or channels of all pixels
 
 struct Params {
     origin: vec2i,                // (x, y) of the window's first photosite in the planes
@@ -35,7 +35,7 @@ fn bin(pair: u32, q: u32, m: u32) -> vec2f {
     return vec2f(g.x - g.w, -g.y - g.z);
 }
 
-// Of a single site the second pair is read past the end, and not used.
+// Of one or two sites the second pair is read past the end, and not used.
 fn bins(pair: u32, q: u32, m: u32) -> vec4f {
     return vec4f(bin(pair, q, m), bin(pair + 1u, q, m));
 }
@@ -48,9 +48,13 @@ fn add(site: u32, n: u32, y: i32, pair: vec4f) {
     let plane = params.size.x * params.size.y;
     let i = (i32(site) * params.size.y + y) * params.size.x + x;
     rates[i] += pair.x;
-    if (S > 1u) {
+    if (S % 4u == 0u || site + 1u < S) {
         rates[i + plane] -= pair.y;
+    }
+    if (S % 4u == 0u || site + 2u < S) {
         rates[i + 2 * plane] += pair.z;
+    }
+    if (S % 4u == 0u || site + 3u < S) {
         rates[i + 3 * plane] -= pair.w;
     }
 }

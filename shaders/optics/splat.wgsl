@@ -14,7 +14,7 @@
 // Dispatch: (squares across, down, S) workgroups of 16 x 16, one photosite each, from square `first` on.
 #include "b_spline"
 
-override S: u32 = 4u;         // CFA sites, PERIOD^2
+override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels
 override FOURS: u32 = 1u;     // ceil(M/4) for M spectra of the scene
@@ -89,7 +89,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local
         return;
     }
     let site = group.z;
-    let pixel = cell * i32(PERIOD) + vec2i(i32(site % PERIOD), i32(site / PERIOD));
+    let pixel = cell * i32(PERIOD) + vec2i(i32(site % PERIOD), i32(site / PERIOD % PERIOD));
     let channel = channel_of(site);
     let list = square.y * params.across + square.x;
     var sum = 0.0;

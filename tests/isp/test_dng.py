@@ -12,9 +12,10 @@ from harness import assert_close
 
 from gpusim.errors import UserError
 from gpusim.isp import colour
-from gpusim.isp.develop import develop
+from gpusim.isp.develop import develop, develops
 from gpusim.isp.dng import (
     TAGS,
+    has_dng,
     linearization_table,
     noise_profile,
     saturation_dn,
@@ -254,6 +255,42 @@ def test_dcraw_has_the_iso_speed(tmp_path):
     path = write(tmp_path / "a.dng", frame(33, 47), camera)
     text = subprocess.run(["dcraw", "-i", "-v", path], check=True, capture_output=True, text=True)
     assert "ISO speed: 160" in text.stdout
+
+
+XTRANS = ("GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG")
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (5, 3)])
+def test_an_x_trans_pattern_opens_with_its_colours(tmp_path, shift: tuple[int, int]):
+    pattern = np.roll([list(row) for row in XTRANS], shift, (0, 1))
+    camera = sensor()
+    cfa = camera.cfa.model_copy(update={"pattern": pattern.tolist()})
+    camera = camera.model_copy(update={"cfa": cfa})
+    assert has_dng(camera)
+    site = np.tile(np.array([["RGB".index(c) for c in row] for row in pattern]), (86, 86))
+    # A field of one colour, white being 2000 electrons in each channel.
+    gain, black = camera.system_gain_dn_per_e, camera.black_level_dn
+    raw = np.round(black + gain * np.array([1600.0, 800.0, 400.0])[site]).astype(np.uint16)
+    path = write(tmp_path / "a.dng", raw, camera, white_e=dict.fromkeys("RGB", 2000.0))
+    with rawpy.imread(str(path)) as read:
+        assert_close(read.raw_image.copy(), raw, atol=0)
+        seen = np.array(list(read.color_desc.decode()))[read.raw_colors]
+        assert np.array_equal(seen, np.tile(pattern, (86, 86)))
+    assert develops(camera, *raw.shape) and not develops(camera, 511, 516)
+    # Red prevails, then green: a wrong phase of the pattern would mix them.
+    picture = develop(path)[24:-24, 24:-24].reshape(-1, 3).astype(float)
+    assert picture.std(axis=0).max() < 1.0
+    red, green, blue = picture.mean(axis=0)
+    assert red > green + 20 > blue + 20
+
+
+@pytest.mark.parametrize(
+    "pattern", [["RW", "WB"], ["RRGG", "RRGG", "GGBB", "GGBB"], ["W"], ["GRG"] * 3, XTRANS[:3]]
+)
+def test_what_no_reader_has_is_no_dng(pattern):
+    camera = sensor()
+    cfa = camera.cfa.model_copy(update={"pattern": [list(row) for row in pattern]})
+    assert not has_dng(camera.model_copy(update={"cfa": cfa}))
 
 
 def test_the_gain_is_in_noise_and_exposure(tmp_path):

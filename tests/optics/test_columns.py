@@ -13,7 +13,7 @@ which bounds every result: it is a sum of T products of X = DFT(A r) and H.
 
 import numpy as np
 import pytest
-from harness import assert_close, run_stage, unwritten
+from harness import assert_close, filled, run_stage, unwritten
 from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
@@ -43,14 +43,24 @@ def folded_across(spectra: np.ndarray) -> np.ndarray:
 
 
 def case(
-    device, length, stride, period, channels, height, planes, needed=None, first_s=0.1, nodes=4
+    device,
+    length,
+    stride,
+    period,
+    channels,
+    height,
+    planes,
+    needed=None,
+    first_s=0.1,
+    nodes=4,
+    layers=1,
 ):
     """Run the shader on noise; return its result, the reference, the bound, the host's part."""
-    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
+    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1), layers)
     # Channels in an order of their own; where sites lie between samples, each is a channel.
     # Every channel at sites of even and of odd number, where there are enough of them.
     turn = 2 if channels == 2 else 4
-    site_channels = [(3 * site + site // turn + 1) % channels for site in range(period**2)]
+    site_channels = [(3 * site + site // turn + 1) % channels for site in range(grid.sites)]
     made = convolve_for(device, grid, site_channels, channels)
     kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height, "NODES": nodes})
     outputs, step = kernel.overrides["C"], kernel.overrides["STEP"]
@@ -64,19 +74,18 @@ def case(
     needed = planes if needed is None else needed
     pairs = -(-grid.sites // 2)
     shape = (pairs, grid.window // 2 + 1, grid.window, 2)
-    result = run_stage(
-        kernel,
-        (grid.window // 2 + 1, 1, 1),
-        {
-            "first_s": first_s,
-            "step_s": step_s,
-            "planes": needed,
-            "site_channels": made.site_channels,
-        },
-        {"twiddle": twiddles(length), "spectra": spectra}
-        | {name: packed(one) for name, one in zip(NODES, kernels, strict=True)},
-        {"folded": (int(np.prod(shape)) + 70, np.complex64)},
-    )["folded"]
+    inputs = {"twiddle": twiddles(length), "spectra": spectra}
+    inputs |= {name: packed(one) for name, one in zip(NODES, kernels, strict=True)}
+    result = filled(int(np.prod(shape)) + 70, np.complex64)
+    for first in range(0, outputs, 4):
+        params = {"first_s": first_s, "step_s": step_s, "planes": needed, "first": first}
+        result = run_stage(
+            kernel,
+            (grid.window // 2 + 1, 1, 1),
+            params | {"site_channels": made.site_channels},
+            inputs | {"folded": result},
+            {"folded": (result.shape, np.complex64)},
+        )["folded"]
     assert unwritten(result[-70:]).all()
     sites = [
         (channel, site % period * step, site // period * step) if step else (site, 0, 0)
@@ -119,6 +128,22 @@ def test_folded_spectra_are_those_of_the_reference(
     device: Device, length, stride, period, channels, height, planes
 ):
     found, expected, bound, _ = case(device, length, stride, period, channels, height, planes)
+    assert_close(found, expected, atol=bound)
+
+
+@pytest.mark.parametrize(
+    ("length", "stride", "period", "layers", "channels"),
+    [
+        (256, 2, 1, 2, 2),
+        (256, 2, 1, 3, 3),
+        (256, 1, 1, 6, 3),  # four layers, then two
+        (512, 8, 4, 1, 5),  # sixteen sites with a kernel each, four at a time
+    ],
+)
+def test_layers_and_many_channels_are_those_of_the_reference(
+    device: Device, length, stride, period, layers, channels
+):
+    found, expected, bound, _ = case(device, length, stride, period, channels, 21, 1, layers=layers)
     assert_close(found, expected, atol=bound)
 
 

@@ -18,10 +18,9 @@ from optics.whole_frame import (
     LENS,
     PITCH_UM,
     WEIGHTS,
+    by_layer,
     camera,
     check_rectangles,
-    in_space,
-    mosaic,
     on_device,
     source,
 )
@@ -75,7 +74,7 @@ def case(device, grid: SimGrid, support, planes, needed, origin, size, constant=
         },
         {"planes": a, "rates": before}
         | {
-            name: packed_taps(of_node, layout, grid.period, outputs.of_site)
+            name: packed_taps(of_node, layout, grid.sites_across, outputs.of_site)
             for name, of_node in zip(NODES, taps, strict=True)
         },
         {"rates": (before.shape, F32)},
@@ -118,6 +117,22 @@ CASES = {
     "sixteen sites": (SimGrid(12, 9, 8, 4, 256, 16, (1, 1)), 4, 1, 1, (0, 0), (8, 8)),
     # The second pair of places begins at another vec4f than the first.
     "sites between samples": (SimGrid(20, 14, 1, 2, 256, 8, (1, 1)), 5, 1, 1, (-5, 1), (25, 30)),
+    "layers two samples apart": (
+        SimGrid(33, 29, 2, 1, 256, 8, (1, 1), 3),
+        5,
+        1,
+        1,
+        (2, 3),
+        (60, 60),
+    ),
+    "three layers, one column": (
+        SimGrid(9, 11, 4, 1, 256, 12, (1, 1), 3),
+        7,
+        2,
+        2,
+        (0, 0),
+        (19, 16),
+    ),
     "a sample a pixel": (SimGrid(12, 14, 4, 4, 256, 8, (1, 1)), 3, 1, 1, (0, 0), (9, 9)),
 }
 
@@ -148,6 +163,7 @@ def test_the_bound_is_far_below_a_wrong_weight(device: Device):
         (SimGrid(22, 25, 2, 1, 256, 32, (1, 2)), 0.8, LENS, 28),
         (SimGrid(29, 31, 8, 4, 512, 32, (2, 2)), 0.0, LENS, 28),
         (SimGrid(34, 47, 1, 2, 256, 32, (2, 2)), 0.8, BLURRED, 28),
+        (SimGrid(22, 25, 2, 1, 256, 32, (1, 2), 3), 0.8, LENS, 28),
     ],
 )
 def test_each_sample_is_spread_by_the_mixture_of_its_nodes(
@@ -162,10 +178,9 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(
 
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(device, make, scale, site_channels, blocks, needed, frame)
-    expected = in_space(scale, site_channels, blocks, needed)
     # The same bound as that of rows, columns and lattice: the taps left out give less than 50 ULP.
-    image = mosaic(found, grid.period, expected.shape)
-    assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
+    for image, expected in by_layer(found, scale, site_channels, blocks, needed):
+        assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
 
 
 def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device):

@@ -17,10 +17,10 @@ from gpusim.reference.lattice import lattice
 F32 = np.float32
 
 
-def case(device: Device, length, stride, period, origin, size, seed=0):
+def case(device: Device, length, stride, period, origin, size, seed=0, layers=1):
     """Add a window of noise to planes of noise; return result, reference, bound and the planes."""
-    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1))
-    kernel = convolve_for(device, grid, [0] * period**2, 1).lattice
+    grid = SimGrid(32, 40, stride, period, length, 16, (1, 1), layers)
+    kernel = convolve_for(device, grid, [0] * grid.sites, 1).lattice
     rng = np.random.default_rng(seed)
     pairs = -(-grid.sites // 2)
     folded = complex_noise(rng, grid.sites, grid.window // 2 + 1, grid.window)
@@ -61,6 +61,12 @@ def test_windows_are_added_as_by_the_reference(
     device: Device, length, stride, period, origin, size
 ):
     found, expected, bound, _ = case(device, length, stride, period, origin, size)
+    assert_close(found, expected, atol=bound)
+
+
+@pytest.mark.parametrize("layers", [2, 3, 5])
+def test_layers_may_be_of_any_number(device: Device, layers: int):
+    found, expected, bound, _ = case(device, 256, 2, 1, (-5, 3), (43, 51), layers=layers)
     assert_close(found, expected, atol=bound)
 
 

@@ -7,6 +7,7 @@ nodes' kernels over the whole frame, one channel at a time, and taken at the pho
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import scipy.fft
@@ -174,3 +175,22 @@ def mosaic(planes: np.ndarray, period: int, shape: tuple[int, int]) -> np.ndarra
     for site, plane in enumerate(planes):
         whole[site // period :: period, site % period :: period] = plane
     return whole[: shape[0], : shape[1]]
+
+
+def by_layer(
+    found: np.ndarray,
+    scale: Scale,
+    site_channels: list[int],
+    blocks: dict[tuple[int, int], np.ndarray],
+    needed: dict[tuple[int, int], int],
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return image and reference: of the filter pattern, or of each layer's channel."""
+    grid = scale.grid
+    if grid.layers == 1:
+        expected = in_space(scale, site_channels, blocks, needed)
+        return [(mosaic(found, grid.period, expected.shape), expected)]
+    alone = replace(scale, grid=replace(grid, layers=1))
+    return [
+        (layer.astype(float), in_space(alone, [channel], blocks, needed))
+        for layer, channel in zip(found, site_channels, strict=False)
+    ]

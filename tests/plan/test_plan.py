@@ -57,7 +57,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "mosaic",
         "flare",
         "border",
-        "cross-talk",
+        "crosstalk",
         "prnu",
         "prnu lines",
         "gain mask",
@@ -67,6 +67,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "two numbers",
         "knee",
         "noise",
+        "coupling",
         "dsnu",
         "dsnu lines",
         "offset mask",
@@ -371,12 +372,13 @@ def test_fewer_probes_than_none_are_refused():
 
 
 @pytest.mark.parametrize("pattern", [["RGB"], ["R", "G", "B"], ["RG", "GB", "RG"], ["RGB"] * 3])
-def test_patterns_that_do_not_halve_are_refused(pattern: list[str]):
+def test_patterns_that_do_not_halve_have_a_plane_for_each_channel(pattern: list[str]):
     camera = sensor(cfa=ColourFilterArray(pattern=[list(row) for row in pattern]))
-    with pytest.raises(UserError, match="1, 2 or 4") as caught:
-        plan_optics(LENS, camera, COLOURED, Accuracy(1e-2))
-    assert caught.value.field == "cfa.pattern"
-    assert caught.value.value == f"{len(pattern)} x {len(pattern[0])}"
+    plan = plan_optics(LENS, camera, COLOURED, Accuracy(1e-2))
+    assert {(scale.grid.period, scale.grid.layers) for scale in plan.scales} == {(1, 3)}
+    halved = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    assert {(scale.grid.period, scale.grid.layers) for scale in halved.scales} == {(2, 1)}
+    assert plan.predicted_s > halved.predicted_s
 
 
 def test_a_lens_that_changes_too_fast_is_refused():

@@ -1,0 +1,75 @@
+"""A filter array that lies beside its pixels: each sees a mixture of the filters over it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+Names = list[list[str]]
+Mixture = tuple[tuple[str, float], ...]
+
+
+def shares_along(shift: float, low: float, high: float) -> list[tuple[int, float]]:
+    """Return which filters lie over an aperture along one axis, and what share of it each covers.
+
+    Parameters
+    ----------
+    shift : float
+        Of the filters against the pixels, pixels; less than 1 in size.
+    low, high : float
+        Ends of the aperture, pixels from the pixel's middle.
+
+    Returns
+    -------
+    list of (int, float)
+        Filters, counted from the pixel's own; the shares sum to 1.
+    """
+    found = []
+    for number in (-1, 0, 1):
+        first = number + shift - 0.5
+        covered = min(high, first + 1) - max(low, first)
+        if covered > 0:
+            found.append((number, covered / (high - low)))
+    return found
+
+
+def mixed_pattern(
+    pattern: Names, shift: tuple[float, float], side: float
+) -> tuple[Names, dict[str, Mixture]]:
+    """Return the channels of the sites under a shifted filter array, and what they are made of.
+
+    Sites of one letter whose neighbours are unlike become channels of their own: those that see the
+    same mixture share a name, and the first of a letter keeps the pattern's.
+
+    Parameters
+    ----------
+    pattern : list of list of str
+        Channels of the filters, row by row.
+    shift : (float, float)
+        x, y of the filters against the pixels, pixels: to the right, and down.
+    side : float
+        Of the square aperture in the middle of the pixel, pixels.
+
+    Returns
+    -------
+    names : list of list of str
+        By site.
+    mixtures : dict of tuple
+        Of each name: channels of the filters, with their shares.
+    """
+    py, px = len(pattern), len(pattern[0])
+    across, down = (shares_along(one, -side / 2, side / 2) for one in shift)
+    names: Names = [[""] * px for _ in range(py)]
+    found: dict[tuple[str, Mixture], str] = {}
+    for row, col in np.ndindex(py, px):
+        parts: dict[str, float] = {}
+        for i, above in down:
+            for j, beside in across:
+                filter_ = pattern[(row + i) % py][(col + j) % px]
+                parts[filter_] = parts.get(filter_, 0.0) + above * beside
+        own = pattern[row][col]
+        key = own, tuple(sorted((name, round(share, 12)) for name, share in parts.items()))
+        if key not in found:
+            alike = sum(name == own for name, _ in found)
+            found[key] = own if not alike else f"{own}{alike + 1}"
+        names[row][col] = found[key]
+    return names, {name: mixture for (_, mixture), name in found.items()}
