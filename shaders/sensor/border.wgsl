@@ -3,7 +3,7 @@
 // Of light: the optical black around the lit pixels sees none. Of charge: overscan has held none.
 // Units: those of the input, whichever they are.
 // In: inner (inner_rows, inner_cols). Out: framed (rows, cols), in which the inner rectangle begins at (row0, col0).
-// Dispatch: ceil(cols/16) x ceil(rows/16) workgroups of 16 x 16, one pixel each.
+// Dispatch: ceil(cols/16) x ceil(rows/16) workgroups of 16 x 16, one pixel each. Lavapipe: 0.9 of the speed of adc.
 
 struct Params {
     rows: u32,

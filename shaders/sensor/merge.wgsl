@@ -3,7 +3,7 @@
 //   dn = clip(floor(black_high + ratio (low - black_low) + 1/2), 0, max_dn)      elsewhere; ratio = K_high / K_low
 // Units: digital numbers; the merged ones are those of the high gain, and go on beyond its converter's codes.
 // In: high, low (rows, cols). Out: dn (rows, cols), u32.
-// Dispatch: ceil(cols/16) x ceil(rows/16) workgroups of 16 x 16, one pixel each.
+// Dispatch: ceil(cols/16) x ceil(rows/16) workgroups of 16 x 16, one pixel each. Lavapipe: 0.9 of the speed of adc.
 
 struct Params {
     rows: u32,

@@ -125,14 +125,9 @@ def test_a_lost_device_says_so_and_the_next_one_is_opened(monkeypatch: pytest.Mo
     assert default_device() is one and not one.lost
     one.gpu.destroy()
     fresh = Recording(one)
-    Kernel("sensor/adc").record(
-        fresh,
-        (1, 1, 1),
-        dict.fromkeys(("rows", "cols", "max_dn"), 1)
-        | dict.fromkeys(("system_gain_dn_per_e", "black_level_dn"), 1.0),
-        electrons=array,
-        dn=fresh.buffer("dn", 8, np.uint32),
-    )
+    numbers = dict.fromkeys(("rows", "cols", "row0", "col0", "inner_rows", "inner_cols"), 1)
+    framed = fresh.buffer("framed", 8, np.float32)
+    Kernel("sensor/border").record(fresh, (1, 1, 1), numbers, inner=array, framed=framed)
     for work in (
         rec.run,
         fresh.run,

@@ -130,6 +130,16 @@ def test_a_straight_response_changes_nothing():
     assert_close(found, on_device(electrons, 0.5, 8, 13).copy(), atol=0)
 
 
+def test_no_more_than_the_pieces_are_read():
+    pieces = F32([[0, 0, 1], [1000, 1000, 2], [2000, 3000, 1], [0, 9999, 0]])
+    electrons = np.linspace(0, 4000, 64 * 50).reshape(64, 50).astype(F32)
+    found = [
+        on_device(electrons, 0.5, 8, 13, tables={"curve": table}, PIECES=3, SEARCH=2)
+        for table in (pieces, pieces[:3])
+    ]
+    assert_close(found[0], found[1], atol=0)
+
+
 @pytest.mark.parametrize("origin", [(0, 0), (1, 0), (0, 1), (3, 5)])
 @pytest.mark.parametrize("period", [(2, 2), (1, 3), (6, 6)])
 def test_each_site_has_its_black_level(origin: tuple, period: tuple):
