@@ -128,8 +128,8 @@ def main() -> None:
         axes = figure.add_axes((0.08, 0.17, 0.40, 0.255))
         grey = np.s_[: sensor.rows // len(BANDS) // 2 - 2]
         red, green, blue = bands[0]
-        # The share of packets that end in a place of the other parity (odd number of delays).
-        odd = (1 - ((1 - TYPICAL) / (1 + TYPICAL)) ** (column + 2)) / 2
+        # The share of a packet that fell behind an odd number of times, and is of the other filter.
+        odd = (1 - (1 - 2 * TYPICAL) ** column) / 2
         mixed = (1 - odd) * green + odd * (red + blue) / 2
         for name, own in (("R", red), ("B", blue)):
             found = noisy[0 if name == "R" else 2, grey].mean(0) / noisy[1, grey].mean(0)

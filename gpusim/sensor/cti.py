@@ -19,11 +19,10 @@ def shares(elements: int, before: int, inefficiency: float) -> tuple[np.ndarray,
 
     A packet that has n transfers to make, and leaves the fraction e behind in each, has made them
     all after n + d with the probability C(n - 1 + d, d) (1 - e)^n e^d: the negative binomial law.
-    Its share arrives with the d-th packet after it. (Janesick 2001, "Scientific Charge-Coupled
-    Devices", chapter 5, gives every packet the same number n of transfers, and hence the binomial
-    law C(n, d) (1 - e)^(n-d) e^d; both are Poisson's where n is large and e small.) Sums of
-    logarithms keep it exact for any n and e, and only the d that matter are taken: a band about
-    n e / (1 - e).
+    Its share arrives with the d-th packet after it. Seen from that one, with N = n + d to make,
+    the law is binomial, (1 - e) C(N-1, d) (1 - e)^(N-1-d) e^d, as in Janesick 2001 ("Scientific
+    Charge-Coupled Devices", chapter 5), and an even field stays even, at 1 - e. Sums of logarithms
+    keep it exact for any n and e, and only the d that matter are taken: a band about n e / (1 - e).
 
     Parameters
     ----------

@@ -108,6 +108,24 @@ def test_trails_point_away_from_the_read_out():
         assert np.count_nonzero(np.delete(found, 10, axis=1)) == 0
 
 
+@pytest.mark.parametrize("inefficiency", [1e-6, 1e-4, 1e-2])
+def test_colours_of_a_filter_array_mix_in_closed_form(inefficiency: float):
+    # Of the N - 1 chances to fall behind, an even number keeps the colour: (1 + (1 - 2e)^(N-1))/2.
+    red, green = 400.0, 1000.0
+    charge = np.tile(F32([red, green]), (3, 300))
+    found = on_device(charge, inefficiency, serial=True).reshape(charge.shape)
+    own = (1 + np.exp(np.arange(600) * np.log1p(-2 * inefficiency))) / 2
+    colours = np.tile([red, green], 300)
+    expected = (1 - inefficiency) * (own * colours + (1 - own) * (red + green - colours))
+    _, weights = shares(600, 0, inefficiency)
+    assert_close(found[1].copy(), expected, rtol=bound(weights), atol=LEFT_OUT)
+    # So the hue shifts across the array, and a grey stays grey.
+    ratio = found[1, ::2] / found[1, 1::2]
+    assert ratio[-1] - ratio[0] > 0.3 * min(1, inefficiency * 600)
+    even = on_device(np.full((3, 600), 1000, F32), inefficiency, serial=True)
+    assert_close(even, np.full(1800, 1000 * (1 - inefficiency)), rtol=bound(weights))
+
+
 @pytest.mark.parametrize("serial", [False, True])
 def test_lines_do_not_mix_and_parts_are_the_whole_bit_for_bit(serial: bool):
     charge = packets(80, 80)
