@@ -6,15 +6,20 @@ exposure 6 roundings, of smear 4, of the transfers some tens (their own tests): 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rawpy
 import yaml
+from fake_capture import fake_capture
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
+from PIL import Image
 
 from gpusim.chain import Capture, Renderer
+from gpusim.cli.render import write
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
 from gpusim.reference.bloom import bloom
@@ -213,6 +218,18 @@ def test_charge_of_a_region_goes_through_the_rows_before_it():
     kept = [one.electrons[0].sum() / one.rate[0].sum() for one in (near, far)]
     # The first row has 1 and 401 transfers to make, and nothing before it to gain from.
     assert kept[1] / kept[0] == pytest.approx((1 - 1e-3) ** 400, rel=1e-5)
+
+
+def test_the_file_holds_the_overscan_and_the_picture_does_not(whole: Capture, tmp_path: Path):
+    made = fake_capture()
+    camera = replace(made.camera, sensor=whole.camera.sensor)
+    planes = {name: getattr(whole, name) for name in ("raw", *KEEP)}
+    write(replace(made, camera=camera, rect=whole.rect, **planes), tmp_path)
+    with rawpy.imread(str(tmp_path / "raw.dng")) as raw:
+        assert_close(raw.raw_image.copy(), whole.raw, atol=0)
+        assert_close(raw.raw_image_visible.copy(), whole.raw[LIT].copy(), atol=0)
+    assert np.asarray(Image.open(tmp_path / "developed.png")).shape == (ROWS, COLS, 3)
+    assert whole.masked_areas == []  # what trails into it is no black level
 
 
 @pytest.mark.parametrize(
