@@ -253,6 +253,7 @@ def test_the_file_holds_the_overscan_and_the_picture_does_not(whole: Capture, tm
         ({"serial_cti": {"trap": []}}, "serial_cti.trap", "inefficiency, traps"),
         ({"overscan": {"rows": -1}}, "overscan.rows", "greater than or equal to 0"),
         ({"bloom": "perhaps"}, "bloom", "boolean"),
+        ({"bloom": True, "full_well_knee": 0.8}, "full_well_knee", "1, or no bloom"),
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path: Path, changes: dict, field: str, allowed: str):

@@ -364,6 +364,13 @@ class Sensor(Strict):
                 field="column_offset.offsets_dn",
                 value=f"{len(given)} values",
             )
+        if self.bloom and self.full_well_knee < 1:
+            raise wrong(
+                "a soft full well where charge blooms",
+                "1, or no bloom",
+                field="full_well_knee",
+                value=self.full_well_knee,
+            )
         if self.dual_gain and self.is_ccd:
             raise wrong(
                 "dual_gain in a CCD", "one read of each packet: no dual_gain", field="dual_gain"
