@@ -62,11 +62,12 @@ def noise(
             how = f"frames of {path}"
         else:
             sensor = flat_field.region(load_sensor(sensor_name), side_px)
+            runs = sensor_runs(sensor)
             levels = flat_field.measure(
                 sensor,
                 flat_field.lights(sensor),
                 default_device(),
-                sensor_runs(sensor),
+                runs,
                 seed=seed,
                 keep=None if kept is None else kept.frame,
                 progress=progress,
@@ -75,6 +76,7 @@ def noise(
             rows = loop.rows(found, sensor)
             title = sensor.name
             how = f"simulated: {sensor.rows} x {sensor.cols} pixels about the centre, seed {seed}"
+            how += flat_field.left_out(runs)
             if kept is not None:
                 kept.close(sensor.name, sensor.cfa.pattern, sensor.pixel_pitch_um)
         facts = {

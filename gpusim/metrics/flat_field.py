@@ -30,6 +30,12 @@ LONGEST_S = 60.0
 LEAST_STEPS = 16  # of the converter, and sigmas of dark noise, up to saturation
 
 
+# Stages that move light or charge between pixels: the standard's camera (release 3.1, section 2)
+# has none, and its figures are those of the pixels for themselves. The light comes in pulses, so
+# that none falls while charge is shifted.
+BETWEEN_PIXELS = ("crosstalk", "coupling", "smear", "bloom", "parallel cti", "serial cti")
+
+
 @dataclass(frozen=True)
 class Light:
     """One light of the measurement, and how many frames it takes.
@@ -57,6 +63,12 @@ def region(sensor: Sensor, side_px: int = SIDE_PX) -> Sensor:
         for side, period in zip((sensor.rows, sensor.cols), sensor.period, strict=True)
     )
     return sensor.roi(rows, cols)
+
+
+def left_out(runs: Callable[[str], bool]) -> str:
+    """Return what of a sensor the measurement leaves out; nothing where that is nothing."""
+    names = ", ".join(name for name in BETWEEN_PIXELS if runs(name))
+    return f"; left out, between pixels: {names}" if names else ""
 
 
 def peak_nm(sensor: Sensor, channel: str) -> float:
@@ -128,7 +140,7 @@ def measure(
     wanted : list of Light
     device : Device
     runs : callable
-        Whether a stage runs, by its name in the plan.
+        Whether a stage runs, by its name in the plan; those BETWEEN_PIXELS do not in any case.
     seed : int
         Of the temporal noise; no two frames have the same.
     keep : callable, optional
@@ -179,6 +191,15 @@ def take(
     rec.clear(glare)
     whole = (0, 0, sensor.rows, sensor.cols)
     shot = Shot(light.exposure_s, seed, frame)
-    outputs = record_readout(rec, planes, glare, sensor, whole, whole, shot, runs)
+    outputs = record_readout(
+        rec,
+        planes,
+        glare,
+        sensor,
+        whole,
+        whole,
+        shot,
+        lambda name: name not in BETWEEN_PIXELS and runs(name),
+    )
     label = rec.download(outputs["dn"])
     return rec.run()[label].astype(np.uint16)

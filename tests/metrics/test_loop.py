@@ -223,6 +223,21 @@ def test_the_moments_of_a_clipped_normal_are_those_of_a_sum():
     assert np.allclose(second, narrow @ codes**2, rtol=1e-6, atol=1e-5)
 
 
+def test_a_ccd_is_measured_without_its_transfer(device: Device):
+    """What moves charge is no part of the standard's camera, and the page says that it is out."""
+    sensor = load_sensor("kodak-vga")
+    assert "serial cti" in flat_field.left_out(sensor_runs(sensor))
+    assert flat_field.left_out(sensor_runs(load_sensor("imx477"))) == ""
+    part = sensor.roi(64, 64)
+    light = next(one for one in flat_field.lights(part) if one.photons)
+    alone = part.model_copy(update={"smear": None, "parallel_cti": None, "serial_cti": None})
+    frames = [
+        flat_field.take(one, light, device, sensor_runs(one), seed=1, frame=0)
+        for one in (part, alone)
+    ]
+    assert np.array_equal(*frames)
+
+
 def test_the_light_reaches_beyond_saturation_in_even_steps():
     sensor = sensor_of()
     lit = [one for one in flat_field.lights(sensor) if one.photons and one.frames == 2]
