@@ -6,7 +6,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FormatStrFormatter
+from matplotlib.ticker import FormatStrFormatter, NullFormatter
 from scipy.ndimage import uniform_filter
 
 from gpusim.metrics.emva import FIT_SHARE, Channel, Characterisation, Pattern, spectrogram
@@ -200,10 +200,12 @@ def _spectrogram(axes: Axes, found: Characterisation, axis: int) -> None:
     axes.set(title=title, xlabel="cycles per photosite of the channel", ylabel="amplitude")
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter(FormatStrFormatter("%g"))
-    axes.yaxis.set_minor_formatter(FormatStrFormatter("%g"))
     axes.tick_params(axis="y", which="minor", labelsize=6.5)
     axes.legend(loc="upper right", ncols=4)
     low, high = axes.get_ylim()
+    # Within one decade the ticks between tell the scale; over more they would not fit.
+    few = high / low < 4
+    axes.yaxis.set_minor_formatter(FormatStrFormatter("%g") if few else NullFormatter())
     axes.set_ylim(low, high * (high / low) ** 0.35)
 
 
