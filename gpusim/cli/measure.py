@@ -21,7 +21,7 @@ from gpusim.metrics import flat_field, frames, loop
 from gpusim.metrics.emva import Characterisation, Figure, characterise
 from gpusim.plan.stages import sensor_runs
 from gpusim.report.lens_figure import png
-from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number
+from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.noise_html import noise_html
 from gpusim.sensor.sensor import load_sensor
@@ -135,7 +135,7 @@ def sheet(figures: dict[str, Figure], names: dict[str, tuple[str, str, str]]) ->
     for key, (name, symbol, unit) in names.items():
         if key in figures:
             one = figures[key]
-            shown = f"{number(one.value, one.u)} \N{PLUS-MINUS SIGN} {one.u:.2g}"
+            shown = f"{number(one.value, one.u)} \N{PLUS-MINUS SIGN} {two_digits(one.u)}"
             table.add_row(Text(name), Text(symbol), Text(shown), Text(unit.replace("1", "", 1)))
     return table
 
@@ -163,7 +163,7 @@ def verdicts(rows: Sequence[loop.Row]) -> Table:
             f"{row.data_sheet:.6g}",
             number(row.expected, row.uncertainty) if row.reason else "as given",
             number(row.recovered, row.uncertainty),
-            f"{row.uncertainty:.2g}",
+            two_digits(row.uncertainty),
             "" if row.unit == "1" else row.unit,
             Text("within" if good else "OUTSIDE", style="green" if good else "bold red"),
         )

@@ -115,5 +115,10 @@ def number(value: float, uncertainty: float) -> str:
     return f"{value:.{places}f}" if places < 10 else f"{value:.3g}"
 
 
+def two_digits(uncertainty: float) -> str:
+    """Return an uncertainty with two digits: 780, 0.052, 6.4e-05."""
+    return f"{float(f'{uncertainty:.1e}'):g}"
+
+
 def _exponent(value: float) -> int:
     return int(f"{value:.1e}".partition("e")[2])

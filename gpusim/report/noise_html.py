@@ -9,7 +9,7 @@ from html import escape
 from gpusim.metrics.emva import Characterisation, Figure
 from gpusim.metrics.loop import COVERAGE, Row
 from gpusim.report.lens_figure import svg
-from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, number
+from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.page import document
 
@@ -52,7 +52,7 @@ def _verdicts(rows: Sequence[Row]) -> str:
         f'<td class="number">{row.data_sheet:.6g}</td>'
         f'<td class="number">{number(row.expected, row.uncertainty)}</td>'
         f'<td class="number">{number(row.recovered, row.uncertainty)}</td>'
-        f'<td class="number">{row.uncertainty:.2g}</td>'
+        f'<td class="number">{two_digits(row.uncertainty)}</td>'
         f"<td>{_unit(row.unit)}</td>"
         f'<td class="{"good" if row.within else "bad"}">'
         f"{'within' if row.within else 'outside'}</td>"
@@ -74,7 +74,7 @@ def _sheet(figures: Mapping[str, Figure], names: Mapping[str, tuple[str, str, st
     body = "".join(
         f"<tr><td>{escape(name)}</td><td>{escape(symbol)}</td>"
         f'<td class="number">{number(figures[key].value, figures[key].u)}</td>'
-        f'<td class="number">{figures[key].u:.2g}</td><td>{_unit(unit)}</td></tr>'
+        f'<td class="number">{two_digits(figures[key].u)}</td><td>{_unit(unit)}</td></tr>'
         for key, (name, symbol, unit) in names.items()
         if key in figures
     )

@@ -9,9 +9,11 @@ import tifffile
 from metrics.made import Camera
 
 from gpusim.errors import UserError
+from gpusim.isp.dng import write_dng
 from gpusim.metrics import frames
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.flat_field import Light
+from gpusim.sensor.sensor import load_sensor
 
 
 def write(folder: Path, lights, suffix=".npy", camera=None, shape=(24, 20)) -> Path:
@@ -90,6 +92,14 @@ def test_what_is_kept_is_read_back(tmp_path):
     files = [file for group in found.groups.values() for file in group]
     for file, frame in zip(files, stored, strict=True):
         assert np.array_equal(frames.read_frame(file), frame)
+
+
+def test_a_dng_is_read_as_its_digital_numbers(tmp_path):
+    sensor = load_sensor("imx477").roi(64, 96)
+    raw = np.random.default_rng(1).integers(0, 4096, (64, 96)).astype(np.uint16)
+    white = {"R": 900.0, "G": 1000.0, "B": 800.0}
+    write_dng(tmp_path / "raw.dng", raw, sensor, white_e=white, exposure_s=0.01)
+    assert np.array_equal(frames.read_frame(tmp_path / "raw.dng"), raw)
 
 
 def spoil(folder: Path, old: str, new: str) -> None:
