@@ -7,6 +7,7 @@ import json
 import pytest
 import yaml
 from command_line import assert_refused, gpusim
+from metrics.made import write
 
 from gpusim.sensor.sensor import PRESETS
 
@@ -64,6 +65,22 @@ def test_kept_frames_give_the_same_data_sheet(kept):
     assert again["channels"] == facts["channels"]
     assert again["all_pixels"] == facts["all_pixels"]
     assert "verdicts" not in again
+
+
+def test_frames_that_lack_what_the_standard_asks_for_are_measured_as_far_as_they_go(tmp_path):
+    """Pairs at one exposure time, without stacks: the page says what is not there."""
+    lights = [(0.01, 0.0, 2), *((0.01, 400.0 * k, 2) for k in range(1, 24))]
+    ran = gpusim("measure", "noise", write(tmp_path / "cam", lights), "--out", tmp_path / "page")
+    assert ran.code == 0, ran.err
+    for word in (
+        "note: exposure times in the dark: 1",
+        "23 levels of light",
+        "DSNU and PRNU are not measured",
+    ):
+        assert word in ran.out
+    assert "mu_I" not in ran.out and "DSNU.row" not in ran.out
+    page = (tmp_path / "page" / "noise.html").read_text()
+    assert "no dark level has more than two frames" in page
 
 
 def test_a_parameter_that_is_not_recovered_gives_exit_code_1(kept, monkeypatch):

@@ -624,11 +624,11 @@ def _dark_lines(
     """
     times = np.unique(series.exposure_s).size
     if times < 3:
-        notes.append(f"{times} exposure times in the dark: the dark current is not measured")
+        notes.append(f"exposure times in the dark: {times}; the dark current is not measured")
         first = Figure(float(series.variance[0]), math.sqrt(series.variance_u2[0]))
         return first, None, None
     if times < LEAST_TIMES:
-        notes.append(f"{times} exposure times in the dark, the standard asks for {LEAST_TIMES}")
+        notes.append(f"exposure times in the dark: {times}; the standard asks for {LEAST_TIMES}")
     _, mean = line(series.exposure_s, series.mean, series.mean_u2)
     start, variance = line(series.exposure_s, series.variance, series.variance_u2)
     return start, mean, variance

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
+import tifffile
 
 from gpusim.metrics.emva import Level
 from gpusim.metrics.statistics import Accumulator
@@ -68,3 +71,23 @@ class Camera:
         found = [self.level(0.0, time) for time in np.arange(1, 7) * 2.0]
         found += [self.level(0.0, frames=stack), self.level(full / 2, frames=stack)]
         return found + [self.level(1.1 * full * (k + 1) / count) for k in range(count)]
+
+
+def write(folder: Path, lights, suffix=".npy", camera=None, shape=(24, 20)) -> Path:
+    """Write frames and their list: (exposure, photons, how many)."""
+    folder.mkdir(exist_ok=True)
+    made = Camera(shape=shape)
+    lines = ["file,exposure_s,photons,wavelength_nm"]
+    for exposure, photons, count in lights:
+        for _ in range(count):
+            name = f"{len(lines)}{suffix}"
+            frame = made.frame(photons, exposure)
+            if suffix == ".npy":
+                np.save(folder / name, frame)
+            else:
+                tifffile.imwrite(folder / name, frame)
+            lines.append(f"{name},{exposure},{photons},{550 if photons else ''}")
+    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
+    if camera is not None:
+        (folder / "camera.json").write_text(json.dumps(camera))
+    return folder

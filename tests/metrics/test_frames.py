@@ -1,12 +1,10 @@
 """Frames on disk: what is read, what is written, and how the rest is refused."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-import tifffile
-from metrics.made import Camera
+from metrics.made import write
 
 from gpusim.errors import UserError
 from gpusim.isp.dng import write_dng
@@ -14,27 +12,6 @@ from gpusim.metrics import frames
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.flat_field import Light
 from gpusim.sensor.sensor import load_sensor
-
-
-def write(folder: Path, lights, suffix=".npy", camera=None, shape=(24, 20)) -> Path:
-    """Write frames and their list: (exposure, photons, how many)."""
-    folder.mkdir(exist_ok=True)
-    made = Camera(shape=shape)
-    lines = ["file,exposure_s,photons,wavelength_nm"]
-    for exposure, photons, count in lights:
-        for _ in range(count):
-            name = f"{len(lines)}{suffix}"
-            frame = made.frame(photons, exposure)
-            if suffix == ".npy":
-                np.save(folder / name, frame)
-            else:
-                tifffile.imwrite(folder / name, frame)
-            lines.append(f"{name},{exposure},{photons},{550 if photons else ''}")
-    (folder / "frames.csv").write_text("\n".join(lines) + "\n")
-    if camera is not None:
-        (folder / "camera.json").write_text(json.dumps(camera))
-    return folder
-
 
 WHOLE = [(0.01, 0.0, 2), *((0.01, 400.0 * k, 2) for k in range(1, 24))]
 
