@@ -6,6 +6,7 @@ as in a capture (:func:`gpusim.sensor.readout.record_readout`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -58,9 +59,9 @@ class Light:
 
 def region(sensor: Sensor, side_px: int = SIDE_PX) -> Sensor:
     """Return the part about the centre that is measured: whole filter patterns."""
+    step = math.lcm(*sensor.period)
     rows, cols = (
-        max(period, min(side_px, side) // period * period)
-        for side, period in zip((sensor.rows, sensor.cols), sensor.period, strict=True)
+        max(step, min(side_px, side) // step * step) for side in (sensor.rows, sensor.cols)
     )
     return sensor.roi(rows, cols)
 
