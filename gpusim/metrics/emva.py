@@ -471,7 +471,13 @@ def _of_sites(level: Level, sites: Sequence[int]) -> tuple[float, float, float, 
     """Return mean and temporal variance over some sites, each with its squared uncertainty."""
     taken = [level.sites[number] for number in sites]
     temporal = pooled([site.temporal for site in taken])
-    mean_u2 = sum(site.mean_u2 for site in taken) / len(taken) ** 2
+    (rows, cols), frames = taken[0].shape, taken[0].frames
+    # Sites may lie in the same rows and columns, whose noise they then share.
+    mean_u2 = (
+        max(temporal.pixel, 0.0) / (rows * cols * len(taken))
+        + max(temporal.row, 0.0) / rows
+        + max(temporal.column, 0.0) / cols
+    ) / frames
     return (
         float(np.mean([site.mean for site in taken])),
         mean_u2,

@@ -58,12 +58,15 @@ class Light:
 
 
 def region(sensor: Sensor, side_px: int = SIDE_PX) -> Sensor:
-    """Return the part about the centre that is measured: whole filter patterns."""
+    """Return the part about the centre that is measured: whole filter patterns.
+
+    Without its defect pixels, which the standard counts apart, and which no figure of it foresees.
+    """
     step = math.lcm(*sensor.period)
     rows, cols = (
         max(step, min(side_px, side) // step * step) for side in (sensor.rows, sensor.cols)
     )
-    return sensor.roi(rows, cols)
+    return sensor.roi(rows, cols).model_copy(update={"defects": None})
 
 
 def left_out(runs: Callable[[str], bool]) -> str:
@@ -93,8 +96,15 @@ def lights(
     Raises
     ------
     UserError
-        The sensor saturates in its own dark noise, or within few steps of its converter.
+        The sensor saturates in its own dark noise, or within few steps of its converter; or it
+        reads at two gains, and a photon transfer is that of one.
     """
+    if sensor.dual_gain is not None:
+        raise UserError(
+            "a photon transfer is that of one gain",
+            field="dual_gain",
+            allowed="a sensor file without it: the read at high gain, or that at low gain",
+        )
     full = sensor.saturation_e
     steps, noise = full * sensor.system_gain_dn_per_e, sensor.temporal_dark_noise_e
     if steps < LEAST_STEPS or full < LEAST_STEPS * noise:

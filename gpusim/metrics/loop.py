@@ -10,12 +10,11 @@ why.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
-from scipy.stats import poisson
 
 from gpusim.metrics.emva import (
     DRAWS,
@@ -27,7 +26,9 @@ from gpusim.metrics.emva import (
     Figure,
     line,
 )
+from gpusim.metrics.law import PixelLaw
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 
 COVERAGE = 3  # k: 99.7 % of normal deviations lie within
@@ -36,12 +37,6 @@ SMALLEST = 1e-6  # e-^2, %^2: variances that matter to nobody, where no pixel of
 # Rounding is as good as independent noise of 1/12 DN^2 where the noise is wider than half a step:
 # its variance is then off by less than 1 % (B. Widrow & I. Kollar, Quantization Noise, 2008).
 COARSE_DN = 0.5
-_NODES = 121  # of a normal law: sums over so even a grid are exact to rounding
-_SIGMAS = 6.0
-# From here on rounding is independent noise even where the converter clips, to 1 % of the variance;
-# below it the codes are summed.
-_FINE_DN = 3.0
-_SMALL_E = 200.0  # up to where Poisson's law is summed, and normal from there
 
 
 @dataclass(frozen=True)
@@ -88,29 +83,97 @@ def rows(found: Characterisation, sensor: Sensor) -> list[Row]:
         Of frames of this sensor.
     sensor : Sensor
     """
-    reason = _why(sensor, float(found.channels[0].transfer.exposure_s[0]))
+    exposure_s = float(found.channels[0].transfer.exposure_s[0])
+    says = _Parameters.of(sensor, exposure_s)
+    reason = _why(sensor, says, exposure_s)
     table = []
     for channel in found.channels:
         of = f" {channel.name}" if len(found.channels) > 1 else ""
-        table += _of_channel(channel, sensor, of, reason)
+        table += _of_channel(channel, sensor, says, of, reason)
     unlike = found.figures.get("response_gain_dn_per_e")
     if unlike is not None and not reason:
         gain = sensor.system_gain_dn_per_e
         table.append(_row("K of unlike pixels", "DN/e-", gain, gain, "", unlike))
-    gains = [row.expected for row in table if row.unit == "DN/e-"]
-    return table + _in_the_dark(found, sensor, reason, float(np.mean(gains)))
+    gains = [row.expected for row in table if row.parameter.startswith("K")]
+    return table + _in_the_dark(found, sensor, says, reason, float(np.mean(gains)))
 
 
-def _of_channel(channel: Channel, sensor: Sensor, of: str, reason: str) -> list[Row]:
+@dataclass(frozen=True)
+class _Parameters:
+    """What the sensor file says, as the standard counts it: whole arrays, rows and columns apart.
+
+    Attributes
+    ----------
+    noise_e : float
+        Temporal dark noise without dark current, of pixels, rows, columns and reset together.
+    row_noise_e, column_noise_e : float
+    response : float
+        Mean of the multiplicative mask.
+    prnu_percent, dsnu_e : dict of str to float
+        ``pixel``, ``row`` and ``column`` parts; masks and the spread of dark currents are pixels'.
+    """
+
+    noise_e: float
+    row_noise_e: float
+    column_noise_e: float
+    response: float
+    prnu_percent: dict[str, float]
+    dsnu_e: dict[str, float]
+
+    @classmethod
+    def of(cls, sensor: Sensor, exposure_s: float) -> _Parameters:
+        """Read a sensor file, for dark frames of an exposure time."""
+        lines = sensor.lines or LineNoise()
+        parts = (sensor.temporal_dark_noise_e, sensor.reset_noise_at(None))
+        columns_e = _column_offsets_dn(sensor) / sensor.system_gain_dn_per_e
+        mask, offsets_e = _mask(sensor, "gain"), _mask(sensor, "offset_e")
+        currents_e = sensor.dcnu_percent / 100 * sensor.dark_current_e_per_s * exposure_s
+        return cls(
+            noise_e=math.hypot(*parts, lines.row_noise_e, lines.column_noise_e),
+            response=float(mask.mean()),
+            row_noise_e=lines.row_noise_e,
+            column_noise_e=lines.column_noise_e,
+            prnu_percent={
+                "pixel": math.hypot(sensor.prnu_percent, 100 * mask.std() / mask.mean()),
+                "row": lines.prnu_row_percent,
+                "column": lines.prnu_column_percent,
+            },
+            dsnu_e={
+                "pixel": math.hypot(sensor.dsnu_e, offsets_e.std(), currents_e),
+                "row": lines.dsnu_row_e,
+                "column": math.hypot(lines.dsnu_column_e, columns_e),
+            },
+        )
+
+    @property
+    def prnu(self) -> float:
+        """PRNU of all parts together, per cent."""
+        return math.hypot(*self.prnu_percent.values())
+
+    @property
+    def dsnu(self) -> float:
+        """DSNU of all parts together, electrons."""
+        return math.hypot(*self.dsnu_e.values())
+
+
+def _law(sensor: Sensor, says: _Parameters, channel: str) -> PixelLaw:
+    """Return the law of the pixels of a channel."""
+    black_dn = (sensor.channel_black_level_dn or {}).get(channel, sensor.black_level_dn)
+    return PixelLaw(sensor, black_dn, says.noise_e, says.dsnu, says.prnu)
+
+
+def _of_channel(
+    channel: Channel, sensor: Sensor, says: _Parameters, of: str, reason: str
+) -> list[Row]:
     figures, transfer = channel.figures, channel.transfer
-    efficiency = float(np.interp(channel.wavelength_nm, WAVELENGTHS_NM, sensor.qe[channel.name]))
-    gain = sensor.system_gain_dn_per_e
-    model = _Model(sensor, _black_dn(sensor, channel.name))
+    sheet = float(np.interp(channel.wavelength_nm, WAVELENGTHS_NM, sensor.qe[channel.name]))
+    efficiency, gain = says.response * sheet, sensor.system_gain_dn_per_e
+    law = _law(sensor, says, channel.name)
     dark_e = transfer.exposure_s * sensor.dark_current_e_per_s
-    mean, variance = model.levels(efficiency * transfer.photons, dark_e)
-    expected = {"gain": gain, "efficiency": efficiency, "prnu": sensor.prnu_percent}
+    mean, variance = law.levels(efficiency * transfer.photons, dark_e)
+    expected = {"gain": gain, "efficiency": efficiency, "prnu": says.prnu}
     if reason:
-        black, black_variance = model.levels(np.zeros_like(dark_e), dark_e)
+        black, black_variance = law.levels(np.zeros_like(dark_e), dark_e)
         ideal = replace(
             transfer, mean=mean, variance=variance, dark_mean=black, dark_variance=black_variance
         )
@@ -120,15 +183,16 @@ def _of_channel(channel: Channel, sensor: Sensor, of: str, reason: str) -> list[
         expected["efficiency"] = slope / expected["gain"]
         if channel.bright is not None:
             light = efficiency * channel.bright.photons
-            expected["prnu"] = model.response_percent(light, float(dark_e[0]))
+            expected["prnu"] = law.response_percent(light, float(dark_e[0]))
+    masked = "" if says.response == 1 else f"the mask passes {says.response:.4g} of the light"
     found = [
         _row(f"K{of}", "DN/e-", gain, expected["gain"], reason, figures["system_gain_dn_per_e"]),
         _row(
             f"eta{of} at {channel.wavelength_nm:g} nm",
             "1",
-            efficiency,
+            sheet,
             expected["efficiency"],
-            reason,
+            _both(reason, masked),
             figures["quantum_efficiency"],
         ),
     ]
@@ -149,60 +213,93 @@ def _of_channel(channel: Channel, sensor: Sensor, of: str, reason: str) -> list[
         )
     )
     if "prnu_percent" in figures:
-        prnu = sensor.prnu_percent
+        others = "" if says.prnu == sensor.prnu_percent else "rows, columns and masks are in it"
         found.append(
-            _row(f"PRNU{of}", "%", prnu, expected["prnu"], reason, figures["prnu_percent"])
+            _row(
+                f"PRNU{of}",
+                "%",
+                sensor.prnu_percent,
+                expected["prnu"],
+                _both(reason, others),
+                figures["prnu_percent"],
+            )
         )
+        if not reason:
+            found += _parts(f"PRNU{of}", "%", says.prnu_percent, figures, "prnu_{}_percent")
     return found
 
 
-def _in_the_dark(found: Characterisation, sensor: Sensor, reason: str, gain: float) -> list[Row]:
+def _parts(
+    name: str, unit: str, says: Mapping[str, float], figures: Mapping[str, Figure], key: str
+) -> list[Row]:
+    """Judge the parts of a non-uniformity, where rows or columns have one."""
+    if not (says["row"] or says["column"]):
+        return []
+    return [
+        _row(f"{name}.{short}", unit, says[part], says[part], "", figures[key.format(part)])
+        for part, short in (("pixel", "pixel"), ("row", "row"), ("column", "col"))
+    ]
+
+
+def _in_the_dark(
+    found: Characterisation, sensor: Sensor, says: _Parameters, reason: str, gain: float
+) -> list[Row]:
     """Judge what all photosites give; `gain` is the K that DN become electrons with."""
     figures = found.figures
-    noise, offsets = sensor.temporal_dark_noise_e, sensor.dsnu_e
-    current = spread = sensor.dark_current_e_per_s
+    noise, offsets = says.noise_e, says.dsnu
+    sheet = current = spread = sensor.dark_current_e_per_s
     if reason:
-        model = _Model(sensor, sensor.black_level_dn)
+        law = _law(sensor, says, found.channels[0].name)
         times = found.series.exposure_s
-        mean, variance = model.levels(np.zeros_like(times), times * current)
+        mean, variance = law.levels(np.zeros_like(times), times * sheet)
         current = line(times, mean, found.series.mean_u2)[1].value / gain
         start, slope = line(times, variance, found.series.variance_u2)
         spread = slope.value / gain**2
         least = max(start.value, LEAST_DARK_VARIANCE_DN2)
         noise = math.sqrt(least - QUANTISATION_DN2) / gain
         exposure_s = found.dark.exposure_s if found.dark else 0.0
-        offsets = model.offset_spread_dn(exposure_s * sensor.dark_current_e_per_s) / gain
-    columns_e, of_columns = _column_offsets_dn(sensor) / gain, ""
-    if columns_e:
-        of_columns = "; ".join(filter(None, [reason, "the columns' converters add their offsets"]))
+        offsets = law.offset_spread_dn(exposure_s * sheet) / gain
+    # The array is a sample of the type: its dark currents have a mean of their own.
+    pixels = sum(channel.pixels for channel in found.channels)
+    sample = sheet * sensor.dcnu_percent / 100 / math.sqrt(pixels)
+    more = (
+        "" if says.noise_e == sensor.temporal_dark_noise_e else "reset, rows and columns add to it"
+    )
+    others = "" if says.dsnu == sensor.dsnu_e else "rows, columns, masks or dark currents add to it"
     shown = [
-        ("sigma_d", "e-", sensor.temporal_dark_noise_e, noise, reason, "temporal_dark_noise_e"),
-        ("mu_I (mean)", "e-/s", sensor.dark_current_e_per_s, current, reason, _CURRENT),
-        ("mu_I (variance)", "e-/s", sensor.dark_current_e_per_s, spread, reason, _CURRENT_BY_NOISE),
-        (
-            "DSNU",
-            "e-",
-            sensor.dsnu_e,
-            math.hypot(offsets, columns_e),
-            of_columns or reason,
-            "dsnu_e",
-        ),
+        ("sigma_d", "e-", sensor.temporal_dark_noise_e, noise, more, "temporal_dark_noise_e"),
+        ("mu_I (mean)", "e-/s", sheet, current, "", "dark_current_e_per_s"),
+        ("mu_I (variance)", "e-/s", sheet, spread, "", "dark_current_variance_e_per_s"),
+        ("DSNU", "e-", sensor.dsnu_e, offsets, others, "dsnu_e"),
     ]
-    if columns_e:
-        shown.append(("DSNU.col", "e-", columns_e, columns_e, "", "dsnu_column_e"))
-    return [
-        _row(name, unit, sheet, expected, why, figures[key])
-        for name, unit, sheet, expected, why, key in shown
-        if key in figures
-    ]
+    rows = []
+    for name, unit, given, expected, why, key in shown:
+        if key in figures:
+            figure = figures[key]
+            if unit == "e-/s":
+                figure = Figure(figure.value, math.hypot(figure.u, sample))
+            rows.append(_row(name, unit, given, expected, _both(reason, why), figure))
+    if not reason:
+        for name, given in (("row", says.row_noise_e), ("column", says.column_noise_e)):
+            if given:
+                key = f"{name}_noise_e"
+                rows.append(_row(f"sigma_d.{name[:3]}", "e-", given, given, "", figures[key]))
+        if "dsnu_e" in figures:
+            rows += _parts("DSNU", "e-", says.dsnu_e, figures, "dsnu_{}_e")
+    return rows
 
 
-_CURRENT, _CURRENT_BY_NOISE = "dark_current_e_per_s", "dark_current_variance_e_per_s"
+def _both(*reasons: str) -> str:
+    """Return the reasons that there are."""
+    return "; ".join(filter(None, reasons))
 
 
-def _black_dn(sensor: Sensor, channel: str) -> float:
-    """Return the black level of a channel, DN."""
-    return (sensor.channel_black_level_dn or {}).get(channel, sensor.black_level_dn)
+def _mask(sensor: Sensor, name: str) -> np.ndarray:
+    """Return a mask of the sensor: (rows, cols), or of one value where it has none."""
+    if sensor.masks is None or getattr(sensor.masks, name) is None:
+        return np.full((1, 1), 1.0 if name == "gain" else 0.0)
+    place = sensor.lit_place(sensor.frame.on_chip(sensor.frame.lit))
+    return sensor.masks.part(name, place, (sensor.rows, sensor.cols)).astype(np.float64)
 
 
 def _column_offsets_dn(sensor: Sensor) -> float:
@@ -234,13 +331,18 @@ def _row(
     return Row(parameter, unit, sheet, expected, reason, figure.value, uncertainty, sigmas, within)
 
 
-def _why(sensor: Sensor, exposure_s: float) -> str:
+def _why(sensor: Sensor, says: _Parameters, exposure_s: float) -> str:
     """Return why the digital numbers do not follow the linear camera; empty where they do."""
     gain = sensor.system_gain_dn_per_e
     dark_e = exposure_s * sensor.dark_current_e_per_s
-    noise = gain * math.hypot(sensor.temporal_dark_noise_e, math.sqrt(dark_e))
-    spread = math.hypot(noise, gain * sensor.dsnu_e)
+    noise = gain * math.hypot(says.noise_e, math.sqrt(dark_e))
+    spread = math.hypot(noise, gain * says.dsnu)
     reasons = []
+    if sensor.gaussian_variance_per_e is not None:
+        per_e = sensor.gaussian_variance_per_e
+        reasons.append(f"the temporal noise is not Poisson's: {per_e:g} e-^2 for each electron")
+    if sensor.full_well_knee < 1:
+        reasons.append(f"the well fills ever more slowly from {sensor.full_well_knee:.0%} of it on")
     if sensor.linearity is not None:
         low, high = sensor.linearity.error_percent(sensor.saturation_e)
         reasons.append(f"the response is off a straight line by {low:+.2g} to {high:+.2g} %")
@@ -250,107 +352,6 @@ def _why(sensor: Sensor, exposure_s: float) -> str:
     if spread and ndtr((0.5 - level) / spread) > UNDERFLOW_SHARE:
         reasons.append(f"the black level of {sensor.black_level_dn:g} DN lets the converter clip")
     return "; ".join(reasons)
-
-
-class _Model:
-    """The law of a pixel's digital numbers: well, read noise, converter; in float64."""
-
-    def __init__(self, sensor: Sensor, black_dn: float) -> None:
-        self.sensor = sensor
-        self.black_dn = black_dn
-        self.z = np.linspace(-_SIGMAS, _SIGMAS, _NODES)
-        self.weight = np.exp(-(self.z**2) / 2)
-        self.weight /= self.weight.sum()
-        # Of the pixels' responses, and of their offsets under light, where no single step matters.
-        nodes, weight = np.polynomial.hermite_e.hermegauss(9)
-        self.nodes, self.node_weight = nodes, weight / weight.sum()
-
-    def levels(self, light_e: np.ndarray, dark_e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and temporal variance over the pixels of an array, DN and DN^2: (n,) each."""
-        found = []
-        for light, dark in zip(light_e, dark_e, strict=True):
-            if light:
-                found.append(self.node_weight @ (self._unlike(light, dark) @ self.node_weight))
-            else:
-                found.append(np.array(self._pixels(dark, self.z)) @ self.weight)
-        mean, variance = np.array(found).T
-        return mean, variance
-
-    def response_percent(self, light_e: float, dark_e: float) -> float:
-        """Return the spread of the pixels' mean signals for their responses, per cent of it."""
-        means = self._unlike(light_e, dark_e)[:, 0] @ self.node_weight
-        (black,), _ = self.levels(np.zeros(1), np.array([dark_e]))
-        middle = self.node_weight @ means
-        return 100 * math.sqrt(self.node_weight @ (means - middle) ** 2) / (middle - black)
-
-    def _unlike(self, light_e: float, dark_e: float) -> np.ndarray:
-        """Return mean and variance by response and by offset: (responses, 2, offsets)."""
-        spread = self.sensor.prnu_percent / 100
-        means = np.maximum(light_e * (1 + spread * self.nodes), 0) + dark_e
-        return np.array([self._pixels(mean, self.nodes) for mean in means])
-
-    def offset_spread_dn(self, dark_e: float) -> float:
-        """Return the standard deviation of the pixels' mean dark signals, DN."""
-        mean, _ = self._pixels(dark_e, self.z)
-        return math.sqrt(self.weight @ (mean - self.weight @ mean) ** 2)
-
-    def _pixels(self, mean_e: float, offsets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and variance of the digital numbers of pixels, by their offset in sigmas."""
-        sensor = self.sensor
-        if mean_e < _SMALL_E:
-            charge = np.arange(int(mean_e + 10 * math.sqrt(mean_e)) + 12.0)
-            weight = poisson.pmf(charge, mean_e)
-        else:
-            charge, weight = mean_e + math.sqrt(mean_e) * self.z, self.weight
-        charge = np.minimum(charge, sensor.full_well_e)
-        electrons = np.add.outer(sensor.dsnu_e * offsets, charge)
-        noise = sensor.system_gain_dn_per_e * sensor.temporal_dark_noise_e
-        if sensor.linearity is not None:
-            read = sensor.linearity.read
-            noise = noise * (read(electrons + 0.5) - read(electrons - 0.5))
-            electrons = read(electrons)
-        middle = self.black_dn + sensor.system_gain_dn_per_e * electrons
-        first, second = _converted(middle, np.asarray(noise), sensor.max_dn)
-        mean, square = first @ weight, second @ weight
-        return mean, square - mean**2
-
-
-def _converted(middle: np.ndarray, noise: np.ndarray, top: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and second moment of what a converter makes of normal voltages.
-
-    Parameters
-    ----------
-    middle : ndarray
-        Mean, DN.
-    noise : ndarray
-        Standard deviation, DN: of all, or of each.
-    top : int
-        Highest digital number.
-    """
-    if noise.min() >= _FINE_DN:
-        low, high = -middle / noise, (top - middle) / noise
-        inside = ndtr(high) - ndtr(low)
-        density_low, density_high = (np.exp(-(end**2) / 2) / math.tau**0.5 for end in (low, high))
-        first = middle * inside + noise * (density_low - density_high) + top * ndtr(-high)
-        second = (
-            (middle**2 + noise**2 + QUANTISATION_DN2) * inside
-            + noise * (density_low * middle - density_high * (middle + top))
-            + top**2 * ndtr(-high)
-        )
-        return first, second
-    base = np.floor(middle + 0.5)
-    reach = math.ceil(_SIGMAS * float(noise.max())) + 1
-    first, second = np.zeros_like(middle), np.zeros_like(middle)
-    for step in range(-reach, reach + 1):
-        code = base + step
-        if noise.all():
-            share = ndtr((code + 0.5 - middle) / noise) - ndtr((code - 0.5 - middle) / noise)
-        else:
-            share = (step == 0) * np.ones_like(middle)
-        code = np.clip(code, 0, top)
-        first += share * code
-        second += share * code**2
-    return first, second
 
 
 def failed(table: Sequence[Row]) -> int:

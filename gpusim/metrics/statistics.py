@@ -136,8 +136,6 @@ class SiteStatistics:
     frames : int
     mean : float
         Over pixels and frames, DN.
-    mean_u2 : float
-        Its squared standard uncertainty from the temporal noise, DN^2.
     temporal : Parts
         Of one frame, from differences of pairs of frames, in which the fixed pattern cancels.
     average : ndarray (rows, cols), float64, or None
@@ -152,7 +150,6 @@ class SiteStatistics:
     shape: tuple[int, int]
     frames: int
     mean: float
-    mean_u2: float
     temporal: Parts
     average: np.ndarray | None
     zero_share: float
@@ -213,12 +210,6 @@ class Accumulator:
         for pairs, image, squares, zeros in zip(*each, strict=True):
             average = image / self.frames
             temporal = _mean_of_pairs(pairs)
-            rows, cols = average.shape
-            spread = (
-                max(temporal.pixel, 0.0) / average.size
-                + max(temporal.row, 0.0) / rows
-                + max(temporal.column, 0.0) / cols
-            )
             several, covariance, covariance_u2 = self.frames > 2, None, None
             if several:
                 variance = (squares - image * average) / (self.frames - 1)
@@ -227,10 +218,9 @@ class Accumulator:
                 covariance_u2 = float(products.var() / products.size)
             found.append(
                 SiteStatistics(
-                    shape=(rows, cols),
+                    shape=average.shape,
                     frames=self.frames,
                     mean=float(average.mean()),
-                    mean_u2=spread / self.frames,
                     temporal=temporal,
                     average=average if several else None,
                     zero_share=zeros / self.frames,

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from gpusim.errors import UserError
 from gpusim.metrics.emva import Level, characterise, spectrogram
-from gpusim.metrics.statistics import Accumulator
+from gpusim.metrics.statistics import Accumulator, Parts
 
 LEVEL = 1e-4  # of each comparison; the seeds are fixed
 BOUND = norm.isf(LEVEL / 2)
@@ -190,8 +190,8 @@ def test_what_the_standard_asks_for_and_the_data_lack_is_noted():
 def exact(mean, variance, photons, exposure_s=0.01):
     """Return a level with this mean and variance, of a pair of 20 x 20 pixels."""
     site = Camera(shape=(20, 20)).level(100.0).sites[0]
-    temporal = dataclasses.replace(site.temporal, total=variance, total_u2=variance**2 / 200)
-    site = dataclasses.replace(site, mean=mean, mean_u2=variance / 800, temporal=temporal)
+    temporal = Parts(variance, variance, 0.0, 0.0, *(variance**2 / 200,) * 4)
+    site = dataclasses.replace(site, mean=mean, temporal=temporal)
     return Level(exposure_s, photons, None, (site,))
 
 

@@ -7,12 +7,13 @@ import pytest
 from scipy.special import ndtr
 
 from gpusim.gpu import Device, Recording
-from gpusim.metrics import flat_field, loop
+from gpusim.metrics import flat_field, law, loop
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
 from gpusim.sensor.adc_model import ColumnOffset, Linearity
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.noise_model import LineNoise, ResetNoise
 from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
 
 MONO = {
@@ -158,6 +159,48 @@ def test_offsets_of_columns_and_black_levels_of_channels_are_seen(device: Device
     assert table["DSNU.col"].uncertainty < 0.5 * table["DSNU.col"].expected
 
 
+def test_rows_columns_and_reset_are_seen_apart(device: Device):
+    lines = LineNoise(
+        prnu_row_percent=0.8, prnu_column_percent=0.5, dsnu_row_e=1.5, dsnu_column_e=3.0,
+        row_noise_e=2.0, column_noise_e=1.0,
+    )  # fmt: skip
+    sensor = sensor_of(lines=lines, reset_noise=ResetNoise(noise_e=5.0), dcnu_percent=50.0)
+    table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert table["sigma_d"].expected == pytest.approx(np.sqrt(36 + 25 + 4 + 1))
+    assert "reset" in table["sigma_d"].reason
+    for name, planted in (
+        ("sigma_d.row", 2.0), ("sigma_d.col", 1.0), ("DSNU.row", 1.5), ("DSNU.col", 3.0),
+        ("PRNU.row", 0.8), ("PRNU.col", 0.5),
+    ):  # fmt: skip
+        assert table[name].expected == planted
+        assert table[name].uncertainty < 0.4 * planted
+
+
+@pytest.mark.parametrize(
+    ("changes", "word", "seen", "expected"),
+    [
+        # Variance 81 + 1.8 n: K and all that it divides is 1.8 times as large.
+        (
+            {"gaussian_variance_per_e": 1.8, "temporal_dark_noise_e": 9.0},
+            "Poisson",
+            "K",
+            1.8 * 0.3,
+        ),
+        # The variance of a soft well falls from the knee on: n exp(-2 (n - k) / (w - k)).
+        ({"full_well_knee": 0.5}, "slowly", "mu_e.sat", 5000.0),
+    ],
+)
+def test_other_laws_of_noise_and_well_are_predicted_and_said(
+    device: Device, changes, word, seen, expected
+):
+    sensor = sensor_of(**changes)
+    table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert word in table["K"].reason
+    assert table[seen].expected == pytest.approx(expected, rel=0.05)
+
+
 def test_a_colour_sensor_is_measured_channel_by_channel(device: Device):
     sensor = load_sensor("imx477").roi(192, 192)
     table = verdicts(measured(device, sensor, levels=16), sensor)
@@ -180,6 +223,16 @@ def test_every_frame_has_noise_of_its_own(device: Device):
     assert len({frame for _, frame in taken}) == len(taken)
 
 
+def law_of(sensor: Sensor) -> law.PixelLaw:
+    return law.PixelLaw(
+        sensor,
+        sensor.black_level_dn,
+        sensor.temporal_dark_noise_e,
+        sensor.dsnu_e,
+        sensor.prnu_percent,
+    )
+
+
 def test_the_model_is_the_law_of_a_pixel():
     """Mean and variance against 4e5 draws of NumPy: well, offsets, rounding, clipping."""
     rng = np.random.default_rng(2)
@@ -187,20 +240,25 @@ def test_the_model_is_the_law_of_a_pixel():
         ({}, 300.0),
         ({"full_well_e": 3000.0}, 2950.0),
         ({"bit_depth": 9, "prnu_percent": 4.0}, 1400.0),
+        ({"full_well_e": 3000.0, "full_well_knee": 0.6}, 2500.0),
         ({"black_level_dn": 0.4, "system_gain_dn_per_e": 0.05}, 3.0),
     ):
         sensor = sensor_of(**changes)
         draws = (200_000, 2)
         response = 1 + sensor.prnu_percent / 100 * rng.standard_normal((draws[0], 1))
-        charge = np.minimum(rng.poisson(light * response, draws), sensor.full_well_e)
+        charge = rng.poisson(light * response, draws)
+        if sensor.full_well_knee < 1:
+            knee = sensor.full_well_knee * sensor.full_well_e
+            room = sensor.full_well_e - knee
+            soft = sensor.full_well_e - room * np.exp(-(charge - knee) / room)
+            charge = np.where(charge > knee, soft, charge)
+        charge = np.minimum(charge, sensor.full_well_e)
         charge = charge + sensor.dsnu_e * rng.standard_normal((draws[0], 1))
         charge = charge + sensor.temporal_dark_noise_e * rng.standard_normal(draws)
         level = sensor.system_gain_dn_per_e * charge + sensor.black_level_dn
         dn = np.clip(np.floor(level + 0.5), 0, sensor.max_dn)
         squares = (dn[:, 0] - dn[:, 1]) ** 2 / 2
-        mean, variance = loop._Model(sensor, sensor.black_level_dn).levels(
-            np.array([light]), np.zeros(1)
-        )
+        mean, variance = law_of(sensor).levels(np.array([light]), np.zeros(1))
         assert abs(mean[0] - dn.mean()) < 4.5 * dn.mean(axis=1).std() / draws[0] ** 0.5
         assert abs(variance[0] - squares.mean()) < 4.5 * squares.std() / draws[0] ** 0.5
 
@@ -211,14 +269,14 @@ def test_the_moments_of_a_clipped_normal_are_those_of_a_sum():
     codes = np.arange(256)
     edges = np.concatenate([[-np.inf], codes[1:] - 0.5, [np.inf]])
     share = np.diff(ndtr((edges[None] - middle[:, None]) / 4.0), axis=1)
-    first, second = loop._converted(middle, np.array(4.0), 255)
+    first, second = law.converted(middle, np.array(4.0), 255)
     variance = share @ codes**2 - (share @ codes) ** 2
     # At the ends rounding is not independent of the noise: that takes up to a twelfth.
     assert np.abs(first - share @ codes).max() < 0.02
     assert np.abs(second - first**2 - variance).max() < 1 / 12
     assert second[3] - first[3] ** 2 == pytest.approx(variance[3], rel=1e-6)
     narrow = np.diff(ndtr((edges[None] - middle[:, None]) / 1.5), axis=1)
-    first, second = loop._converted(middle, np.array(1.5), 255)
+    first, second = law.converted(middle, np.array(1.5), 255)
     assert np.allclose(first, narrow @ codes, atol=1e-6)
     assert np.allclose(second, narrow @ codes**2, rtol=1e-6, atol=1e-5)
 
