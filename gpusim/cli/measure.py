@@ -61,7 +61,8 @@ def noise(
             found = characterise(list(frames.measure(listed, progress)), listed.sites)
             how = f"frames of {path}"
         else:
-            sensor = flat_field.region(load_sensor(sensor_name), side_px)
+            whole = load_sensor(sensor_name)
+            sensor = flat_field.region(whole, side_px)
             runs = sensor_runs(sensor)
             levels = flat_field.measure(
                 sensor,
@@ -76,7 +77,7 @@ def noise(
             rows = loop.rows(found, sensor)
             title = sensor.name
             how = f"simulated: {sensor.rows} x {sensor.cols} pixels about the centre, seed {seed}"
-            how += flat_field.left_out(runs)
+            how += flat_field.left_out(whole, runs)
             if kept is not None:
                 kept.close(sensor.name, sensor.cfa.pattern, sensor.pixel_pitch_um)
         facts = {

@@ -69,10 +69,11 @@ def region(sensor: Sensor, side_px: int = SIDE_PX) -> Sensor:
     return sensor.roi(rows, cols).model_copy(update={"defects": None})
 
 
-def left_out(runs: Callable[[str], bool]) -> str:
+def left_out(sensor: Sensor, runs: Callable[[str], bool]) -> str:
     """Return what of a sensor the measurement leaves out; nothing where that is nothing."""
-    names = ", ".join(name for name in BETWEEN_PIXELS if runs(name))
-    return f"; left out, between pixels: {names}" if names else ""
+    names = [name for name in BETWEEN_PIXELS if runs(name)]
+    names += ["defect pixels"] if sensor.defects else []
+    return f"; left out: {', '.join(names)}" if names else ""
 
 
 def peak_nm(sensor: Sensor, channel: str) -> float:

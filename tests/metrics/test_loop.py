@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
 from gpusim.metrics import flat_field, law, loop
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
-from gpusim.sensor.adc_model import ColumnOffset, Linearity
+from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
 from gpusim.sensor.exposure import record_exposure
-from gpusim.sensor.noise_model import LineNoise, ResetNoise
+from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ResetNoise
 from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
 
 MONO = {
@@ -284,8 +285,7 @@ def test_the_moments_of_a_clipped_normal_are_those_of_a_sum():
 def test_a_ccd_is_measured_without_its_transfer(device: Device):
     """What moves charge is no part of the standard's camera, and the page says that it is out."""
     sensor = load_sensor("kodak-vga")
-    assert "serial cti" in flat_field.left_out(sensor_runs(sensor))
-    assert flat_field.left_out(sensor_runs(load_sensor("imx477"))) == ""
+    assert "serial cti" in flat_field.left_out(sensor, sensor_runs(sensor))
     part = sensor.roi(64, 64)
     light = next(one for one in flat_field.lights(part) if one.photons)
     alone = part.model_copy(update={"smear": None, "parallel_cti": None, "serial_cti": None})
@@ -294,6 +294,36 @@ def test_a_ccd_is_measured_without_its_transfer(device: Device):
         for one in (part, alone)
     ]
     assert np.array_equal(*frames)
+
+
+def test_defect_pixels_are_left_out_and_that_is_said():
+    sensor = load_sensor("imx477")
+    assert flat_field.left_out(sensor, sensor_runs(sensor)) == ""
+    spotted = sensor.model_copy(update={"defects": Defects(dead_fraction=0.01)})
+    assert flat_field.region(spotted).defects is None
+    assert "defect" in flat_field.left_out(spotted, sensor_runs(spotted))
+
+
+def test_masks_are_part_of_the_non_uniformity(device: Device, tmp_path):
+    rng = np.random.default_rng(4)
+    shape = (MONO["rows"], MONO["cols"])
+    np.save(tmp_path / "gain.npy", (0.9 + 0.02 * rng.standard_normal(shape)).astype(np.float32))
+    np.save(tmp_path / "offset.npy", (3 * rng.standard_normal(shape)).astype(np.float32))
+    masks = Masks(gain="gain.npy", offset_e="offset.npy").placed(tmp_path, (0, 0, *shape))
+    sensor = sensor_of(masks=masks, first_row=0, first_col=0)
+    table = verdicts(measured(device, sensor), sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert table["eta at 550 nm"].expected == pytest.approx(0.9 * 0.64, rel=2e-3)
+    assert table["PRNU"].expected == pytest.approx(np.hypot(1.2, 2 / 0.9), rel=0.02)
+    assert table["DSNU"].expected == pytest.approx(np.hypot(2.5, 3.0), rel=0.02)
+
+
+def test_two_gains_have_no_photon_transfer():
+    dual = DualGain(
+        system_gain_dn_per_e=0.05, temporal_dark_noise_e=9.0, black_level_dn=64, switch_dn=3000
+    )
+    with pytest.raises(UserError, match="that of one gain"):
+        flat_field.lights(sensor_of(dual_gain=dual))
 
 
 def test_the_light_reaches_beyond_saturation_in_even_steps():
