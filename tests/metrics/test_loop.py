@@ -12,6 +12,7 @@ from gpusim.metrics import flat_field, law, loop
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
+from gpusim.sensor import readout
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ResetNoise
@@ -88,14 +89,14 @@ def test_a_wrong_sensor_file_falls_outside(found, change, seen):
 def test_prnu_after_the_shot_noise_falls_outside(device: Device, monkeypatch):
     """A planted error of order: even light, then charges times the pixels' responses."""
     sensor = sensor_of(prnu_percent=3.0)
-    noise = flat_field_noise()
+    noise = readout.record_noise
 
     def wrong(rec: Recording, mean, sensor, **options):
         electrons = noise(rec, mean, sensor, **{**options, "label": "even"})
         dark = sensor.model_copy(update={"dark_current_e_per_s": 0.0})
         return record_exposure(rec, electrons, dark, 1.0, label="uneven")
 
-    monkeypatch.setattr("gpusim.sensor.readout.record_noise", wrong)
+    monkeypatch.setattr(readout, "record_noise", wrong)
     runs = sensor_runs(sensor)
     wanted = flat_field.lights(sensor, levels=24, stack=16)
     levels = flat_field.measure(
@@ -108,10 +109,20 @@ def test_prnu_after_the_shot_noise_falls_outside(device: Device, monkeypatch):
     assert table["PRNU"].within
 
 
-def flat_field_noise():
-    from gpusim.sensor.readout import record_noise
+def test_a_converter_off_by_3_percent_falls_outside(device: Device, monkeypatch):
+    """A planted error of the stage: the sensor file is right, the converter is not."""
+    adc = readout.record_adc
 
-    return record_noise
+    def steeper(rec: Recording, electrons, sensor, **options):
+        gain = 1.03 * sensor.system_gain_dn_per_e
+        planted = sensor.model_copy(update={"system_gain_dn_per_e": gain})
+        return adc(rec, electrons, planted, **options)
+
+    monkeypatch.setattr(readout, "record_adc", steeper)
+    table = verdicts(measured(device, sensor_of()), sensor_of())
+    assert not table["K"].within
+    # What is measured in electrons does not depend on the gain.
+    assert table["sigma_d"].within and table["DSNU"].within
 
 
 def test_a_converter_coarser_than_the_noise_is_predicted_and_said(device: Device):
