@@ -19,7 +19,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.metrics.statistics import Parts, SiteStatistics, pooled
 
-QUANTISATION_DN2 = 1 / 12  # section 2.2, equation (8): variance of rounding to whole numbers
+QUANTISATION_DN2 = 1 / 12  # section 2.2: variance of rounding to whole numbers
 # Below it the temporal dark noise is lost in the quantisation, and the standard takes this value in
 # its place (release 3.1, section 6.6: sigma_y.dark < 0.49 DN).
 LEAST_DARK_VARIANCE_DN2 = 0.24
@@ -312,7 +312,7 @@ def characterise(levels: Sequence[Level], pattern: Sequence[str]) -> Characteris
         )
         variance = Figure(LEAST_DARK_VARIANCE_DN2, variance.u)
     figures["temporal_dark_noise_dn"] = Figure.root(variance.value, variance.u)
-    without_steps = variance.value - QUANTISATION_DN2
+    without_steps = variance.value - QUANTISATION_DN2  # equation (31)
     figures["temporal_dark_noise_e"] = _root(without_steps, variance.u, gain, 1.0)
     if current_dn is not None:
         figures["dark_current_e_per_s"] = _over(current_dn, gain)
@@ -346,7 +346,7 @@ def _channel(
     dark_variance: Figure,
     notes: list[str],
 ) -> Channel:
-    """Measure one channel: sections 6.6, 6.7 and 8.2."""
+    """Measure one channel: sections 6.6, 6.7 and 8; the threshold by equation (17)."""
     sites = [number for number, one in enumerate(pattern) if one == name]
     curves = {
         wavelength: _transfer([one for one in lit if one.wavelength_nm == wavelength], dark, sites)
@@ -591,7 +591,7 @@ def _pattern(level: Level, sites: Sequence[int]) -> Pattern:
 
 
 def spectrogram(images: Sequence[np.ndarray], residual_dn2: float, axis: int) -> np.ndarray:
-    """Return the power of the fixed pattern by spatial frequency: section 8.2, (49) and (50).
+    """Return the power of the fixed pattern by spatial frequency: equations (49) and (50).
 
     Parameters
     ----------

@@ -30,7 +30,6 @@ DARK_SIGNAL_E = 50.0  # that the longest dark frame should hold
 LONGEST_S = 60.0
 LEAST_STEPS = 16  # of the converter, and sigmas of dark noise, up to saturation
 
-
 # Stages that move light or charge between pixels: the standard's camera (release 3.1, section 2)
 # has none, and its figures are those of the pixels for themselves. The light comes in pulses, so
 # that none falls while charge is shifted.
