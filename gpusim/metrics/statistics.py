@@ -4,7 +4,7 @@ The sites of a colour filter array are kept apart, each as the image of its own 
 differs between the colours is neither noise nor non-uniformity.
 
 Row, column and pixel parts of a variance are those of an analysis of variance of the two crossed
-random factors row and column (H. Scheffe, The Analysis of Variance, 1959, section 7.4): without
+random factors row and column (H. Scheffe, The Analysis of Variance, 1959, chapter 7): without
 bias, and each mean square with a chi-square law of its own, which gives the uncertainties. EMVA
 Standard 1288, release 4.0 Linear, splits the spatial variance into the same parts from the
 variances of the row and column means; the two differ by terms of 1/rows and 1/cols.
