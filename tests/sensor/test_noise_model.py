@@ -205,6 +205,15 @@ def test_reset_noise_follows_the_temperature(device: Device, tmp_path: Path):
         ({"full_well_knee": 0}, "full_well_knee", None),
         ({"full_well_knee": 1.1}, "full_well_knee", None),
         ({"dcnu_percent": -1}, "dcnu_percent", None),
+        ({"bloom": True, "full_well_knee": 0.9}, None, "has no knee"),
+        (
+            {
+                "gaussian_variance_per_e": 1,
+                "read_noise_law": {"probabilities": [0.1, 0.5], "values": [1, 2]},
+            },
+            None,
+            "gaussian_variance_per_e replaces",
+        ),
         ({"gaussian_variance_per_e": -0.1}, "gaussian_variance_per_e", None),
         (
             {"read_noise_law": {"probabilities": [0.5, 0.4], "values": [1, 2]}},

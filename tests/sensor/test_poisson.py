@@ -237,6 +237,19 @@ def test_counts_are_those_of_the_reference(frame: int):
     assert wrong[mean < 1000].sum() < 5
 
 
+def test_the_second_word_decides_where_the_first_is_too_coarse():
+    """Means whose step from 0 to 1 electron halves the cell of a pixel's first word."""
+    col = np.arange(2**20)
+    row, key = np.full_like(col, 9), 1 + (7 << 32)
+    first = ~reference.shared_word(row, col, 5, reference.SHOT, key)
+    chosen = first < 2**17  # one in 32 768; the step is known to 60 * 2^-24 of 2^17: half a cell
+    mean = np.where(chosen, -np.log1p(-(first + 0.5) / 2**32), 0).astype(F32)
+    found = counts(mean)[chosen]
+    expected = reference.poisson(mean[chosen], row[chosen], col[chosen], 5, key)
+    assert_close(found, expected, atol=0)
+    assert found.size > 20 and 0.2 < found.mean() < 0.8
+
+
 def test_large_counts_are_quantiles_of_their_words():
     """Up to 1e7: no count further from the quantile than rounding moves u, 2e-5 of its tail."""
     mean = np.exp(np.random.default_rng(15).uniform(np.log(1e4), np.log(1e7), 60_000)).astype(F32)
