@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import yaml
 
 from gpusim.errors import UserError
@@ -83,6 +84,18 @@ def content(text: str) -> Callable[[], tuple]:
     return case
 
 
+def mask_of(shape: tuple[int, ...], value: float = 1.0) -> Callable[[], tuple]:
+    """Return the case of a mask in a file, for a sensor of 6 x 8 pixels."""
+
+    def case() -> tuple:
+        with TemporaryDirectory() as folder:
+            np.save(Path(folder) / "gain.npy", np.full(shape, value, np.float32))
+            altered(rows=6, cols=8, masks={"gain": f"{folder}/gain.npy"})
+        return "refused", "accepted", False
+
+    return case
+
+
 def more_than_every_photon() -> tuple:
     """Take a quantum efficiency over 1: measured curves may have it, so it is warned of."""
     with warnings.catch_warnings(record=True) as caught:
@@ -120,6 +133,11 @@ CASES: tuple[Case, ...] = (
     ("filter of no colour", wrong("cfa.pattern", [["R", "Q"], ["G", "B"]]), "'Q'"),
     ("filters in rows of unlike length", wrong("cfa.pattern", [["R", "G"], ["G"]]), "rectangle"),
     ("filter without a curve", wrong("cfa.pattern", [["R", "W"], ["G", "B"]]), "cfa.pattern"),
+    ("mask of another size", mask_of((8, 6)), "6 x 8"),
+    ("mask without a pixel", mask_of((0, 8)), "6 x 8"),
+    ("mask of planes", mask_of((6, 8, 3)), "masks"),
+    ("mask with NaN", mask_of((6, 8), float("nan")), "masks.gain"),
+    ("mask with a negative", mask_of((6, 8), -0.5), "none negative"),
     ("sensor file without a field", content("name: a\nrows: 3\n"), "cols"),
     ("sensor file with another field", wrong("full_well", 3), "full_well_e is meant"),
     ("empty sensor file", content(""), "no fields"),
