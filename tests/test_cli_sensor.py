@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from command_line import assert_refused, gpusim
@@ -43,6 +44,19 @@ def test_a_sensor_that_is_written_is_the_one_that_was_read(tmp_path: Path, name:
     again = tmp_path / "again.yaml"
     assert gpusim("sensor", file, "--out", again).code == 0
     assert again.read_text().splitlines()[1:] == file.read_text().splitlines()[1:]
+
+
+def test_a_copy_elsewhere_finds_the_files_of_the_original(tmp_path: Path, monkeypatch):
+    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
+    data |= {"rows": 6, "cols": 8, "masks": {"gain": "gain.npy"}}
+    np.save(tmp_path / "gain.npy", np.full((6, 8), 0.9, np.float32))
+    (tmp_path / "masked.yaml").write_text(yaml.safe_dump(data))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    ran = gpusim("sensor", "masked.yaml", "--out", "elsewhere/copy.yaml")
+    assert ran.code == 0, ran.err
+    copied = load_sensor(tmp_path / "elsewhere" / "copy.yaml")
+    assert copied == load_sensor(tmp_path / "masked.yaml")
 
 
 def test_a_sensor_of_the_exporter_is_converted(tmp_path: Path):

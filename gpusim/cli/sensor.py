@@ -65,7 +65,8 @@ def conversion(name: str) -> Conversion:
         return read_isetcam(path)
     if path.suffix.lower() in YAML and is_speos(read_yaml(path)):
         return read_speos(path)
-    sensor = load_sensor(name)
+    # Files beside a sensor file are found from anywhere by their whole paths.
+    sensor = load_sensor(path.resolve() if path.suffix else name)
     fields = sensor.model_dump(exclude_unset=True, exclude={"sources"})
     return Conversion(path, fields, dict(sensor.sources))
 
