@@ -86,11 +86,12 @@ class SensorChoice(_Strict):
 
 
 class CameraFile(_Strict):
-    """Fields of a camera file."""
+    """Fields of a camera file; its filters stand in front of the lens."""
 
     title: str
     lens: LensChoice
     sensor: SensorChoice
+    filters: list[dict[str, object]] = []
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ def load_camera(name_or_path: str | Path) -> Camera:
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
-    from gpusim.sensor.sensor import load_sensor
+    from gpusim.sensor.sensor import load_filters, load_sensor
 
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
@@ -183,13 +184,15 @@ def load_camera(name_or_path: str | Path) -> Camera:
             value=first["input"],
             allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg, "
             "focus_shift_um} or "
-            "lens {bank} or lens {mtf}, sensor {preset, rows, cols}",
+            "lens {bank} or lens {mtf}, sensor {preset, rows, cols}, filters",
         ) from error
     lens = _lens(path, fields.lens)
     sensor = load_sensor(_beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)
-    return Camera(fields.title, lens, sensor)
+    # Light passes those in front of the lens first: the product is the same.
+    filters = [*sensor.filters, *load_filters(fields.filters, path)]
+    return Camera(fields.title, lens, sensor.model_copy(update={"filters": filters}))
 
 
 def _lens(camera_file: Path, choice: LensChoice) -> Lens:

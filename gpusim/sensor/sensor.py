@@ -11,7 +11,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -23,12 +23,13 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.misregistration import mixed_pattern
 from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.smear_model import Smear
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
@@ -113,11 +114,8 @@ class QuantumEfficiency(Strict):
     @model_validator(mode="after")
     def _on_one_grid(self) -> QuantumEfficiency:
         grid = self.wavelengths_nm
-        if any(b <= a for a, b in pairwise(grid)):
-            raise wrong("the wavelengths do not rise", "nm, each more than the one before")
+        check_grid(grid)
         first, last = WAVELENGTHS_NM[[0, -1]]
-        if not grid or grid[0] > first or grid[-1] < last:
-            raise wrong("the wavelengths end too soon", f"{first:g} to {last:g} nm, or beyond")
         for name, curve in self.channels.items():
             if len(curve) != len(grid):
                 raise wrong(
@@ -218,6 +216,8 @@ class Sensor(Strict):
         Dead, hot and stuck pixels.
     crosstalk : Crosstalk, optional
         Shares of the signal that are found at other pixels.
+    filters : list of Filter
+        In front of the sensor, where ``quantum_efficiency`` does not include them.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -264,6 +264,7 @@ class Sensor(Strict):
     masks: Masks | None = None
     defects: Defects | None = None
     crosstalk: Crosstalk | None = None
+    filters: list[Filter] = Field(default_factory=list)
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -514,11 +515,14 @@ class Sensor(Strict):
 
     @cached_property
     def qe(self) -> dict[str, np.ndarray]:
-        """Quantum efficiency of each channel at ``WAVELENGTHS_NM``: (61,), read-only."""
-        measured = self.quantum_efficiency
+        """Quantum efficiency of each channel at ``WAVELENGTHS_NM``: (61,), read-only.
+
+        With the filters in front of the sensor.
+        """
+        measured, light = self.quantum_efficiency, passed(self.filters)
         curves = {}
         for name in self.channels:
-            curves[name] = np.interp(
+            curves[name] = light * np.interp(
                 WAVELENGTHS_NM, measured.wavelengths_nm, measured.channels[name]
             )
             curves[name].flags.writeable = False
@@ -734,3 +738,24 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         return sensor
     area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)
     return sensor.model_copy(update={"masks": sensor.masks.placed(path.parent, area)})
+
+
+class _Filters(Strict):
+    """Filters of a camera file, with the name that they have in a sensor's."""
+
+    filters: list[Filter]
+
+
+def load_filters(data: object, path: Path) -> list[Filter]:
+    """Return the filters in front of a lens, of a camera file that lies at a path.
+
+    Raises
+    ------
+    UserError
+        A wrong field, or a spectrum that cannot be read.
+    """
+    try:
+        found = _Filters.model_validate({"filters": data}, context={"folder": path.parent})
+    except ValidationError as error:
+        raise user_error(error, _Filters, path) from error
+    return found.filters
