@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
+from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 
 # The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
@@ -46,6 +47,9 @@ class Stated(_Strict):
         N_w = 1 / (2 sin theta') on the axis: projected solid angle pi / (2 N_w)^2.
     transmission : float or tuple of float
         Of the glass and its coatings on the axis, for all wavelengths or each.
+    exit_pupil_mm : float, optional
+        Distance from the exit pupil to the image plane, from which the angles of the light at the
+        image follow: for sensors whose quantum efficiency goes with them.
     """
 
     title: str = Field(min_length=1)
@@ -55,6 +59,7 @@ class Stated(_Strict):
     f_number: float = Field(gt=0)
     working_f_number: float = Field(ge=0.5)
     transmission: float | tuple[float, ...]
+    exit_pupil_mm: float | None = Field(default=None, gt=0)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -262,7 +267,9 @@ def make_bank(
         },
     )
     check_bank(bank, file)
-    return bank
+    if stated.exit_pupil_mm is None:
+        return bank
+    return with_exit_pupil(bank, stated.exit_pupil_mm)
 
 
 def _refuse_aliases(psf: np.ndarray, pitch_um: float, file: Path) -> None:
@@ -359,6 +366,9 @@ def check_bank(bank: Bank, file: Path) -> None:
         "transmission": (count,),
         "outside_energy": table,
     }
+    if bank.cone is not None:
+        rays = np.shape(bank.cone)[2] if np.ndim(bank.cone) == 4 else 0
+        shapes |= {"chief": (*table, 2), "cone": (*table, rays, 3)}
 
     def wrong(name: str, value: object, allowed: str) -> UserError:
         return UserError(

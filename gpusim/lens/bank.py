@@ -23,6 +23,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.gpu.wgsl import shaders_root
+from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.places import FieldPsfs, Heights
@@ -92,6 +93,20 @@ _VARIABLES = {
         "rays aimed within the stop that missed a surface or were totally reflected",
     ),
 }
+# Where the rays are known: a ready-made bank may lack them.
+_RAYS = {
+    "chief": (
+        ("field", "wavelength", "direction"),
+        "1",
+        "direction cosines of the chief ray at the image, radial and tangential",
+    ),
+    "cone": (
+        ("field", "wavelength", "cell", "part"),
+        "1",
+        "rays that arrive: direction cosines, radial and tangential, and share of the projected "
+        "solid angle",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
@@ -127,6 +142,11 @@ class Bank:
     efl_mm, f_number, pitch_um : float
     provenance : dict of str to str
         Lens, source, settings and choices in words.
+    chief : ndarray, shape (F, L, 2), or None
+        Direction cosines of the chief ray at the image, radial and tangential; None where a
+        ready-made bank does not say.
+    cone : ndarray of float32, shape (F, L, R, 3), or None
+        Rays that arrive, with their share: see ``gpusim.lens.cone``.
     """
 
     wavelengths_nm: np.ndarray
@@ -146,6 +166,8 @@ class Bank:
     f_number: float
     pitch_um: float
     provenance: dict[str, str]
+    chief: np.ndarray | None = None
+    cone: np.ndarray | None = None
 
     @property
     def reference(self) -> int:
@@ -180,6 +202,13 @@ class Bank:
         height = self.real_height_um[number]
         shift = np.stack([height - height[self.reference], np.zeros(len(height))], axis=1)
         return FieldPsfs(self.psf[number], shift, self.relative_illumination[number])
+
+    def rays(self, number: int) -> FieldRays:
+        """Return the rays of a field; x points away from the axis."""
+        if self.chief is None or self.cone is None:
+            raise no_rays(self.provenance)
+        place = np.array([self.real_height_um[number, self.reference], 0.0])
+        return FieldRays(place, self.chief[number], self.cone[number])
 
     def places(self, reach_um: float) -> tuple[tuple[int, ...], Heights]:
         """Return the fields as far as image points up to `reach_um` off the axis need them."""
@@ -364,7 +393,7 @@ class Bank:
 
         both = {
             name: mixed(getattr(self, name))
-            for name, (dims, *_) in _VARIABLES.items()
+            for name, (dims, *_) in self._variables().items()
             if dims[:2] == ("field", "wavelength") and name not in ("psf", "real_height_um")
         }
         both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
@@ -382,13 +411,16 @@ class Bank:
             **both,
         )
 
+    def _variables(self) -> dict[str, tuple]:
+        return _VARIABLES if self.cone is None else _VARIABLES | _RAYS
+
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
         import xarray
 
         data = {
             name: (dims, getattr(self, name), {"units": units, "long_name": meaning})
-            for name, (dims, units, meaning) in _VARIABLES.items()
+            for name, (dims, units, meaning) in self._variables().items()
         }
         data |= {
             name: ((), float(getattr(self, name)), {"units": units, "long_name": meaning})
@@ -415,11 +447,23 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS))
+
+
+def no_rays(provenance: dict[str, str]) -> UserError:
+    """Return the error of a lens of which nobody said at which angles its light arrives."""
+    return UserError(
+        "the sensor's quantum efficiency goes with the angle at which light arrives, and the file "
+        "of this lens does not say it",
+        field="exit_pupil_mm",
+        value=f"none for {provenance['title']}",
+        allowed="the distance from the exit pupil to the image plane in the lens's file, a lens "
+        "given by its prescription, or a sensor without eqe_map",
+    )
 
 
 def load_dataset(
-    path: str | Path, variables: Iterable[str], scalars: Iterable[str]
+    path: str | Path, variables: Iterable[str], scalars: Iterable[str], optional: Iterable[str]
 ) -> dict[str, object]:
     """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
 
@@ -431,7 +475,8 @@ def load_dataset(
     import xarray
 
     with xarray.open_dataset(path, engine="h5netcdf") as data:
-        found: dict[str, object] = {name: data[name].to_numpy() for name in variables}
+        there = [*variables, *(name for name in optional if name in data)]
+        found: dict[str, object] = {name: data[name].to_numpy() for name in there}
         found |= {name: float(data[name]) for name in scalars}
         found["provenance"] = {str(key): str(value) for key, value in data.attrs.items()}
     return found
@@ -578,8 +623,9 @@ def bank_of(
         window /= share.astype(np.float32)[:, None, None]
         outside[field], folded[field] = 1.0 - share, spread.folded_energy
         solid_angle[field] = spread.projected_solid_angle_sr
+    radial = generator.chief_beta
     angles = generator.field_deg
-    slope = generator.chief_beta / np.sqrt(1 - generator.chief_beta**2)
+    slope = radial / np.sqrt(1 - radial**2)
     real = 1e3 * generator.chief_y_mm + focus_um * slope
     order = first_order(system.prescription, reference_nm)
     efl_um = 1e3 * order.efl_mm
@@ -614,6 +660,8 @@ def bank_of(
         f_number=order.f_number,
         pitch_um=float(generator.pitch_um),
         provenance=provenance,
+        chief=np.stack([radial, np.zeros_like(radial)], axis=-1),
+        cone=np.stack([generator.cones(field) for field in range(len(angles))]),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from gpusim.lens.cone import FieldRays
 from gpusim.lens.places import FieldPsfs, Places
 
 
@@ -65,6 +66,15 @@ class FieldBank(Protocol):
 
     def field(self, number: int) -> FieldPsfs:
         """Return the PSFs of a field."""
+
+    def rays(self, number: int) -> FieldRays:
+        """Return the rays of a field.
+
+        Raises
+        ------
+        UserError
+            Where nobody said at which angles the light arrives.
+        """
 
     def places(self, reach_um: float) -> tuple[tuple[int, ...], Places]:
         """Return the numbers of the fields that image points so far out need, and their places."""

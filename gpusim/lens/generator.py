@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
+from gpusim.lens.cone import cone_of
 from gpusim.lens.system import System
 from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import RAY_OVERSIZE, within_hull
@@ -394,11 +395,42 @@ class Generator:
             folded_energy=folded / light,
         )
 
+    def cones(self, field: int) -> np.ndarray:
+        """Return the rays that arrive at one field, radial cosine first.
+
+        Returns
+        -------
+        ndarray of float32 (L, R, 3)
+            See ``gpusim.lens.cone``. A node on a rim counts with the share of its square inside.
+        """
+        reach = self.device.read(self._nodes[field])[..., 1].astype(float)
+        light = rim_share(reach)
+        if self._apodisation:
+            light *= np.exp(-2 * self._apodisation * self.device.read(self._stop[field]))
+        rays = []
+        for grid, of_line in zip(self._grids[field], light, strict=True):
+            alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0]
+            beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1]
+            rays.append(cone_of(alpha, beta, of_line, True)[:, [1, 0, 2]])
+        return np.stack(rays)
+
     def release(self) -> None:
         """Give the device memory back."""
         self._beams.release()
         for one in (self._twiddle, *self._nodes, *self._stop):
             one.destroy()
+
+
+def rim_share(reach: np.ndarray) -> np.ndarray:
+    """Return the share of each node's square (L, A, B) that lies inside the rim, reach 1.
+
+    Next to nodes without a ray, reach 0, no slope is known: there it is all or nothing.
+    """
+    known = np.where(reach > 0, reach, np.nan)
+    along, across = np.gradient(known, axis=(1, 2))
+    depth = (1 - known) / np.maximum(np.abs(along) + np.abs(across), 1e-12)
+    whole = (reach > 0) & (reach < 1)
+    return np.where(np.isnan(depth), whole, np.clip(0.5 + depth, 0, 1))
 
 
 def beside(reach: np.ndarray) -> np.ndarray:

@@ -62,6 +62,7 @@ class Beside(BaseModel):
     title: str | None = None
     source: str | None = None
     notes: str = ""
+    exit_pupil_mm: float | None = None
     first_row: FirstRow = "+y"
 
 
@@ -218,6 +219,7 @@ def read_isetcam(file: Path) -> Bank:
             "f_number": scalars["fnumber"],
             "working_f_number": working,
             "transmission": known.transmission,
+            "exit_pupil_mm": known.exit_pupil_mm,
         },
         file,
     )

@@ -28,9 +28,11 @@ from gpusim.lens.bank import (
     default_pitch_um,
     from_cache,
     load_dataset,
+    no_rays,
     provenance_of,
     save_dataset,
 )
+from gpusim.lens.cone import FieldRays, cone_of
 from gpusim.lens.places import FieldGrid, FieldPsfs
 from gpusim.lens.plane_map import PlaneMap
 from gpusim.lens.prescription import Prescription
@@ -95,6 +97,19 @@ _VARIABLES = {
     "ray_x_um": (("ray",), "um", "where they land at the reference wavelength, x"),
     "ray_y_um": (("ray",), "um", "where they land at the reference wavelength, y"),
 }
+# Where the rays are known: see gpusim.lens.bank.
+_RAYS = {
+    "chief": (
+        (*_LINES, "direction"),
+        "1",
+        "direction cosines of the chief ray at the image, along x and y",
+    ),
+    "cone": (
+        (*_LINES, "cell", "part"),
+        "1",
+        "rays that arrive: direction cosines along x and y, and share of the projected solid angle",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length of the centred lens at the reference wavelength"),
@@ -133,6 +148,10 @@ class PlaneBank:
         lie on the rim of the field.
     reference_nm, efl_mm, f_number, pitch_um : float
     provenance : dict of str to str
+    chief : ndarray, shape (Y, X, L, 2), or None
+        Direction cosines of the chief ray at the image, along x and y.
+    cone : ndarray of float32, shape (Y, X, L, R, 3), or None
+        Rays that arrive, with their share: see ``gpusim.lens.cone``.
     """
 
     wavelengths_nm: np.ndarray
@@ -157,6 +176,8 @@ class PlaneBank:
     f_number: float
     pitch_um: float
     provenance: dict[str, str]
+    chief: np.ndarray | None = None
+    cone: np.ndarray | None = None
 
     @property
     def reference(self) -> int:
@@ -211,6 +232,14 @@ class PlaneBank:
         return FieldPsfs(
             self.psf[at], chief - chief[self.reference], self.relative_illumination[at]
         )
+
+    def rays(self, number: int) -> FieldRays:
+        """Return the rays of a field, counted row after row."""
+        if self.chief is None or self.cone is None:
+            raise no_rays(self.provenance)
+        at = divmod(number, len(self.field_x_deg))
+        place = np.stack([self.chief_x_um[at], self.chief_y_um[at]], axis=-1)[self.reference]
+        return FieldRays(place, self.chief[at], self.cone[at])
 
     def places(self, reach_um: float) -> tuple[tuple[int, ...], FieldGrid]:
         """Return the fields as far as image points up to `reach_um` from the middle need them.
@@ -287,9 +316,10 @@ class PlaneBank:
 
         lens = f"{self.provenance['title']}; {self.provenance['history']}"
         texts = {"provenance": lens}
+        variables = _VARIABLES if self.cone is None else _VARIABLES | _RAYS
         data = {
             name: (dims, getattr(self, name), {"units": units, "long_name": meaning} | texts)
-            for name, (dims, units, meaning) in _VARIABLES.items()
+            for name, (dims, units, meaning) in variables.items()
         } | {
             name: ((), getattr(self, name), {"units": units, "long_name": meaning} | texts)
             for name, (units, meaning) in _SCALARS.items()
@@ -312,7 +342,7 @@ class PlaneBank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS))
 
 
 def holds_plane_bank(path: Path) -> bool:
@@ -534,6 +564,8 @@ def _one_field(
     return {
         "chief_x_um": 1e3 * samples.chief_x_mm,
         "chief_y_um": 1e3 * samples.chief_y_mm,
+        "chief": samples.chief_direction,
+        "cone": np.stack([cone_of(g.alpha, g.beta, g.light, g.half) for g in grids]),
         "psf": psf,
         "solid_angle": np.array([g.projected_solid_angle_sr for g in grids]),
         "outside_energy": outside,

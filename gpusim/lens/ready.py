@@ -28,13 +28,15 @@ from pydantic import BaseModel, ConfigDict, PrivateAttr
 from gpusim.errors import UserError
 from gpusim.lens.assemble import check_bank, read_bytes, read_mapping, unit_psf
 from gpusim.lens.bank import Bank
+from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.plane_bank import holds_plane_bank, load_plane_bank
 from gpusim.lens.text import decoded
 
 # Names in an .npz file, with the shapes, units and meanings of the same names in Bank; title and
 # source are texts. A PSF may have any positive sum. What the file lacks is looked up under the
-# same name in the YAML file beside it: lens.yaml for lens.npz.
+# same name in the YAML file beside it: lens.yaml for lens.npz. There may be exit_pupil_mm, from
+# which the angles of the light at the image follow: see gpusim.lens.cone.
 NPZ_ARRAYS = (
     "wavelengths_nm",
     "reference_nm",
@@ -229,12 +231,25 @@ def _npz(path: Path) -> Bank:
             )
     texts = {name: str(values[name]) for name in ("title", "source")}
     arrays = {name: _numbers(values[name], name, path) for name in NPZ_ARRAYS if name not in texts}
-    for name in ("reference_nm", "pitch_um", "efl_mm", "f_number"):
+    if "exit_pupil_mm" in values:
+        arrays["exit_pupil_mm"] = _numbers(values["exit_pupil_mm"], "exit_pupil_mm", path)
+    for name in ("reference_nm", "pitch_um", "efl_mm", "f_number", "exit_pupil_mm"):
+        if name not in arrays:
+            continue
         if arrays[name].size != 1:
             raise UserError(
                 "one number is needed", file=path, field=name, value=f"{arrays[name].size} numbers"
             )
         arrays[name] = float(arrays[name].item())
+    pupil_mm = arrays.pop("exit_pupil_mm", None)
+    if pupil_mm is not None and not pupil_mm > 0:
+        raise UserError(
+            "the exit pupil does not lie before the image",
+            file=path,
+            field="exit_pupil_mm",
+            value=pupil_mm,
+            allowed="above 0, or left out",
+        )
     psf = arrays.pop("psf")
     if psf.ndim != 4 or psf.shape[2] != psf.shape[3]:
         raise UserError(
@@ -262,7 +277,7 @@ def _npz(path: Path) -> Bank:
         **arrays,
     )
     check_bank(bank, path)
-    return bank
+    return bank if pupil_mm is None else with_exit_pupil(bank, pupil_mm)
 
 
 def _numbers(value: object, name: str, file: Path) -> np.ndarray:

@@ -51,6 +51,8 @@ class Samples:
     ----------
     chief_x_mm, chief_y_mm : ndarray, shape (L,)
         Where the chief ray lands in the image plane.
+    chief_direction : ndarray, shape (L, 2)
+        Its direction cosines there.
     alpha, beta, opd_mm : ndarray, shape (L, R)
         Direction cosines and W.
     landing_x_mm, landing_y_mm : ndarray, shape (L, R)
@@ -66,6 +68,7 @@ class Samples:
 
     chief_x_mm: np.ndarray
     chief_y_mm: np.ndarray
+    chief_direction: np.ndarray
     alpha: np.ndarray
     beta: np.ndarray
     opd_mm: np.ndarray
@@ -228,6 +231,7 @@ def _sample(
     return Samples(
         chief_x_mm=chief_x[:, 0],
         chief_y_mm=chief_y[:, 0],
+        chief_direction=np.stack([alpha[:, 0], beta[:, 0]], axis=-1),
         alpha=alpha[:, 1:],
         beta=beta[:, 1:],
         opd_mm=(path - path[:, :1])[:, 1:],

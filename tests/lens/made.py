@@ -55,6 +55,7 @@ def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
     return Samples(
         chief_x_mm=np.zeros(1),
         chief_y_mm=np.zeros(1),
+        chief_direction=np.array([[0.0, beta_centre]]),
         alpha=alpha[None],
         beta=beta[None],
         opd_mm=opd(alpha, beta)[None],

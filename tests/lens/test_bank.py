@@ -274,7 +274,7 @@ def test_a_bank_survives_its_file(bank, tmp_path):
 
 
 def test_the_file_holds_every_field_of_the_bank():
-    stored = {*bank_module._VARIABLES, *bank_module._SCALARS, "provenance"}
+    stored = {*bank_module._VARIABLES, *bank_module._RAYS, *bank_module._SCALARS, "provenance"}
     assert {field.name for field in dataclasses.fields(Bank)} == stored
 
 

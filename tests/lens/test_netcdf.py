@@ -7,7 +7,15 @@ import xarray
 
 from gpusim.lens.bank import compute_bank
 
-DIMENSIONS = {"field": 3, "wavelength": 2, "eta": 32, "xi": 32}
+DIMENSIONS = {
+    "field": 3,
+    "wavelength": 2,
+    "eta": 32,
+    "xi": 32,
+    "direction": 2,
+    "cell": 576,
+    "part": 3,
+}
 # NetCDF-4's own types that MATLAB knows as numbers: no bool (an HDF5 enum), no float16.
 NUMBERS = {np.dtype(name) for name in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8")}
 

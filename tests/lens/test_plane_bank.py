@@ -156,7 +156,7 @@ def test_a_plane_bank_survives_its_file(bank, tmp_path):
     path = tmp_path / "plane.nc"
     bank.save(path)
     again = PlaneBank.load(path)
-    stored = {*plane_bank._VARIABLES, *plane_bank._SCALARS, "provenance"}
+    stored = {*plane_bank._VARIABLES, *plane_bank._RAYS, *plane_bank._SCALARS, "provenance"}
     assert {field.name for field in dataclasses.fields(PlaneBank)} == stored
     for name in stored - {"provenance"}:
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))

@@ -175,6 +175,7 @@ def test_illumination_falls_as_the_view_factor_and_cos4_of_a_distant_pupil(angle
     samples = type(samples)(
         chief_x_mm=np.zeros(1),
         chief_y_mm=np.zeros(1),
+        chief_direction=np.zeros((1, 2)),
         alpha=(x / length)[None],
         beta=((h - y) / length)[None],
         opd_mm=np.zeros((1, count)),
