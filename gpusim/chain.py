@@ -256,7 +256,10 @@ class Renderer:
             if scale is self.plan.scales[0]:
                 self.placed = placed
             self.sources.append(stage(self.device, placed, coefficients, scale, chief_ray))
-        glare = veiling_glare(self.bank, sensor, self.placed, self.plan.basis.weights, coefficients)
+        basis = self.plan.basis
+        glare = veiling_glare(
+            self.bank, sensor, self.placed, basis.weights, coefficients, basis.elsewhere
+        )
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):

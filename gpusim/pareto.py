@@ -211,7 +211,7 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
         cells = plan.scales[1].grid.cells if len(plan.scales) > 1 else (4, 4)
         grid = _grid(renderer, stride, whole_um / pitch_um, cells)
         tail = Scale("tail", grid, pitch_um, first.sigma, kernels)
-        lost = cut_error(images, bank.pitch_um, pitch_um, sensor, cut_um)
+        lost = cut_error(images[places.main], bank.pitch_um, pitch_um, sensor, cut_um)
         return replace(plan, scales=(fine, tail)), {"cut": lost}
 
     return change
@@ -222,7 +222,8 @@ def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
     bank, sensor = renderer.bank, renderer.camera.sensor
     corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
     farthest_um = corner_um + math.sqrt(2) * _reach_um(renderer)
-    return field_images(bank, renderer.plan.basis.weights, farthest_um)
+    basis = renderer.plan.basis
+    return field_images(bank, basis.weights, farthest_um, elsewhere=basis.elsewhere)
 
 
 def _reach_um(renderer: Renderer) -> float:

@@ -60,10 +60,13 @@ class Places(Protocol):
     quadrants : tuple of (int, int)
         Signs of x and y of the quadrants that differ; one where all are the mirror images of it,
         if only the PSFs are symmetric about their x axis.
+    main : slice
+        Of the list, the fields that hold the light: others only change how it is spread.
     """
 
     probes: tuple[int, ...]
     quadrants: tuple[tuple[int, int], ...]
+    main: slice
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
@@ -80,6 +83,7 @@ class Heights:
     radius_um: np.ndarray
     probes = (0, -1)
     quadrants = ((1, 1),)
+    main = slice(None)
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
@@ -108,6 +112,7 @@ class FieldGrid:
     y_deg: np.ndarray
     field_deg: Callable[[float, float], tuple[float, float]]
     quadrants = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    main = slice(None)
 
     @cached_property
     def probes(self) -> tuple[int, ...]:

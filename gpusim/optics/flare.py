@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.field_bank import FieldBank
+from gpusim.optics.angular import PlaceWeights
 from gpusim.optics.splat import squares_on_sensor
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor
 
 SIDE = 256  # points along each side: the mean of a chart is then good to a few parts in a thousand
+SHARED = 8  # points each way that share one quantum efficiency, where it goes with the place
 
 
 def veiling_glare(
@@ -19,6 +21,7 @@ def veiling_glare(
     source: Chart | PlacedRaster,
     weights: np.ndarray,
     coefficients: np.ndarray,
+    elsewhere: PlaceWeights | None = None,
 ) -> np.ndarray:
     """Return the veiling glare of every CFA site.
 
@@ -35,6 +38,8 @@ def veiling_glare(
         Electrons/s of each plane in each channel, by bank wavelength.
     coefficients : ndarray (M, J)
         Of the scene's spectra.
+    elsewhere : PlaceWeights, optional
+        In place of the weights, where they go with the place.
 
     Returns
     -------
@@ -52,13 +57,48 @@ def veiling_glare(
         rows = np.clip((v - source.y0_um) / source.pitch_um, 0, source.planes.shape[1] - 1)
         sampled = source.planes[:, rows.astype(int), cols.astype(int)]
         planes = np.tensordot(coefficients.T, sampled, axes=1)
-    illumination = bank.illumination_at(x, y) * lit
-    moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
-    if isinstance(source, PlacedRaster) and len(source.highlights):
-        squares = squares_on_sensor(bank, sensor, source.highlights, 0.0)
-        area_um2 = sensor.rows * sensor.cols * pitch**2
-        light = bank.illumination_at(*squares.real_um.T)
-        moments += np.einsum("nm,mj,ln->jl", squares.light, coefficients, light) / area_um2
-    mean = np.einsum("jl,jcl->c", moments, weights)
+    if elsewhere is not None:
+        mean = _mean_by_place(bank, sensor, source, elsewhere, coefficients, planes * lit, line)
+    else:
+        illumination = bank.illumination_at(x, y) * lit
+        moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
+        if isinstance(source, PlacedRaster) and len(source.highlights):
+            squares = squares_on_sensor(bank, sensor, source.highlights, 0.0)
+            area_um2 = sensor.rows * sensor.cols * pitch**2
+            light = bank.illumination_at(*squares.real_um.T)
+            moments += np.einsum("nm,mj,ln->jl", squares.light, coefficients, light) / area_um2
+        mean = np.einsum("jl,jcl->c", moments, weights)
     channels = list(sensor.channels)
     return sensor.veiling_glare * mean[[channels.index(name) for name in sensor.site_channels()]]
+
+
+def _mean_by_place(
+    bank: FieldBank,
+    sensor: Sensor,
+    source: Chart | PlacedRaster,
+    elsewhere: PlaceWeights,
+    coefficients: np.ndarray,
+    planes: np.ndarray,
+    line: np.ndarray,
+) -> np.ndarray:
+    """Return the mean electrons/s (C,) where the weights go with the place.
+
+    They change slowly: `SHARED` x `SHARED` of the points in `line` x `line`, at which the planes
+    are given, share them.
+    """
+    pitch = sensor.pixel_pitch_um
+    light = planes.reshape(-1, *(SIDE // SHARED, SHARED) * 2).sum(axis=(2, 4)) / SIDE**2
+    middles = line.reshape(-1, SHARED).mean(axis=1)
+    y, x = middles * sensor.rows * pitch, middles * sensor.cols * pitch
+    parts = [
+        light[:, row, col] @ elsewhere.at(x[col], y[row]).sum(axis=2)
+        for row, col in np.ndindex(light.shape[1:])
+    ]
+    if isinstance(source, PlacedRaster) and len(source.highlights):
+        squares = squares_on_sensor(bank, sensor, source.highlights, 0.0)
+        shares = squares.light @ coefficients / (sensor.rows * sensor.cols * pitch**2)
+        parts += [
+            share @ elsewhere.at(*place).sum(axis=2)
+            for share, place in zip(shares, squares.real_um, strict=True)
+        ]
+    return np.sum(parts, axis=0)

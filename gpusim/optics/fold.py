@@ -7,11 +7,12 @@ and bank wavelength.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gpusim.lens.field_bank import FieldBank
+from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
@@ -24,16 +25,23 @@ MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
 RMS_SHARE = 0.1
 
 
-def spectral_weights(bank: FieldBank, sensor: Sensor) -> np.ndarray:
+def spectral_weights(bank: FieldBank, sensor: Sensor, qe: np.ndarray | None = None) -> np.ndarray:
     """Return the electrons/s of a unit of spectral radiance, by channel and wavelength.
 
     N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1,
     with the irradiance of an extended source, E = L Omega), by the trapezoidal rule, shared out
     between the two nearest wavelengths of the bank.
 
+    Parameters
+    ----------
+    bank : FieldBank
+    sensor : Sensor
+    qe : ndarray (..., C, 1 or L, 61), optional
+        In place of the quantum efficiency on the axis.
+
     Returns
     -------
-    ndarray (C, L, 61)
+    ndarray (..., C, L, 61)
         Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample of
         WAVELENGTHS_NM.
     """
@@ -44,7 +52,10 @@ def spectral_weights(bank: FieldBank, sensor: Sensor) -> np.ndarray:
     collected_sr = np.interp(
         WAVELENGTHS_NM, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
     )
-    qe = np.stack([sensor.qe[channel] for channel in sensor.channels])
+    if qe is None and sensor.eqe_map is not None:
+        qe = AngularResponse(bank, sensor).on_axis
+    elif qe is None:
+        qe = np.stack([sensor.qe[channel] for channel in sensor.channels])[:, None]
     response = qe * photons_per_joule * area_m2 * collected_sr * step
     tents = np.stack(
         [
@@ -52,7 +63,7 @@ def spectral_weights(bank: FieldBank, sensor: Sensor) -> np.ndarray:
             for row in np.eye(len(bank.wavelengths_nm))
         ]
     )
-    return response[:, None, :] * tents
+    return response * tents
 
 
 @dataclass(frozen=True)
@@ -70,12 +81,18 @@ class Basis:
         channel.
     rms : float
         Root mean square of these errors over spectra and channels.
+    spectra : ndarray (J, 61)
+        Of the planes, W m^-2 sr^-1 nm^-1.
+    elsewhere : PlaceWeights, optional
+        Where the quantum efficiency goes with the place, `weights` off the axis.
     """
 
     coefficients: np.ndarray
     weights: np.ndarray
     residual: float
     rms: float
+    spectra: np.ndarray
+    elsewhere: PlaceWeights | None = None
 
 
 def edge_responses(bank: FieldBank) -> np.ndarray:
@@ -99,6 +116,43 @@ def edge_responses(bank: FieldBank) -> np.ndarray:
             # Every second sample: 1 um, below half of the Airy radius.
             features.append(np.stack(shifted)[:, ::2])
     return np.concatenate(features, axis=1)
+
+
+def camera_basis(
+    bank: FieldBank,
+    sensor: Sensor,
+    spectra: np.ndarray,
+    tolerance: float,
+    common_first: np.ndarray,
+    place_error: float,
+) -> Basis:
+    """Find the fewest planes that give what a camera sees of scene spectra, at every place.
+
+    A sensor whose quantum efficiency goes with the place is another camera at each: planes are as
+    many as keep apart what any of them tells apart.
+
+    Parameters
+    ----------
+    bank : FieldBank
+    sensor : Sensor
+    spectra, tolerance, common_first
+        See `reduce_spectra`.
+    place_error : float
+        How much of a plane's light the weights elsewhere may leave out: see `PlaceWeights`.
+    """
+    weights, edges = spectral_weights(bank, sensor), edge_responses(bank)
+    if sensor.eqe_map is None:
+        return reduce_spectra(spectra, weights, edges, tolerance, common_first)
+    response = AngularResponse(bank, sensor)
+    others = spectral_weights(bank, sensor, response.everywhere())
+    everywhere = np.concatenate([weights, others.reshape(-1, *weights.shape[1:])])
+    basis = reduce_spectra(spectra, everywhere, edges, tolerance, common_first)
+    per_photon = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
+    return replace(
+        basis,
+        weights=basis.weights[:, : len(weights)],
+        elsewhere=PlaceWeights(response, per_photon, basis.spectra, place_error),
+    )
 
 
 def reduce_spectra(
@@ -158,6 +212,7 @@ def reduce_spectra(
         weights=np.einsum("jk,jcl->kcl", turn, planes_seen) / channel_scale[:, None],
         residual=residual,
         rms=rms,
+        spectra=turn.T @ vectors.T @ (material_scale[:, None] * spectra),
     )
 
 

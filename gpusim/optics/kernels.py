@@ -23,6 +23,7 @@ from scipy.ndimage import map_coordinates
 
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
+from gpusim.optics.angular import PlaceWeights
 
 # Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples
 # on each side.
@@ -83,7 +84,11 @@ def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
 
 
 def field_images(
-    bank: FieldBank, weights: np.ndarray, reach_um: float, force: bool = False
+    bank: FieldBank,
+    weights: np.ndarray,
+    reach_um: float,
+    force: bool = False,
+    elsewhere: PlaceWeights | None = None,
 ) -> tuple[np.ndarray, Places]:
     """Fold the bank's wavelengths into channel kernels, at the fields that the sensor uses.
 
@@ -98,22 +103,29 @@ def field_images(
         Largest image height that is needed.
     force : bool
         Shift the PSFs of a field without lateral colour too: for tests.
+    elsewhere : PlaceWeights, optional
+        In place of the weights, where they go with the place.
 
     Returns
     -------
     images : ndarray of float32 (F', J, C, n, n)
-        On the bank's grid, [y, x].
+        On the bank's grid, [y, x]; of weights that are sums of terms, all fields of a term after
+        those of the one before.
     places : Places
         Of the F' fields.
     """
     n = bank.psf.shape[-1] + 2 * PAD
     fx, fy = scipy.fft.rfftfreq(n, bank.pitch_um), scipy.fft.fftfreq(n, bank.pitch_um)
     fields, places = bank.places(reach_um)
-    images = np.empty((len(fields), *weights.shape[:2], n, n), np.float32)
-    for image, number in zip(images, fields, strict=True):
+    terms = [weights[None]] * len(fields)
+    if elsewhere is not None:
+        terms, places = elsewhere.terms(fields, places)
+    images = np.empty((len(terms[0]), len(fields), *weights.shape[:2], n, n), np.float32)
+    for place, number in enumerate(fields):
         psf, shift_um, relative_illumination = bank.field(number)
-        share = (weights * relative_illumination).astype(np.float32)
+        share = (terms[place] * relative_illumination).astype(np.float32)
         if not (shift_um.any() or force):
+            image = images[:, place]
             image[...] = 0.0
             image[..., PAD : n - PAD, PAD : n - PAD] = np.tensordot(share, psf, axes=1)
             continue
@@ -130,8 +142,8 @@ def field_images(
         mixed = np.tensordot(share, lines, axes=1)
         if both:
             mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)
-        image[...] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
-    return images, places
+        images[:, place] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
+    return images.reshape(-1, *images.shape[2:]), places
 
 
 def field_kernels(

@@ -22,9 +22,11 @@ from threadpoolctl import threadpool_limits
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import FieldPsfs, Places
+from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
 from gpusim.scene.highlights import Highlights
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
 
@@ -155,6 +157,11 @@ class Tables:
         self.bank = bank
         self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.weights = np.einsum("clw,mw->cml", spectral_weights(bank, sensor), spectra)
+        self.elsewhere = None
+        if sensor.eqe_map is not None:
+            response = AngularResponse(bank, sensor)
+            even = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
+            self.elsewhere = PlaceWeights(response, even, spectra, 0.0)
         # From the middle of aperture and square to their corners, and lateral colour.
         corner = (self.aperture_um + largest_um) / np.sqrt(2) + bank.lateral_um
         self.taps = math.ceil(corner / bank.pitch_um + 2)
@@ -183,8 +190,24 @@ class Tables:
         line = (2 + np.cos(2 * np.pi * scipy.fft.fftfreq(self.side))) / 3
         return scipy.fft.rfft2(padded) / (line[:, None] * line[: self.side // 2 + 1]) ** 2
 
+    @property
+    def turns(self) -> int:
+        """Quarters of a turn after which kernels are the same again."""
+        return 4 if self.elsewhere is not None and self.elsewhere.response.turning else 1
+
+    def weights_at(self, number: int, angle: float) -> np.ndarray:
+        """Return electrons/s (C, M, L) of the scene's spectra at a field of the bank."""
+        if self.elsewhere is None:
+            return self.weights
+        return self.elsewhere.of_field_at(number, angle).swapaxes(0, 1)
+
     def table(
-        self, field: FieldPsfs, spectra: np.ndarray, angle: float, square: np.ndarray
+        self,
+        field: FieldPsfs,
+        spectra: np.ndarray,
+        weights: np.ndarray,
+        angle: float,
+        square: np.ndarray,
     ) -> np.ndarray:
         """Return spline coefficients (C, M, side, side) of a field's kernels at one angle.
 
@@ -195,14 +218,15 @@ class Tables:
         field : FieldPsfs
         spectra : ndarray
             As `spectra` returns them.
+        weights : ndarray (C, M, L)
+            As `weights_at` returns them.
         angle : float
             Azimuth, radians: that of the PSFs' x axis.
         square : ndarray (2, 2)
             Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
         """
         boxes = scipy.fft.rfft2(self._boxes(field.shift_um / self.bank.pitch_um, angle, square))
-        weights = self.weights * field.relative_illumination
-        mixed = np.tensordot(weights, spectra * boxes, axes=1)
+        mixed = np.tensordot(weights * field.relative_illumination, spectra * boxes, axes=1)
         table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
         at = np.arange(self.side) - self.side // 2
         # Beyond lies rounding; and where the PSF is cut off, its spline swings below zero.
@@ -289,10 +313,10 @@ class Splat:
         )
         table_bytes = 16 * self.fours * len(channels) * kernels.side**2
         self.bins = max(FEWEST, math.ceil(BINS * np.sqrt(1e-3 / tolerance)))
-        mixed = mixture(places, squares, self.bins)
+        mixed = mixture(places, squares, self.bins, kernels.turns)
         while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
-            mixed = mixture(places, squares, self.bins)
+            mixed = mixture(places, squares, self.bins, kernels.turns)
         used, tables = distinct(mixed.keys)
         # The map changes slowly: those that share a table share the mean of their shapes in it.
         shapes = np.zeros((len(used), 2, 2))
@@ -301,12 +325,14 @@ class Splat:
         shapes /= np.bincount(tables.ravel())[:, None, None]
 
         def made(chosen: np.ndarray) -> np.ndarray:
-            field = bank.field(fields[used[chosen[0], 0]])
+            of_field = fields[used[chosen[0], 0]]
+            field = bank.field(of_field)
             spectra = kernels.spectra(field)
             result = []
             for number in chosen:
                 angle = np.pi / 2 * used[number, 1] / self.bins
-                table = kernels.table(field, spectra, angle, shapes[number])
+                weights = kernels.weights_at(of_field, angle)
+                table = kernels.table(field, spectra, weights, angle, shapes[number])
                 result.append(np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1))
             return np.stack(result)
 
@@ -399,15 +425,18 @@ class Mixture(NamedTuple):
     axis: np.ndarray
 
 
-def mixture(places: Places, squares: Squares, bins: int) -> Mixture:
-    """Mix fields as the truth does, linearly, and angles where PSFs are turned."""
+def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixture:
+    """Mix fields as the truth does, linearly, and angles where PSFs are turned.
+
+    Tables are the same again after `turns` quarters of a turn.
+    """
     count = len(squares.real_um)
     result = Mixture(np.zeros((count, 4, 2), int), np.zeros((count, 4)), np.empty((count, 2)))
     for keys, shares, axis, (x, y) in zip(*result, squares.real_um, strict=True):
         blend = places.at(x, y)
-        angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % 1.0 * bins
-        before = int(angle)
-        two = ((before % bins, 1 - (angle - before)), ((before + 1) % bins, angle - before))
+        angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % float(turns) * bins
+        before, around = int(angle), turns * bins
+        two = ((before % around, 1 - (angle - before)), ((before + 1) % around, angle - before))
         parts = [
             ((field, bin_), weight * share)
             for field, weight in zip(blend.fields, blend.weights, strict=True)

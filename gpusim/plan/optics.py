@@ -14,7 +14,7 @@ from gpusim.lens.places import Places
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
 from gpusim.optics.direct import MARGIN, direct_work, support_within
-from gpusim.optics.fold import MAX_PLANES, Basis, edge_responses, reduce_spectra, spectral_weights
+from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import (
     FieldKernels,
@@ -44,6 +44,8 @@ WORST_TO_RMS = 5.0
 # Share of the tolerance that is left to the nodes; a photograph's contrast is larger than a
 # chart's.
 NODE_SHARE = 0.7
+# Of a plane's light, by which the terms of a quantum efficiency that goes with the azimuth may err.
+ANGLE_SHARE = 0.05
 TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
 # side.
@@ -98,12 +100,13 @@ def plan_optics(
         When a PSF is wider than the longest transform allows, or a part of the error cannot be as
         small as the tolerance asks: which, and how small it is.
     """
-    basis = reduce_spectra(
+    basis = camera_basis(
+        bank,
+        sensor,
         scene.spectra,
-        spectral_weights(bank, sensor),
-        edge_responses(bank),
         0.0 if "spectra" in force else WORST_TO_RMS * accuracy.tolerance,
         _commonest_first(scene),
+        ANGLE_SHARE * accuracy.tolerance,
     )
     if basis.residual > WORST_TO_RMS * accuracy.tolerance:
         raise UserError(
@@ -514,8 +517,8 @@ class _Problem:
     def _images(self) -> tuple[np.ndarray, Places]:
         # Sources around the sensor count too, and so do the nodes beyond them.
         farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
-        lateral = LATERAL in self.force
-        return field_images(self.bank, self.basis.weights, farthest_um, lateral)
+        basis, lateral = self.basis, LATERAL in self.force
+        return field_images(self.bank, basis.weights, farthest_um, lateral, basis.elsewhere)
 
     @property
     def images(self) -> np.ndarray:
@@ -573,7 +576,12 @@ class _Problem:
         return [core, 1 - core]
 
     def _first(self, weight: np.ndarray, pitch_um: float) -> FieldKernels:
-        """Return kernels of the first plane in green, or the only channel: the list's middle."""
+        """Return kernels of the first plane in green, or the only channel: the list's middle.
+
+        In all channels where the quantum efficiency of each goes with the place in its own way.
+        """
+        if self.basis.elsewhere is not None:
+            return self._channels(weight, pitch_um)
         middle = len(self.sensor.channels) // 2
         images = self.images[:, :1, middle : middle + 1]
         return field_kernels(images, self.places, self.bank.pitch_um, pitch_um, weight)
@@ -588,7 +596,7 @@ class _Problem:
         weight = self._parts(cut_um)[1]
         middle = len(self.sensor.channels) // 2
         # The tail holds some per cent of the energy, and its error counts as much less.
-        images = self.images[:, 0, middle]
+        images = self.images[self.places.main, 0, middle]
         share = float(((images * weight).sum(axis=(1, 2)) / images.sum(axis=(1, 2))).max())
         few, lag = cells_within(
             self._first(weight, self.coarse_pitch_um),

@@ -93,10 +93,11 @@ def node_error(
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
     half field and in the corner of the sensor (in each of the quadrants that differ), as far as
-    `reach_um`; the root of the mean square over these, relative to what the kernel holds.
+    `reach_um`; the root of the mean square over these, relative to what the kernel holds, in the
+    worst of the channels. How the quantum efficiency goes with the place is in the kernels.
     """
     half_size = int(np.ceil(reach_um / pitch_um))
-    squares = []
+    squares: list[list[float]] = [[] for _ in range(kernels.splines.shape[2])]
     for fraction, signs in product((0.0, 0.5, 1.0), kernels.places.quadrants):
         x, y = (
             sign * max(fraction * half - spacing_um / 2, 0.0)
@@ -104,15 +105,16 @@ def node_error(
         )
         shifts = (-spacing_um / 2, spacing_um / 2)
         corners = [
-            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0, 0]
+            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0]
             for dx in shifts
             for dy in shifts
         ]
-        kernel = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0, 0]
-        for axis in (0, 1):
-            response = np.cumsum((sum(corners) / 4 - kernel).sum(axis=axis)) / kernel.sum()
-            squares.append(np.abs(response).max() ** 2)
-    return float(np.sqrt(np.mean(squares))) / NODE_GAIN
+        middles = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
+        for of_channel, kernel, mean in zip(squares, middles, sum(corners) / 4, strict=True):
+            for axis in (0, 1):
+                response = np.cumsum((mean - kernel).sum(axis=axis)) / kernel.sum()
+                of_channel.append(np.abs(response).max() ** 2)
+    return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
 
 
 def cells_within(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.bank import Bank
+from gpusim.optics.angular import AngularResponse
 from gpusim.optics.fold import spectral_weights
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
@@ -15,11 +16,13 @@ def brightest_e(bank: Bank, sensor: Sensor, scene: Scene, exposure_s: float) -> 
     """Return a bound of the mean electrons of any pixel.
 
     The brightest material or sample in the channel that sees most of it, as if it filled the frame,
-    at the place where the lens passes most light, with veiling glare.
+    at the place where the lens passes most light, with veiling glare; where the quantum efficiency
+    goes with the place, with the largest at each wavelength.
     """
     illumination = bank.relative_illumination
     passed = illumination.reshape(-1, illumination.shape[-1]).max(axis=0)
-    rates = np.einsum("clw,mw,l->cm", spectral_weights(bank, sensor), scene.spectra, passed)
+    qe = None if sensor.eqe_map is None else AngularResponse(bank, sensor).largest
+    rates = np.einsum("clw,mw,l->cm", spectral_weights(bank, sensor, qe), scene.spectra, passed)
     if not isinstance(scene.source, Chart):
         planes = scene.source.planes
         rates = np.array([np.tensordot(row, planes, axes=1).max() for row in rates])

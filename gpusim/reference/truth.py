@@ -9,13 +9,14 @@ exact outlines) or its coefficient (rasters), and
 
 the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
 azimuth of each source point; of a lens without an axis it is bilinear between the fields of a grid,
-and not rotated. No sim grid, no PSF nodes, no reduced basis, no transform of the image: nothing
-that the engine chooses.
+and not rotated. Of a sensor whose quantum efficiency goes with the angle of the light, W goes with
+the field and the azimuth of s (`gpusim.reference.angle`). No sim grid, no PSF nodes, no reduced
+basis, no transform of the image: nothing that the engine chooses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from numpy.polynomial import chebyshev
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter
 
+from gpusim.reference.angle import NODES, MeanQe
 from gpusim.reference.coverage import cross, part_of
 from gpusim.reference.quadrature import Zone
 
@@ -177,7 +179,14 @@ class Truth:
         self.sensor = sensor
         self.fields = _Grid(bank) if hasattr(bank, "field_x_deg") else _Heights(bank)
         self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
-        self.weights = self._weights(spectra, wavelengths_nm)
+        self.spectra, self.wavelengths_nm = spectra, wavelengths_nm
+        self.mean_qe = None
+        if sensor.eqe_map is not None:
+            self.mean_qe = MeanQe(bank, sensor, wavelengths_nm)
+        else:
+            qe = np.stack([sensor.qe[name] for name in sensor.channels])
+            self.weights = self._weights([qe] * len(bank.wavelengths_nm))
+        self.weights_there: dict[tuple[int, int], np.ndarray] = {}
         # Spectra that are multiples of one share its kernels: that spectrum, and the factor.
         self.alike: list[tuple[int, float]] = []
         for number, spectrum in enumerate(spectra):
@@ -197,26 +206,61 @@ class Truth:
         self.splines: np.ndarray | None = None
         self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
-        self.kernels: dict[tuple[int, int, int], np.ndarray] = {}
+        self.kernels: dict[tuple[int, int, int, int, int], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
         self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
 
-    def _weights(self, spectra: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
-        """Return W (C, M, L): electrons/s per unit area of an aperture."""
-        bank, sensor = self.bank, self.sensor
-        qe = np.stack([sensor.qe[name] for name in sensor.channels])
+    def _weights(self, qe: Sequence[np.ndarray]) -> np.ndarray:
+        """Return W (C, M, L): electrons/s per unit area of an aperture.
+
+        Of quantum efficiencies (C, 61), one for each wavelength of the bank.
+        """
+        bank, spectra, wavelengths_nm = self.bank, self.spectra, self.wavelengths_nm
         energy_j = H_J_S * C_M_S / (wavelengths_nm * 1e-9)
         steradian = np.interp(
             wavelengths_nm, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
         )
-        weights = np.empty((len(qe), len(spectra), len(bank.wavelengths_nm)))
+        weights = np.empty((len(qe[0]), len(spectra), len(bank.wavelengths_nm)))
         for place in range(len(bank.wavelengths_nm)):
             tent = np.interp(
                 wavelengths_nm, bank.wavelengths_nm, np.eye(len(bank.wavelengths_nm))[place]
             )
-            integrand = qe[:, None] * spectra * tent * steradian / energy_j
+            integrand = qe[place][:, None] * spectra * tent * steradian / energy_j
             weights[..., place] = np.trapezoid(integrand, wavelengths_nm, axis=-1)
         return weights * 1e-12  # per um^2 of aperture
+
+    def _weights_at(self, field: int, node: int) -> np.ndarray:
+        """Return W (C, M, L) at a field of the bank and one of NODES azimuths."""
+        if self.mean_qe is None:
+            return self.weights
+        found = self.weights_there.get((field, node))
+        if found is None:
+            qe = self.mean_qe.mean(field, node)
+            found = self.weights_there[field, node] = self._weights(qe.swapaxes(1, 2))
+        return found
+
+    def _nodes(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the azimuths whose weights source points (P, 2) need, with the share (P,) of each.
+
+        Cubic between them (Lagrange, four nodes).
+        """
+        if self.mean_qe is None or not self.mean_qe.turns:
+            yield 0, np.ones(len(source))
+            return
+        place = np.arctan2(*self.fields.axes(source).T[::-1]) % (2 * np.pi) / (2 * np.pi) * NODES
+        before = np.floor(place).astype(int)
+        t = place - before
+        shares = {
+            -1: -t * (t - 1) * (t - 2) / 6,
+            0: (t + 1) * (t - 1) * (t - 2) / 2,
+            1: -(t + 1) * t * (t - 2) / 2,
+            2: (t + 1) * t * (t - 1) / 6,
+        }
+        for node in np.unique(np.add.outer(before, list(shares)) % NODES):
+            share = np.zeros(len(t))
+            for step, of_step in shares.items():
+                share += np.where((before + step) % NODES == node, of_step, 0.0)
+            yield int(node), share
 
     def _shifted(self, field: int) -> np.ndarray:
         """Return the PSFs (L, n, n) of one bank field, with lateral colour and illumination."""
@@ -238,15 +282,18 @@ class Truth:
             self.shifted[field] = images
         return self.shifted[field]
 
-    def _kernel(self, channel: int, spectrum: int, field: int, degree: int) -> np.ndarray:
-        """Return spline coefficients of H at one bank field, in the frame of its PSFs."""
-        key = (channel, spectrum, field, degree)
+    def _kernel(
+        self, channel: int, spectrum: int, field: int, node: int, degree: int
+    ) -> np.ndarray:
+        """Return spline coefficients of H at one bank field and azimuth, in its PSFs' frame."""
+        key = (channel, spectrum, field, node, degree)
         kernel = self.kernels.get(key)
         if kernel is None:
             # Probes run in threads: another may make room, or this very kernel, at the same time.
             while len(self.kernels) >= KEPT_KERNELS:
                 self.kernels.pop(list(self.kernels)[0], None)  # noqa: RUF015 (iterators see changes)
-            density = np.tensordot(self.weights[channel, spectrum], self._shifted(field), axes=1)
+            weights = self._weights_at(field, node)[channel, spectrum]
+            density = np.tensordot(weights, self._shifted(field), axes=1)
             kernel = self.kernels[key] = spline_filter(density, order=degree)
         return kernel
 
@@ -259,17 +306,20 @@ class Truth:
         x = np.sum(t * along, axis=1) / self.bank.pitch_um + half
         y = (t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]) / self.bank.pitch_um + half
         result = np.zeros(len(t))
-        for field, share in self.fields.shares(source):
-            used = share > 0
-            if used.any():
-                kernel = self._kernel(channel, spectrum, field, degree)
-                result[used] += share[used] * map_coordinates(
-                    kernel,
-                    [y[used], x[used]],
-                    order=degree,
-                    prefilter=False,
-                    mode="constant",
-                )
+        nodes = list(self._nodes(source))
+        for field, of_field in self.fields.shares(source):
+            for node, of_node in nodes:
+                share = of_field * of_node
+                used = share != 0
+                if used.any():
+                    kernel = self._kernel(channel, spectrum, field, node, degree)
+                    result[used] += share[used] * map_coordinates(
+                        kernel,
+                        [y[used], x[used]],
+                        order=degree,
+                        prefilter=False,
+                        mode="constant",
+                    )
         return result
 
     def _cells(self, source: np.ndarray, side: float) -> np.ndarray:
@@ -485,11 +535,11 @@ class Truth:
             if not near.any():
                 continue
             owners, source, weight = np.nonzero(near)[0], sources[near], weights[near]
-            power = highlights.excess[owners] @ self.weights[self._channel(row, col)]
+            excess, channel = highlights.excess[owners], self._channel(row, col)
             light = np.zeros(len(source))
             for node, share in zip(nodes, shares, strict=True):
                 t = centre + node * self.aperture_um - source
-                light += share * self._density(power, t, source)
+                light += share * self._density(excess, channel, t, source)
             each = np.bincount(owners, light * weight)
             out[number] = np.maximum(each, 0.0).sum() * self.aperture_um**2
         return out
@@ -530,8 +580,10 @@ class Truth:
             real += np.linalg.solve(slopes, lack[..., None])[..., 0]
         return real, 1 / np.abs(np.linalg.det(slopes))
 
-    def _density(self, light: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
-        """Return sum_l light_l K_l h_l(t; source) (P,), of light (P, L): no blend is resampled.
+    def _density(
+        self, excess: np.ndarray, channel: int, t: np.ndarray, source: np.ndarray
+    ) -> np.ndarray:
+        """Return H of spectra (P, M) at t from source (P,): no blend of wavelengths is resampled.
 
         A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
         PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
@@ -541,14 +593,19 @@ class Truth:
         x = np.sum(t * along, axis=1)
         y = t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]
         result = np.zeros(len(t))
+        nodes = list(self._nodes(source))
         for field, share in self.fields.shares(source):
             used = share > 0
             if not used.any():
                 continue
+            light = sum(
+                of_node[used, None] * (excess[used] @ self._weights_at(field, node)[channel])
+                for node, of_node in nodes
+            )
             for place, spline in enumerate(self._psf_splines(field)):
                 _, illumination, shift = self.fields.light(field, place)
                 where = [(y[used] - shift[1]) / pitch + half, (x[used] - shift[0]) / pitch + half]
-                result[used] += (share[used] * light[used, place] * illumination / pitch**2) * (
+                result[used] += (share[used] * light[:, place] * illumination / pitch**2) * (
                     map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
                 )
         return result

@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
 from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.misregistration import mixed_pattern
@@ -153,7 +154,7 @@ class Sensor(Strict):
         Area of the square pixel aperture over that of the pixel.
     cfa : ColourFilterArray
     quantum_efficiency : QuantumEfficiency
-        Electrons per incident photon, filters included. See :attr:`qe`.
+        Electrons per incident photon, filters included; at normal incidence. See :attr:`qe`.
     system_gain_dn_per_e : float
         K, DN per electron.
     black_level_dn : float
@@ -216,6 +217,11 @@ class Sensor(Strict):
         Dead, hot and stuck pixels.
     crosstalk : Crosstalk, optional
         Shares of the signal that are found at other pixels.
+    eqe_map : EqeMap, optional
+        Quantum efficiency by wavelength and angle, in place of ``quantum_efficiency``: in a file
+        ``{file: NAME.json}``, see ``gpusim.sensor.eqe_model``.
+    micro_lens : MicroLens, optional
+        Their shift over the field, with ``eqe_map``.
     filters : list of Filter
         In front of the sensor, where ``quantum_efficiency`` does not include them.
     sources : dict of str to str
@@ -264,12 +270,38 @@ class Sensor(Strict):
     masks: Masks | None = None
     defects: Defects | None = None
     crosstalk: Crosstalk | None = None
+    eqe_map: EqeMap | None = None
+    micro_lens: MicroLens | None = None
     filters: list[Filter] = Field(default_factory=list)
     sources: dict[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_map(cls, data: object, info: ValidationInfo) -> object:
+        """Read the map of the quantum efficiency; at normal incidence it is the one without."""
+        given = data.get("eqe_map") if isinstance(data, dict) else None
+        if not isinstance(given, dict) or "file" not in given:
+            return data
+        if given.keys() != {"file"} or "quantum_efficiency" in data:
+            raise wrong(
+                "eqe_map gives the quantum efficiency, and something else does",
+                "eqe_map: {file: NAME.json} without quantum_efficiency",
+            )
+        path = (info.context or {}).get("folder", Path()) / str(given["file"])
+        found = read_eqe(path)
+        return data | {"eqe_map": found, "quantum_efficiency": found.at_normal_incidence()}
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
         letters, curves = set(self.site_channels()), set(self.quantum_efficiency.channels)
+        if self.eqe_map is not None and set(self.eqe_map.channels) != letters:
+            raise UserError(
+                "the channels are not those of the filter pattern",
+                file=self.eqe_map.file,
+                field="channels",
+                value=", ".join(sorted(self.eqe_map.channels)),
+                allowed=", ".join(sorted(letters)),
+            )
         if letters != curves:
             raise wrong(
                 f"the filter pattern has {', '.join(sorted(letters))}, "
@@ -284,6 +316,8 @@ class Sensor(Strict):
                 field="quantum_efficiency.channels",
                 value=len(curves),
             )
+        if self.micro_lens is not None and self.eqe_map is None:
+            raise wrong("micro_lens shifts what no eqe_map gives", "both, or neither: QE by angle")
         if self.black_level_dn >= self.max_dn:
             raise wrong(
                 "the black level leaves no range",

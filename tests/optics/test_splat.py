@@ -320,7 +320,7 @@ def test_highlights_that_no_pixel_sees_are_left_out(device: Device):
 def test_tables_are_light_and_end():
     kernels = Tables(LENS, sensor(), SPECTRA, PITCH)
     field = LENS.field(2)
-    table = kernels.table(field, kernels.spectra(field), 0.3, PITCH * np.eye(2))
+    table = kernels.table(field, kernels.spectra(field), kernels.weights, 0.3, PITCH * np.eye(2))
     assert table.shape == (3, 3, kernels.side, kernels.side)
     assert table.min() == 0
     at = np.arange(kernels.side) - kernels.side // 2
@@ -356,7 +356,7 @@ def test_mixing_between_angles_errs_with_the_square_of_their_step():
     spectra = kernels.spectra(field)
 
     def table(angle: float) -> np.ndarray:
-        return kernels.table(field, spectra, angle, 2 * PITCH * np.eye(2))
+        return kernels.table(field, spectra, kernels.weights, angle, 2 * PITCH * np.eye(2))
 
     middle = table(0.4)
     errors = []

@@ -1,0 +1,274 @@
+"""Quantum efficiency by the angle of incidence, averaged over the light that arrives.
+
+At field f of the bank and bank wavelength l light arrives in a cone of rays d, of directions t_d
+and shares s_d of the projected solid angle (`gpusim.lens.cone`). What a channel makes of it is
+
+    q_c(lambda; f, l, psi) = sum_d s_d EQE_c(lambda, R(psi) (t_d - m))
+
+with R(psi) the turn to the azimuth psi of the image point, and m the direction from which the
+shifted micro-lenses there send light where the middle one sends that along the normal. Between the
+fields the light is linear (`gpusim.lens.places`), and so is the product of q, relative illumination
+and PSF.
+
+A pixel that answers alike from all sides has no psi. Of any other behind a lens with an axis, the
+weights of a field become a sum over few terms: their mean over psi, and what a singular value
+decomposition finds of the rest, each a function of psi times weights of its own, and so a kernel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from gpusim.errors import UserError
+from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.places import Blend, Heights, Places
+from gpusim.sensor.filters_model import passed
+from gpusim.sensor.sensor import Sensor
+
+# Azimuths at which the mean is taken, with cubic splines between: cones blur the corners that
+# straight lines between the map's azimuths have.
+AZIMUTHS = 72
+FEW = 4  # azimuths that stand for all where spectra are told apart
+EVERYWHERE_UM = 1e9  # farther than any image reaches
+# Of a pixel that answers alike from all sides the map's azimuths differ by rounding only.
+ROUNDING = 1e-12
+
+
+class AngularResponse:
+    """Mean quantum efficiency at the fields of a bank.
+
+    Parameters
+    ----------
+    bank : FieldBank
+    sensor : Sensor
+        With ``eqe_map``.
+
+    Attributes
+    ----------
+    turning : bool
+        Whether it goes with the azimuth of the image point, beside the field.
+
+    Raises
+    ------
+    UserError
+        Where the bank does not know its rays.
+    """
+
+    def __init__(self, bank: FieldBank, sensor: Sensor) -> None:
+        self.bank, self.micro_lens = bank, sensor.micro_lens
+        self.map = sensor.eqe_map
+        light = passed(sensor.filters)
+        table = np.stack([self.map.on_the_grid[name] for name in sensor.channels])
+        self.table = table * light[:, None, None]
+        self.fields, self.places = bank.places(EVERYWHERE_UM)
+        uneven = np.ptp(self.table, axis=-1).max() > ROUNDING
+        self.turning = bool(uneven) and isinstance(self.places, Heights)
+        self._found: dict[int, np.ndarray] = {}
+
+    @property
+    def azimuths(self) -> np.ndarray:
+        """Azimuths (A,) of `qe`, radians."""
+        return np.arange(AZIMUTHS if self.turning else 1) * (2 * np.pi / AZIMUTHS)
+
+    def qe(self, number: int) -> np.ndarray:
+        """Return the mean quantum efficiency (A, C, L, 61) of a field of the bank, by azimuth.
+
+        Raises
+        ------
+        UserError
+            Where light arrives from angles that the map does not hold.
+        """
+        if number not in self._found:
+            shares = self._shares(number)
+            self._found[number] = np.einsum("altp,cwtp->aclw", shares, self.table, optimize=True)
+        return self._found[number]
+
+    def _shares(self, number: int) -> np.ndarray:
+        """Return how much each node of the map counts: (A, L, thetas, phis)."""
+        place_um, _, cone = self.bank.rays(number)
+        across, share = cone[..., :2].astype(float), cone[..., 2].astype(float)
+        if self.micro_lens is not None:
+            height = float(np.hypot(*place_um))
+            across = across - self.micro_lens.sine(height) * place_um / max(height, 1e-9)
+        theta = np.degrees(np.arcsin(np.minimum(np.hypot(across[..., 0], across[..., 1]), 1.0)))
+        grid = np.array(self.map.theta_deg)
+        if (farthest := theta[share > 0].max()) > grid[-1]:
+            raise UserError(
+                "light arrives from angles that the quantum efficiency does not hold",
+                file=self.map.file,
+                field="theta_deg",
+                value=f"up to {grid[-1]:g}",
+                allowed=f"up to {farthest:.3g} degrees or more for this lens on this sensor",
+            )
+        low = np.clip(np.searchsorted(grid, theta, "right") - 1, 0, max(len(grid) - 2, 0))
+        high = np.minimum(low + 1, len(grid) - 1)
+        outwards = np.where(
+            high > low, (theta - grid[low]) / np.maximum(grid[high] - grid[low], 1e-9), 0
+        )
+        phi = np.array([*self.map.phi_deg, self.map.phi_deg[0] + 360])
+        azimuth = np.degrees(np.arctan2(across[..., 1], across[..., 0]))
+        lines, thetas, phis = len(share), len(grid), len(phi) - 1
+        line = np.arange(lines)[:, None] * thetas
+        result = np.empty((len(self.azimuths), lines, thetas, phis))
+        for turned, found in zip(np.degrees(self.azimuths), result, strict=True):
+            at = (azimuth + turned - phi[0]) % 360 + phi[0]
+            before = np.clip(np.searchsorted(phi, at, "right") - 1, 0, phis - 1)
+            beyond = (at - phi[before]) / (phi[before + 1] - phi[before])
+            total = np.zeros(result[0].size)
+            for theta_node, one in ((low, 1 - outwards), (high, outwards)):
+                for phi_node, other in ((before, 1 - beyond), (before + 1, beyond)):
+                    node = (line + theta_node) * phis + phi_node % phis
+                    total += np.bincount(node.ravel(), (share * one * other).ravel(), total.size)
+            found[...] = total.reshape(found.shape)
+        return result
+
+    @property
+    def on_axis(self) -> np.ndarray:
+        """Mean quantum efficiency (C, L, 61) at the middle of the image."""
+        return self.qe(self.bank.probes[0]).mean(axis=0)
+
+    @property
+    def largest(self) -> np.ndarray:
+        """Largest mean quantum efficiency (C, L, 61) of any place."""
+        return np.max([self.qe(number).max(axis=0) for number in self.fields], axis=0)
+
+    def everywhere(self) -> np.ndarray:
+        """Return the mean quantum efficiency (P, C, L, 61) at places that stand for all."""
+        step = -(-len(self.azimuths) // FEW)
+        return np.concatenate([self.qe(number)[::step] for number in self.fields])
+
+
+@dataclass(frozen=True)
+class TurnedHeights:
+    """Fields at image heights whose kernels are sums over terms: fields times terms of them.
+
+    Attributes
+    ----------
+    heights : Heights
+        Where the fields lie.
+    gains : list of CubicSpline
+        Of each field, how its terms count, by azimuth.
+    """
+
+    heights: Heights
+    gains: tuple[CubicSpline, ...]
+    quadrants = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+
+    @cached_property
+    def probes(self) -> tuple[int, ...]:
+        """The mean over the azimuths, on the axis and at the rim."""
+        return (0, len(self.heights.radius_um) - 1)
+
+    @property
+    def main(self) -> slice:
+        """The means over the azimuths, which hold the light."""
+        return slice(len(self.heights.radius_um))
+
+    def at(self, x_um: float, y_um: float) -> Blend:
+        """Return how the kernel at a real image point is made."""
+        blend = self.heights.at(x_um, y_um)
+        azimuth = float(np.arctan2(blend.sin, blend.cos)) % (2 * np.pi)
+        count = len(self.heights.radius_um)
+        parts = [
+            (field + term * count, float(weight * gain))
+            for field, weight in zip(blend.fields, blend.weights, strict=True)
+            for term, gain in enumerate(self.gains[field](azimuth))
+        ]
+        fields, weights = zip(*parts, strict=True)
+        return Blend(fields, weights, blend.cos, blend.sin)
+
+
+class PlaceWeights:
+    """Weights of the planes of a basis at the fields of a bank.
+
+    Parameters
+    ----------
+    response : AngularResponse
+    per_photon : ndarray (L, 61)
+        Electrons/s of a unit of spectral radiance at a quantum efficiency of 1, on the axis.
+    spectra : ndarray (J, 61)
+        Of the planes.
+    error : float
+        How much of a plane's light in a channel the terms may leave out, at any azimuth.
+    """
+
+    def __init__(
+        self,
+        response: AngularResponse,
+        per_photon: np.ndarray,
+        spectra: np.ndarray,
+        error: float,
+    ) -> None:
+        self.response, self.error = response, error
+        self.per_plane = per_photon * spectra[:, None, :]
+        self._splines: dict[int, CubicSpline] = {}
+
+    def of_field(self, number: int) -> np.ndarray:
+        """Return electrons/s of each plane (A, J, C, L) at a field, by azimuth."""
+        return np.einsum("jlw,aclw->ajcl", self.per_plane, self.response.qe(number), optimize=True)
+
+    def of_field_at(self, number: int, azimuth: float) -> np.ndarray:
+        """Return electrons/s of each plane (J, C, L) at a field and any azimuth, radians."""
+        if not self.response.turning:
+            return self.of_field(number)[0]
+        if number not in self._splines:
+            table = self.of_field(number)
+            self._splines[number] = around(np.append(table, table[:1], axis=0))
+        return self._splines[number](azimuth % (2 * np.pi))
+
+    def terms(self, fields: tuple[int, ...], places: Places) -> tuple[list[np.ndarray], Places]:
+        """Return the terms (R, J, C, L) of the weights of fields, and the places of all terms.
+
+        Places of one term are those given.
+        """
+        weights = [self.of_field(number) for number in fields]
+        means = [one.mean(axis=0) for one in weights]
+        if not self.response.turning:
+            return [mean[None] for mean in means], places
+        gains, shapes, rank = [], [], 0
+        for one, mean in zip(weights, means, strict=True):
+            rest = (one - mean).reshape(len(one), -1)
+            left, size, right = np.linalg.svd(rest, full_matrices=False)
+            allowed = self.error * np.abs(mean).sum(axis=-1)
+            own = 0
+            while own < len(size):
+                lost = np.einsum("ak,k,kx->ax", left[:, own:], size[own:], right[own:])
+                if (np.abs(lost.reshape(one.shape)).sum(axis=-1) <= allowed).all():
+                    break
+                own += 1
+            rank = max(rank, own)
+            gains.append(left)
+            shapes.append((size[:, None] * right).reshape(-1, *mean.shape))
+        splines = []
+        for left in gains:
+            table = np.concatenate([np.ones((len(left), 1)), left[:, :rank]], axis=1)
+            splines.append(around(np.append(table, table[:1], axis=0)))
+        terms = [
+            np.concatenate([mean[None], shape[:rank]])
+            for mean, shape in zip(means, shapes, strict=True)
+        ]
+        return terms, TurnedHeights(places, tuple(splines)) if rank else places
+
+    def at(self, x_um: float, y_um: float) -> np.ndarray:
+        """Return electrons/s of each plane (J, C, L) at a real image point, with the fall of light.
+
+        Relative illumination included.
+        """
+        bank = self.response.bank
+        blend = self.response.places.at(x_um, y_um)
+        azimuth = float(np.arctan2(blend.sin, blend.cos))
+        total = np.zeros(())
+        for field, weight in zip(blend.fields, blend.weights, strict=True):
+            number = self.response.fields[field]
+            light = weight * bank.field(number).relative_illumination
+            total = total + light * self.of_field_at(number, azimuth)
+        return total
+
+
+def around(table: np.ndarray) -> CubicSpline:
+    """Return the spline through values (A + 1, ...) at azimuths from 0 to a whole turn."""
+    return CubicSpline(np.linspace(0, 2 * np.pi, len(table)), table, bc_type="periodic")

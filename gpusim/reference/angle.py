@@ -1,0 +1,67 @@
+"""Quantum efficiency averaged over the light that arrives, ray by ray in float64.
+
+    q_c(lambda; f, l, psi) = sum over rays d of s_d EQE_c(lambda, theta_d, phi_d)
+
+with the rays of field f and bank wavelength l turned to the azimuth psi of the image point, after
+the sine of the micro-lenses' angle is taken off, towards the axis. EQE is trilinear in the map.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+NODES = 72  # azimuths around; between them whatever is made of q is cubic
+
+
+class MeanQe:
+    """Mean quantum efficiency of a sensor behind a lens.
+
+    Parameters
+    ----------
+    bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
+    sensor : gpusim.sensor.sensor.Sensor
+        With ``eqe_map``.
+    wavelengths_nm : ndarray (61,)
+    """
+
+    def __init__(self, bank: Any, sensor: Any, wavelengths_nm: np.ndarray) -> None:
+        self.bank, self.micro_lens = bank, sensor.micro_lens
+        measured = sensor.eqe_map
+        phi = np.array([*measured.phi_deg, measured.phi_deg[0] + 360.0])
+        cubes = np.stack([measured.eqe(name) for name in sensor.channels], axis=-1)
+        cubes = np.concatenate([cubes, cubes[:, :, :1]], axis=2)
+        over = RegularGridInterpolator((measured.wavelengths_nm,), cubes)(wavelengths_nm)
+        for one in sensor.filters:
+            passed = np.interp(wavelengths_nm, one.wavelengths_nm, one.transmission)
+            over = over * passed[:, None, None, None]
+        # One theta stands for all, as far as the sensor's maker says.
+        self.table = RegularGridInterpolator(
+            (np.array(measured.theta_deg), phi), np.moveaxis(over, 0, -2)
+        )
+        self.first_phi = phi[0]
+        turns = len(phi) > 2 and np.ptp(cubes, axis=2).max() > 0
+        self.turns = bool(turns) and not hasattr(bank, "field_x_deg")
+
+    def mean(self, field: int, node: int) -> np.ndarray:
+        """Return q (L, 61, C) of a field at the azimuth 2 pi node / NODES."""
+        place, _, cone = self.bank.rays(field)
+        turn = 2 * np.pi * node / NODES
+        inwards = np.zeros(2)
+        height = np.hypot(*place)
+        if self.micro_lens is not None and height > 0:
+            angle = np.interp(
+                height / 1e3, self.micro_lens.heights_mm, self.micro_lens.chief_ray_deg
+            )
+            inwards = -np.sin(np.deg2rad(angle)) * place / height
+        found = []
+        for rays in cone.astype(np.float64):
+            direction = (rays[:, 0] + inwards[0]) + 1j * (rays[:, 1] + inwards[1])
+            direction = (direction * np.exp(1j * turn))[rays[:, 2] > 0]
+            theta = np.rad2deg(np.arcsin(np.abs(direction)))
+            phi = (np.rad2deg(np.angle(direction)) - self.first_phi) % 360.0 + self.first_phi
+            answers = self.table(np.stack([theta, phi], axis=-1))
+            found.append(np.tensordot(rays[rays[:, 2] > 0, 2], answers, axes=1))
+        return np.stack(found)
