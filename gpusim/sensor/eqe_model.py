@@ -40,6 +40,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
 
 Cube = list[list[list[NotNegative]]]
@@ -221,12 +222,4 @@ def read_eqe(path: Path) -> EqeMap:
     try:
         return EqeMap.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        ours, value = first["type"] == "sensor", first["input"]
-        raise UserError(
-            first["ctx"]["problem"] if ours else f"a field is wrong: {first['msg']}",
-            file=path,
-            field=".".join(str(part) for part in first["loc"]) or None,
-            value=value if isinstance(value, str | int | float) else None,
-            allowed=first["ctx"]["allowed"] if ours else KEYS,
-        ) from error
+        raise user_error(error, EqeMap, path) from error

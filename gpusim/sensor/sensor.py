@@ -280,12 +280,13 @@ class Sensor(Strict):
     def _with_map(cls, data: object, info: ValidationInfo) -> object:
         """Read the map of the quantum efficiency; at normal incidence it is the one without."""
         given = data.get("eqe_map") if isinstance(data, dict) else None
-        if not isinstance(given, dict) or "file" not in given:
+        if not isinstance(given, dict) or "channels" in given or "file" not in given:
             return data
         if given.keys() != {"file"} or "quantum_efficiency" in data:
             raise wrong(
                 "eqe_map gives the quantum efficiency, and something else does",
                 "eqe_map: {file: NAME.json} without quantum_efficiency",
+                field="eqe_map",
             )
         path = (info.context or {}).get("folder", Path()) / str(given["file"])
         found = read_eqe(path)
@@ -317,7 +318,11 @@ class Sensor(Strict):
                 value=len(curves),
             )
         if self.micro_lens is not None and self.eqe_map is None:
-            raise wrong("micro_lens shifts what no eqe_map gives", "both, or neither: QE by angle")
+            raise wrong(
+                "micro_lens shifts what no eqe_map gives",
+                "both, or neither",
+                field="micro_lens",
+            )
         if self.black_level_dn >= self.max_dn:
             raise wrong(
                 "the black level leaves no range",

@@ -16,7 +16,7 @@ from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor
 
 GREENS = [["R", "Gr"], ["Gb", "B"]]
 EXIT_MM = 0.4  # from the image: the chief ray reaches 22 degrees at 160 um
-THETA = np.linspace(0, 50, 26)
+THETA = np.linspace(0, 60, 31)
 PHI = np.arange(0, 360, 15.0)
 LINES = np.linspace(400, 700, 13)
 
@@ -76,15 +76,15 @@ def unlike(lean: float = 0.5) -> EqeMap:
     )
 
 
-def lens(**changes: object) -> Bank:
+def lens(exit_mm: float = EXIT_MM, **changes: object) -> Bank:
     """Return the lens of Gaussians with an exit pupil."""
-    return with_exit_pupil(bank(**changes), EXIT_MM)
+    return with_exit_pupil(bank(**changes), exit_mm)
 
 
-def plane_lens(**changes: object) -> PlaneBank:
+def plane_lens(exit_mm: float = EXIT_MM, **changes: object) -> PlaneBank:
     """Return the lens of Gaussians over both directions of the field with an exit pupil."""
     made = plane_bank(**changes)
-    tangents = np.stack([made.chief_x_um, made.chief_y_um], axis=-1) / (1e3 * EXIT_MM)
+    tangents = np.stack([made.chief_x_um, made.chief_y_um], axis=-1) / (1e3 * exit_mm)
     chief = tangents / np.sqrt(1 + np.sum(tangents**2, axis=-1, keepdims=True))
     at = (np.arange(192) + 0.5) / 96 - 1
     disc = cone_of(at, at, (np.hypot(at, at[:, None]) < 1).astype(float), False)
