@@ -26,6 +26,7 @@ from scipy.interpolate import CubicSpline
 from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Blend, Heights, Places
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import passed
 from gpusim.sensor.sensor import Sensor
 
@@ -131,6 +132,18 @@ class AngularResponse:
         """Mean quantum efficiency (C, L, 61) at the middle of the image."""
         return self.qe(self.bank.probes[0]).mean(axis=0)
 
+    def at(self, x_um: float, y_um: float) -> np.ndarray:
+        """Return the mean quantum efficiency (C, 61) at a real image point, for figures."""
+        lines = self.bank.wavelengths_nm
+        tents = [np.interp(WAVELENGTHS_NM, lines, row) for row in np.eye(len(lines))]
+        blend = self.places.at(x_um, y_um)
+        azimuth = np.arctan2(blend.sin, blend.cos) % (2 * np.pi)
+        total = np.zeros((len(self.table), WAVELENGTHS_NM.size))
+        for field, weight in zip(blend.fields, blend.weights, strict=True):
+            of_field = np.einsum("aclw,lw->acw", self.qe(self.fields[field]), tents)
+            total += weight * around(of_field)(azimuth)
+        return total
+
     @property
     def largest(self) -> np.ndarray:
         """Largest mean quantum efficiency (C, L, 61) of any place."""
@@ -216,8 +229,7 @@ class PlaceWeights:
         if not self.response.turning:
             return self.of_field(number)[0]
         if number not in self._splines:
-            table = self.of_field(number)
-            self._splines[number] = around(np.append(table, table[:1], axis=0))
+            self._splines[number] = around(self.of_field(number))
         return self._splines[number](azimuth % (2 * np.pi))
 
     def terms(self, fields: tuple[int, ...], places: Places) -> tuple[list[np.ndarray], Places]:
@@ -246,7 +258,7 @@ class PlaceWeights:
         splines = []
         for left in gains:
             table = np.concatenate([np.ones((len(left), 1)), left[:, :rank]], axis=1)
-            splines.append(around(np.append(table, table[:1], axis=0)))
+            splines.append(around(table))
         terms = [
             np.concatenate([mean[None], shape[:rank]])
             for mean, shape in zip(means, shapes, strict=True)
@@ -270,5 +282,6 @@ class PlaceWeights:
 
 
 def around(table: np.ndarray) -> CubicSpline:
-    """Return the spline through values (A + 1, ...) at azimuths from 0 to a whole turn."""
-    return CubicSpline(np.linspace(0, 2 * np.pi, len(table)), table, bc_type="periodic")
+    """Return the spline through values (A, ...) evenly spaced over a turn."""
+    closed = np.append(table, table[:1], axis=0)
+    return CubicSpline(np.linspace(0, 2 * np.pi, len(closed)), closed, bc_type="periodic")

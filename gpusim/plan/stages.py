@@ -162,6 +162,13 @@ def describe(
             else f"none: all {len(counts)} see light",
         ),
         *of_lens,
+        PlanStage(
+            "qe by angle",
+            basis.elsewhere is not None,
+            "averaged over the cone of light at each field, in the kernels"
+            if basis.elsewhere is not None
+            else "the sensor file gives one for all angles",
+        ),
         *_convolution_stages(chosen, cost),
         PlanStage(
             "tail",

@@ -75,6 +75,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         },
         "shaders_sha256": shaders_sha256(),
         "plan": _plan(capture.plan),
+        "qe_by_place": _qe_by_place(capture),
         "memory": plain(capture.memory),
         "work": plain(capture.work),
         "prepare_s": plain(capture.prepare_s),
@@ -92,6 +93,15 @@ def _camera(camera: Camera) -> dict[str, Any]:
         "lens": {**lens, "changes": changes},
         "sensor": plain(camera.sensor.model_dump()),
     }
+
+
+def _qe_by_place(capture: Capture) -> dict[str, Any] | None:
+    """Return the quantum efficiency over the field, of sensors that have one by angle."""
+    if capture.camera.sensor.eqe_map is None:
+        return None
+    from gpusim.report.qe_figure import qe_facts
+
+    return qe_facts(capture.plan.basis.elsewhere.response, capture.camera.sensor)
 
 
 def _scene(scene: Scene) -> dict[str, Any]:

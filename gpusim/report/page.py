@@ -51,6 +51,7 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         _pictures(developed),
         _stages(facts),
         _certificate(facts),
+        _quantum_efficiency(facts),
         _details(facts),
     )
 
@@ -244,6 +245,20 @@ evaluated for that one pixel in float64 by code that shares nothing with the sha
 <figcaption>The probes on the sensor by relative error. The worst is ringed.</figcaption></figure>
 <div>{pairs(figures)}<p class="soft">{escape(certificate["confidence"])}</p></div></div>
 <details><summary>The {len(worst)} worst probes</summary>{_numbers(columns, worst)}</details>"""
+
+
+def _quantum_efficiency(facts: Mapping[str, Any]) -> str:
+    """Return the quantum efficiency over the field; nothing where it is the same everywhere."""
+    found = facts["qe_by_place"]
+    if found is None:
+        return ""
+    from gpusim.report.qe_figure import svg
+
+    return f"""<h2>Quantum efficiency over the field</h2>
+<figure>{svg(found)}
+<figcaption>Mean over the cone of light that the lens sends to each point of the row through the
+middle, micro-lenses shifted as the sensor file says; each channel at the wavelength at which it
+sees most in the middle.</figcaption></figure>"""
 
 
 def _details(facts: Mapping[str, Any]) -> str:

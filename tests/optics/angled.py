@@ -101,3 +101,37 @@ def following(found: Bank) -> MicroLens:
     heights = found.real_height_um[:, found.reference]
     angles = np.degrees(np.arcsin(found.chief[:, found.reference, 0]))
     return MicroLens(heights_mm=(1e-3 * heights).tolist(), chief_ray_deg=angles.tolist())
+
+
+def sample() -> dict[str, object]:
+    """Return the content of gpusim/data/sensors/eqe-sample.json: an analytic model, to 4 digits.
+
+    EQE = Q_c(lambda) A(theta) (1 +- 0.3 lambda / 550 nm sin(theta) cos(phi)), + for Gr and - for Gb
+    only; Q_c Gaussians over a floor, A cos(theta) times what a micro-lens still sends into the
+    photodiode, 1 / (1 + exp((sin(theta) - 0.5) / 0.08)), over that at 0.
+    """
+    lines, theta, phi = np.arange(400, 701, 25), np.arange(0, 51, 5), np.arange(0, 360, 30)
+    line, angle, azimuth = np.meshgrid(lines, np.radians(theta), np.radians(phi), indexing="ij")
+    lost = np.exp((np.sin(angle) - 0.5) / 0.08)
+    answer = np.cos(angle) * (1 + np.exp(-0.5 / 0.08)) / (1 + lost)
+    lean = 0.3 * line / 550 * np.sin(angle) * np.cos(azimuth)
+    peaks = {
+        "R": (0.45, 605, 40),
+        "Gr": (0.55, 535, 42),
+        "Gb": (0.55, 535, 42),
+        "B": (0.5, 460, 35),
+    }
+    channels = {}
+    for name, (height, middle, width) in peaks.items():
+        side = {"Gr": 1, "Gb": -1}.get(name, 0)
+        curve_there = 0.02 + height * np.exp(-0.5 * ((line - middle) / width) ** 2)
+        channels[name] = np.round(curve_there * answer * (1 + side * lean), 4).tolist()
+    return {
+        "source": "made up for demonstration by an analytic model (sample in "
+        "tests/optics/angled.py): of no real pixel. Gr and Gb are mirror images of one another "
+        "along the rows.",
+        "wavelengths_nm": lines.tolist(),
+        "theta_deg": theta.tolist(),
+        "phi_deg": phi.tolist(),
+        "channels": channels,
+    }

@@ -47,6 +47,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "dark blocks",
         "distortion",
         "lateral",
+        "qe by angle",
         "rows",
         "modes",
         "columns",

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from optics.angled import sample
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -182,3 +183,15 @@ def test_a_table_of_one_channel_is_named_with_what_it_should_have(tmp_path):
         read_eqe(tmp_path / "eqe.json")
     assert error.value.allowed == "2 wavelengths of 2 thetas of 4 phis"
     assert isinstance(EqeMap.model_validate(content()), EqeMap)
+
+
+def test_the_sample_is_the_model_that_it_says():
+    file = PRESETS / "eqe-sample.json"
+    assert json.loads(file.read_text()) == sample()
+    found = load_sensor("eqe-sample")
+    assert found.channels == ("R", "Gb", "Gr", "B")
+    assert "made up" in found.eqe_map.source
+    # Gr and Gb are mirror images along the rows: phi and 180 - phi.
+    mirror = [(6 - number) % 12 for number in range(12)]
+    gr, gb = found.eqe_map.eqe("Gr"), found.eqe_map.eqe("Gb")
+    assert np.abs(gr[..., mirror] - gb).max() <= 1e-4  # four digits
