@@ -11,6 +11,7 @@ import pytest
 from gpusim import stress
 from gpusim.cli import stress as command
 from gpusim.errors import UserError
+from gpusim.optics.angular import AngularResponse
 from gpusim.sensor.adc_model import Linearity
 from gpusim.stress import CASES, data_sheet, levels, made, noise, readout, sensor_files
 from gpusim.stress.table import FAILED, HELD, REFUSED, Row, judged
@@ -54,6 +55,13 @@ def test_a_planted_error_fails_a_case(monkeypatch: pytest.MonkeyPatch):
     name = "bank with one wavelength"
     monkeypatch.setattr(made, "rate_of", lambda *given, **more: 1.01 * right(*given, **more))
     (row,) = stress.run((name,))
+    assert row.verdict == FAILED and "off" in row.got
+
+
+def test_a_planted_error_fails_the_cases_of_the_angles(monkeypatch: pytest.MonkeyPatch):
+    right = AngularResponse.qe
+    monkeypatch.setattr(AngularResponse, "qe", lambda self, number: right(self, 0))
+    (row,) = stress.run(("QE by angle, pixel blind to one side",))
     assert row.verdict == FAILED and "off" in row.got
 
 

@@ -124,6 +124,11 @@ def shown(field: str, value: object) -> str:
                 for name, curve in curves.items()
             )
             return "; ".join(peaks)
+        case "eqe_map":
+            return (
+                f"{value.file}: {len(value.wavelengths_nm)} wavelengths, theta to "
+                f"{value.theta_deg[-1]:g} deg, {len(value.phi_deg)} azimuths"
+            )
         case "cfa":
             return " / ".join(" ".join(row) for row in value["pattern"])
     if isinstance(value, float):

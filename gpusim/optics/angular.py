@@ -50,6 +50,8 @@ class AngularResponse:
 
     Attributes
     ----------
+    fields : tuple of int
+        All fields of the bank, by number; `seen`: those between which the sensor lies.
     turning : bool
         Whether it goes with the azimuth of the image point, beside the field.
 
@@ -66,6 +68,8 @@ class AngularResponse:
         table = np.stack([self.map.on_the_grid[name] for name in sensor.channels])
         self.table = table * light[:, None, None]
         self.fields, self.places = bank.places(EVERYWHERE_UM)
+        corner_um = float(np.hypot(sensor.rows, sensor.cols)) * sensor.pixel_pitch_um / 2
+        self.seen = bank.places(corner_um)[0]
         uneven = np.ptp(self.table, axis=-1).max() > ROUNDING
         self.turning = bool(uneven) and isinstance(self.places, Heights)
         self._found: dict[int, np.ndarray] = {}
@@ -81,7 +85,8 @@ class AngularResponse:
         Raises
         ------
         UserError
-            Where light arrives from angles that the map does not hold.
+            Where light arrives at the sensor from angles that the map does not hold. Beyond the
+            sensor, where nodes lie whose cells reach in, the map goes on as it ends.
         """
         if number not in self._found:
             shares = self._shares(number)
@@ -97,7 +102,7 @@ class AngularResponse:
             across = across - self.micro_lens.sine(height) * place_um / max(height, 1e-9)
         theta = np.degrees(np.arcsin(np.minimum(np.hypot(across[..., 0], across[..., 1]), 1.0)))
         grid = np.array(self.map.theta_deg)
-        if (farthest := theta[share > 0].max()) > grid[-1]:
+        if number in self.seen and (farthest := theta[share > 0].max()) > grid[-1]:
             raise UserError(
                 "light arrives from angles that the quantum efficiency does not hold",
                 file=self.map.file,
@@ -105,6 +110,7 @@ class AngularResponse:
                 value=f"up to {grid[-1]:g}",
                 allowed=f"up to {farthest:.3g} degrees or more for this lens on this sensor",
             )
+        theta = np.minimum(theta, grid[-1])
         low = np.clip(np.searchsorted(grid, theta, "right") - 1, 0, max(len(grid) - 2, 0))
         high = np.minimum(low + 1, len(grid) - 1)
         outwards = np.where(
@@ -147,12 +153,12 @@ class AngularResponse:
     @property
     def largest(self) -> np.ndarray:
         """Largest mean quantum efficiency (C, L, 61) of any place."""
-        return np.max([self.qe(number).max(axis=0) for number in self.fields], axis=0)
+        return np.max([self.qe(number).max(axis=0) for number in self.seen], axis=0)
 
     def everywhere(self) -> np.ndarray:
         """Return the mean quantum efficiency (P, C, L, 61) at places that stand for all."""
         step = -(-len(self.azimuths) // FEW)
-        return np.concatenate([self.qe(number)[::step] for number in self.fields])
+        return np.concatenate([self.qe(number)[::step] for number in self.seen])
 
 
 @dataclass(frozen=True)

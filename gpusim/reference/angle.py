@@ -60,7 +60,9 @@ class MeanQe:
         for rays in cone.astype(np.float64):
             direction = (rays[:, 0] + inwards[0]) + 1j * (rays[:, 1] + inwards[1])
             direction = (direction * np.exp(1j * turn))[rays[:, 2] > 0]
-            theta = np.rad2deg(np.arcsin(np.abs(direction)))
+            # Farther out than the map only beyond the sensor: there it goes on as it ends.
+            theta = np.rad2deg(np.arcsin(np.minimum(np.abs(direction), 1)))
+            theta = np.minimum(theta, self.table.grid[0][-1])
             phi = (np.rad2deg(np.angle(direction)) - self.first_phi) % 360.0 + self.first_phi
             answers = self.table(np.stack([theta, phi], axis=-1))
             found.append(np.tensordot(rays[rays[:, 2] > 0, 2], answers, axes=1))

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gpusim.stress import ccd, data_sheet, levels, noise, optics, readout, sensor_files
+from gpusim.stress import angle, ccd, data_sheet, levels, noise, optics, readout, sensor_files
 from gpusim.stress.table import Case, Row, judged
 
 # In the order that light takes. A new part of the chain brings a module with its own table and a
 # line here.
 CASES: tuple[Case, ...] = (
     *optics.CASES,
+    *angle.CASES,
     *noise.CASES,
     *ccd.CASES,
     *levels.CASES,

@@ -218,3 +218,16 @@ def test_the_chief_ray_of_the_made_lens_is_that_of_its_exit_pupil():
     height_mm = 1e-3 * LENS.real_height_um[3, 1]
     assert LENS.chief[3, 1, 0] == pytest.approx(np.sin(np.arctan(height_mm / EXIT_MM)))
     assert leaning_pixel(0.0)(550.0, 0.0, 0.0) == 1
+
+
+def test_beyond_the_sensor_the_map_goes_on_as_it_ends():
+    """Nodes lie there, and nothing that a pixel sees."""
+    found = lens(falloff=0.0, fields=8)
+    edge = np.degrees(np.arcsin(found.chief[4, 1, 0] + 0.19))  # the cone's half width is 0.18
+    short = eqe_map(theta=np.linspace(0, edge, 12), W=ONE)
+    camera = angled(short, 48, 64, pattern=[["W"]])
+    response, truth = AngularResponse(found, camera), MeanQe(found, camera, WAVELENGTHS_NM)
+    assert max(response.seen) < 5
+    assert response.qe(7)[0, 0, 1, GREEN] > 0.5 * response.qe(4)[0, 0, 1, GREEN]
+    expected = np.moveaxis(truth.mean(7, 0), -1, 0)
+    np.testing.assert_allclose(response.qe(7)[0], expected, atol=1e-12)
