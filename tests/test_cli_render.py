@@ -319,7 +319,9 @@ def test_a_rectangle_outside_the_frame_and_too_little_memory_are_refused(tmp_pat
 
 def test_an_unknown_or_missing_camera_is_refused(tmp_path: Path):
     out = tmp_path / "out"
-    assert_refused(gpusim("render", "none-such", "demo", "--out", out), "CAMERA", "none-such", "demo")
+    assert_refused(
+        gpusim("render", "none-such", "demo", "--out", out), "CAMERA", "none-such", "demo"
+    )
     missing = tmp_path / "none.yaml"
     assert_refused(gpusim("render", missing, "demo", "--out", out), missing)
 
