@@ -126,8 +126,8 @@ def shown(field: str, value: object) -> str:
             return "; ".join(peaks)
         case "eqe_map":
             return (
-                f"{value.file}: {len(value.wavelengths_nm)} wavelengths, theta to "
-                f"{value.theta_deg[-1]:g} deg, {len(value.phi_deg)} azimuths"
+                f"{value['file']}: {len(value['wavelengths_nm'])} wavelengths, theta to "
+                f"{value['theta_deg'][-1]:g} deg, {len(value['phi_deg'])} azimuths"
             )
         case "cfa":
             return " / ".join(" ".join(row) for row in value["pattern"])

@@ -17,6 +17,7 @@ import pytest
 from gpusim.camera import load_camera
 from gpusim.camera import presets as cameras
 from gpusim.chain import Renderer
+from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import first_order
 from gpusim.optics.fold import spectral_weights
@@ -126,6 +127,7 @@ def test_a_preset_renders_what_its_data_sheet_says(name: str):
     pitch = sensor.pixel_pitch_um
     half = (0.5 * pitch, 0.5 * pitch)
     bank = gaussian_bank(half, pitch_um=pitch / 8, circle_um=60 * pitch, fields=4)
+    bank = with_exit_pupil(bank, np.inf)  # for a quantum efficiency by angle
     rates = spectral_weights(bank, sensor).sum(axis=1) @ FLAT
     exposure_s = 0.2 * sensor.full_well_e / float(rates.max())
     scene = Scene("even", FLAT[None], Chart(("white",), 0, ()), "E", FLAT)
