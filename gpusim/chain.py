@@ -270,9 +270,8 @@ class Renderer:
                 )
             )
         sites = list(planes_of(sensor).channels)
-        aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
-            convolve = convolution(self.device, scale, source.needed, aperture_um, sites)
+            convolve = convolution(self.device, scale, source.needed, sensor.response_um, sites)
             self.convolutions.append(convolve)
         self._spent("scene", started)
 

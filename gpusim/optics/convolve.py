@@ -17,6 +17,7 @@ from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import kernel_spectra
 from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
+from gpusim.sensor.aperture import Response
 
 # Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
 FIRST_RADIX = {32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
@@ -156,8 +157,8 @@ class Convolve(NodeStore, Transforms):
     scale : Scale
     needed : dict
         Coefficient planes that each block needs.
-    aperture_um : float
-        Side of the pixel aperture.
+    aperture_um : float or Response
+        Side of the square pixel aperture, or any other's response.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
     """
@@ -167,7 +168,7 @@ class Convolve(NodeStore, Transforms):
         device: Device,
         scale: Scale,
         needed: dict[tuple[int, int], int],
-        aperture_um: float,
+        aperture_um: float | Response,
         site_channels: list[int],
     ) -> None:
         NodeStore.__init__(self, device, scale, needed)

@@ -17,8 +17,9 @@ import scipy.fft
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, aperture_spectrum, sampled_kernels
+from gpusim.optics.kernels import FieldKernels, aperture_spectra, sampled_kernels
 from gpusim.optics.nodes import Node, NodeStore, Outputs, Scale, outputs_of
+from gpusim.sensor.aperture import Response
 
 # By how much kernels are sampled beyond the support, sim samples: the aperture and the inverse of
 # the scene's Gaussian carry what lies there into it.
@@ -85,7 +86,10 @@ def tap_layout(grid: SimGrid, support: int, outputs: Outputs) -> TapLayout:
 
 
 def spatial_kernels(
-    sampled: np.ndarray, width: float, sigma: float, places: list[tuple[int, float, float]]
+    sampled: np.ndarray,
+    aperture: float | Response,
+    sigma: float,
+    places: list[tuple[int, float, float]],
 ) -> np.ndarray:
     """Return what a source sample gives to the photosites around it, aperture folded in.
 
@@ -93,8 +97,8 @@ def spatial_kernels(
     ----------
     sampled : ndarray (J, C, 2 R, 2 R)
         As `sampled_kernels` returns them.
-    width, sigma
-        See `aperture_spectrum`.
+    aperture, sigma
+        See `aperture_spectra`; sim samples.
     places
         See `Outputs`.
 
@@ -109,9 +113,8 @@ def spatial_kernels(
     spectra = scipy.fft.rfft2(sampled, s=(length, length))
     result = np.empty((len(sampled), len(places), size, size))
     for number, (channel, shift_x, shift_y) in enumerate(places):
-        along_y = aperture_spectrum(length, width, sigma, shift_y)[:, None]
-        along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1]
-        whole = scipy.fft.irfft2(spectra[:, channel] * (along_y * along_x), s=(length, length))
+        through = aperture_spectra(length, aperture, sigma, shift_x, shift_y).T
+        whole = scipy.fft.irfft2(spectra[:, channel] * through, s=(length, length))
         result[:, number] = whole[:, :size, :size]
     return result
 
@@ -154,7 +157,7 @@ def support_within(
     allowed: float,
     *,
     oversampling: float,
-    aperture_um: float,
+    aperture_um: float | Response,
     sigma: float,
 ) -> tuple[int, float]:
     """Return the smallest support that keeps an error, and the error it leaves.
@@ -252,8 +255,8 @@ class Direct(NodeStore):
         only bounds the blocks here, there are no transforms.
     needed : dict
         Coefficient planes that each block needs.
-    aperture_um : float
-        Side of the pixel aperture.
+    aperture_um : float or Response
+        Side of the square pixel aperture, or any other's response.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
     support : int
@@ -268,7 +271,7 @@ class Direct(NodeStore):
         device: Device,
         scale: Scale,
         needed: dict[tuple[int, int], int],
-        aperture_um: float,
+        aperture_um: float | Response,
         site_channels: list[int],
         support: int,
         constant: bool = False,

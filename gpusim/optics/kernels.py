@@ -24,6 +24,7 @@ from scipy.ndimage import map_coordinates
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
 from gpusim.optics.angular import PlaceWeights
+from gpusim.sensor.aperture import Response
 
 # Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples
 # on each side.
@@ -320,10 +321,25 @@ def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> 
     return transfer
 
 
+def aperture_spectra(
+    length: int, aperture: float | Response, sigma: float, shift_x: float, shift_y: float
+) -> np.ndarray:
+    """Return the same in x and y, [kx, ky] (T/2+1, T), of a square's side or of any response."""
+    half = length // 2 + 1
+    if not isinstance(aperture, Response):
+        along_y = aperture_spectrum(length, aperture, sigma, shift_y)
+        return aperture_spectrum(length, aperture, sigma, shift_x)[:half, None] * along_y
+    # What is left of a square without a side.
+    along_y = aperture_spectrum(length, 0.0, sigma, shift_y)
+    along_x = aperture_spectrum(length, 0.0, sigma, shift_x)[:half, None]
+    f = scipy.fft.fftfreq(length)
+    return aperture.spectrum(np.abs(f[:half, None]), f) * along_x * along_y
+
+
 def kernel_spectra(
     sampled: np.ndarray,
     length: int,
-    width: float,
+    aperture: float | Response,
     sigma: float,
     outputs: list[tuple[int, float, float]],
 ) -> np.ndarray:
@@ -335,8 +351,8 @@ def kernel_spectra(
         As `sampled_kernels` returns them.
     length : int
         Transform length T.
-    width, sigma : float
-        See `aperture_spectrum`.
+    aperture, sigma
+        See `aperture_spectra`; sim samples.
     outputs : list of (channel, shift_x, shift_y)
         What to make spectra for: a channel, and where the pixel's centre lies, sim samples.
 
@@ -354,7 +370,7 @@ def kernel_spectra(
     spectra = scipy.fft.fft(np.ascontiguousarray(rows.swapaxes(-1, -2)), length, overwrite_x=True)
     result = np.empty((len(sampled), half, length // 64, len(outputs), 4, 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
-        one = spectra[:, channel] * _aperture_spectra(length, width, sigma, shift_x, shift_y)
+        one = spectra[:, channel] * _aperture_spectra(length, aperture, sigma, shift_x, shift_y)
         lanes = one.reshape(-1, half, 4, 2, length // 64, 8)
         result[:, :, :, place] = lanes.transpose(0, 1, 4, 2, 5, 3)
     return result
@@ -362,9 +378,8 @@ def kernel_spectra(
 
 @functools.lru_cache(maxsize=64)  # the nodes of a scale share theirs, sixteen sites at most
 def _aperture_spectra(
-    length: int, width: float, sigma: float, shift_x: float, shift_y: float
+    length: int, aperture: float | Response, sigma: float, shift_x: float, shift_y: float
 ) -> np.ndarray:
-    """Return the aperture's spectrum in x and y, (T/2+1, T), over T^2."""
-    along_y = aperture_spectrum(length, width, sigma, shift_y) / length**2
-    along_x = aperture_spectrum(length, width, sigma, shift_x)[: length // 2 + 1, None]
-    return (along_x * along_y).astype(np.complex64)
+    """Return the aperture's spectrum over T^2."""
+    whole = aperture_spectra(length, aperture, sigma, shift_x, shift_y) / length**2
+    return whole.astype(np.complex64)

@@ -7,6 +7,7 @@ from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct
 from gpusim.optics.modes import Modes, mode_decomposition
 from gpusim.optics.nodes import Scale
+from gpusim.sensor.aperture import Response
 
 METHODS = ("fft", "direct", "modes")
 Convolution = Convolve | Direct | Modes
@@ -16,7 +17,7 @@ def convolution(
     device: Device,
     scale: Scale,
     needed: dict[tuple[int, int], int],
-    aperture_um: float,
+    aperture_um: float | Response,
     site_channels: list[int],
 ) -> Convolution:
     """Return the passes of a scale's method; kernels come onto the device as it loads them.
@@ -27,8 +28,8 @@ def convolution(
     scale : Scale
     needed : dict
         Coefficient planes that each block needs.
-    aperture_um : float
-        Side of the pixel aperture.
+    aperture_um : float or Response
+        Side of the square pixel aperture, or any other's response.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
     """

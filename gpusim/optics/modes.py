@@ -24,6 +24,7 @@ from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
 from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
+from gpusim.sensor.aperture import Response
 
 # Modes of less are rounding errors: of the kernels' own float32, and of the eigenvalues.
 SMALLEST = 1e-7
@@ -237,8 +238,8 @@ class Modes(KernelStore, Transforms):
         The kernels are those of the decomposition.
     needed : dict
         Coefficient planes that each block needs.
-    aperture_um : float
-        Side of the pixel aperture.
+    aperture_um : float or Response
+        Side of the square pixel aperture, or any other's response.
     site_channels : list of int
         Colour channel of each CFA site, row by row.
     decomposition : Decomposition
@@ -250,7 +251,7 @@ class Modes(KernelStore, Transforms):
         device: Device,
         scale: Scale,
         needed: dict[tuple[int, int], int],
-        aperture_um: float,
+        aperture_um: float | Response,
         site_channels: list[int],
         decomposition: Decomposition,
     ) -> None:

@@ -27,6 +27,7 @@ from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.aperture import Response
 from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
 
@@ -155,7 +156,7 @@ class Tables:
         self, bank: FieldBank, sensor: Sensor, spectra: np.ndarray, largest_um: float
     ) -> None:
         self.bank = bank
-        self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
+        self.aperture_um = sensor.response_um
         self.weights = np.einsum("clw,mw->cml", spectral_weights(bank, sensor), spectra)
         self.elsewhere = None
         if sensor.eqe_map is not None:
@@ -163,7 +164,10 @@ class Tables:
             even = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
             self.elsewhere = PlaceWeights(response, even, spectra, 0.0)
         # From the middle of aperture and square to their corners, and lateral colour.
-        corner = (self.aperture_um + largest_um) / np.sqrt(2) + bank.lateral_um
+        aperture_um = self.aperture_um
+        if isinstance(aperture_um, Response):
+            aperture_um = 2 * aperture_um.reach
+        corner = (aperture_um + largest_um) / np.sqrt(2) + bank.lateral_um
         self.taps = math.ceil(corner / bank.pitch_um + 2)
         n = bank.psf.shape[-1]
         at = np.arange(n) - n // 2
@@ -193,7 +197,8 @@ class Tables:
     @property
     def turns(self) -> int:
         """Quarters of a turn after which kernels are the same again."""
-        return 4 if self.elsewhere is not None and self.elsewhere.response.turning else 1
+        turning = self.elsewhere is not None and self.elsewhere.response.turning
+        return 4 if turning or isinstance(self.aperture_um, Response) else 1
 
     def weights_at(self, number: int, angle: float) -> np.ndarray:
         """Return electrons/s (C, M, L) of the scene's spectra at a field of the bank."""
@@ -240,8 +245,13 @@ class Tables:
         """
         # Columns are the PSFs' x and y axis.
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        parts = []
-        for sides in (self.aperture_um * np.eye(2), square):
+        parts, both = [], (square,)
+        if isinstance(self.aperture_um, Response):
+            places, shares = self.aperture_um.points(self.bank.pitch_um)
+            parts.append((places @ turn, shares))
+        else:
+            both = (self.aperture_um * np.eye(2), square)
+        for sides in both:
             order = max(4, math.ceil(NODES * np.linalg.norm(sides, 2) / self.bank.pitch_um))
             nodes, weights = np.polynomial.legendre.leggauss(order)
             plane = np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2) / 2

@@ -36,6 +36,7 @@ from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
+from gpusim.sensor.aperture import Response
 from gpusim.sensor.planes import Planes, planes_of
 from gpusim.sensor.sensor import Sensor
 
@@ -315,6 +316,11 @@ class _Problem:
         options: dict[str, object] = {}
         errors: dict[str, float] = {}
         rank = 0
+        # Beside the pixel: the image moves while it is exposed.
+        beside_um = 0.0
+        if isinstance(response := self.sensor.response_um, Response):
+            beside_um = max(response.reach - self.sensor.pixel_pitch_um / 2, 0.0)
+        reach_um += beside_um
         reach = reach_um / pitch_um
         if method == "modes":
             found = self._decomposed(stride, pitch_um, reach, name, weight, cells)
@@ -449,7 +455,7 @@ class _Problem:
             self.half_um,
             limit,
             oversampling=sensor.pixel_pitch_um / pitch_um,
-            aperture_um=sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor),
+            aperture_um=sensor.response_um,
             sigma=self.sigma,
         )
 

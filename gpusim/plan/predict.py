@@ -15,6 +15,7 @@ from gpusim.optics.kernels import (
     low_pass,
     sampled_kernels,
 )
+from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
 # What least-squares nodes gain over interpolation between samples: see
@@ -35,15 +36,20 @@ def alias_error(bank: FieldBank, oversampling: float, sensor: Sensor, sigma: flo
     """
     middle = bank.field(bank.probes[0]).psf[bank.reference]
     return max(
-        _alias(bank, middle.sum(axis=axis, dtype=np.float64), oversampling, sensor, sigma)
+        _alias(bank, middle.sum(axis=axis, dtype=np.float64), oversampling, sensor, sigma, axis)
         for axis in (0, 1)
     )
 
 
 def _alias(
-    bank: FieldBank, psf: np.ndarray, oversampling: float, sensor: Sensor, sigma: float
+    bank: FieldBank,
+    psf: np.ndarray,
+    oversampling: float,
+    sensor: Sensor,
+    sigma: float,
+    axis: int,
 ) -> float:
-    """Predict the same of one line-spread function (n,) on the bank's grid."""
+    """Predict the same of one line-spread function (n,) on the bank's grid, along x or y."""
     pitch_um = sensor.pixel_pitch_um / oversampling
     positions_um = (np.arange(len(psf)) - len(psf) // 2) * bank.pitch_um
     f = np.linspace(0.5, 1.0, 100)
@@ -53,7 +59,7 @@ def _alias(
         # Beyond the bank's own Nyquist frequency the sum only repeats; the bank's PSFs end below
         # it.
         mtf[frequency / pitch_um > 0.5 / bank.pitch_um] = 0.0
-        return mtf * np.sinc(frequency * oversampling * np.sqrt(sensor.fill_factor))
+        return mtf * transfer_along(sensor.response_um, frequency / pitch_um, axis)
 
     folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass(
         (1 - f) / pitch_um, pitch_um
@@ -73,10 +79,10 @@ def cut_error(
     tail = 1 - core_window(distances_um(n, bank_pitch_um), cut_um)
     frequency = np.fft.rfftfreq(n, bank_pitch_um)
     lost = frequency > BAND_EDGE * 0.5 / coarse_pitch_um
-    aperture = np.sinc(frequency * sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor))
     worst = 0.0
     for image in images[:, 0].reshape(-1, n, n):
         for axis in (0, 1):
+            aperture = transfer_along(sensor.response_um, frequency, axis)
             spectrum = np.fft.rfft(np.fft.ifftshift((image * tail).sum(axis=axis))) * aperture
             worst = max(worst, edge_integral(frequency[lost], spectrum[lost]) / abs(image.sum()))
     return worst

@@ -14,8 +14,8 @@ class Zone:
 
     The PSF is cut into rings by windows that fall smoothly from one to zero, so that no sum ends
     anywhere. A ring is known at the middles of the cells; between them it is the cubic spline
-    through these. The pixel's aperture is a square along the lattice, so the ring through the
-    aperture, and its integrals over cells, are sums along one axis and then the other.
+    through these. The pixel's aperture is made of rectangles along the lattice, so the ring through
+    each, and its integrals over cells, are sums along one axis and then the other.
 
     Parameters
     ----------
@@ -26,8 +26,8 @@ class Zone:
     rises, falls : (float, float)
         Distances from the middle between which the ring's window rises from 0 to 1, and falls
         from 1 to 0.
-    aperture_um : float
-        Side of the pixel aperture.
+    boxes : list of (x0, x1, y0, y1, response)
+        Ends of the aperture's rectangles, um from the pixel's middle, and what they count for.
 
     Attributes
     ----------
@@ -45,10 +45,11 @@ class Zone:
         split: int,
         rises: tuple[float, float],
         falls: tuple[float, float],
-        aperture_um: float,
+        boxes: list[tuple[float, float, float, float, float]],
     ) -> None:
         self.step_um, self.split = step_um, split
-        half = int(np.ceil((falls[1] + aperture_um / 2) / step_um)) + 1
+        edge = max(abs(end) for *ends, _ in boxes for end in ends)
+        half = int(np.ceil((falls[1] + edge) / step_um)) + 1
         half = -(-2 * half // BLOCK) * BLOCK // 2
         self.line = (np.arange(-half, half) + 0.5) * step_um
         n = 2 * half
@@ -58,11 +59,10 @@ class Zone:
         self.used = np.flatnonzero(window)
         self.window = window.flat[self.used]
         self.t = t.reshape(-1, 2)[self.used]
-        width = aperture_um / step_um
-        self.through = [_taps(width, power, False) * step_um ** (power + 1) for power in (0, 1)]
-        self.over_cells = [_taps(width, power, True) * step_um ** (power + 2) for power in (0, 1)]
+        self.through = _all_taps(boxes, step_um, False)
+        self.over_cells = _all_taps(boxes, step_um, True)
         # Blocks of cells that the ring reaches through the aperture.
-        margin = aperture_um / np.sqrt(2) + step_um
+        margin = edge * np.sqrt(2) + step_um
         reached = (distance < falls[1] + margin) & (distance > rises[0] - margin)
         number = np.arange(n * n).reshape(n // BLOCK, BLOCK, n // BLOCK, BLOCK).swapaxes(1, 2)
         number = number.reshape(-1, BLOCK, BLOCK)
@@ -94,19 +94,41 @@ class Zone:
         return map_coordinates(smooth, [y, x], order=3, prefilter=False)
 
 
-def _taps(width: float, power: int, over_cells: bool) -> np.ndarray:
+Taps = list[np.ndarray]
+
+
+def _all_taps(
+    boxes: list[tuple[float, float, float, float, float]], step_um: float, over_cells: bool
+) -> list[tuple[Taps, Taps]]:
+    """Return the taps of each rectangle, down and across, for the powers 0 and 1."""
+    found = []
+    for x0, x1, y0, y1, response in boxes:
+        down, across = (
+            [
+                _taps(low / step_um, high / step_um, power, over_cells)
+                * step_um ** (power + 1 + over_cells)
+                for power in (0, 1)
+            ]
+            for low, high in ((y0, y1), (x0, x1))
+        )
+        found.append(([response * one for one in down], across))
+    return found
+
+
+def _taps(low: float, high: float, power: int, over_cells: bool) -> np.ndarray:
     """Return what the cubic B-splines around a sample give to an aperture there, in samples.
 
-    The integral over p, from -width/2 to width/2, of p^power times the B-spline at p or, over
-    cells, times its integral over the cell about p.
+    The integral over p, from low to high, of p^power times the B-spline at p or, over cells, times
+    its integral over the cell about p.
     """
-    reach = int(np.ceil((width + 1) / 2)) + 2
+    width = high - low
+    reach = int(np.ceil(max(abs(low), abs(high)) + 0.5)) + 2
     spline = BSpline.basis_element([-2, -1, 0, 1, 2])
     integral = spline.antiderivative()
     # Gauss and Legendre's four points on short pieces: the spline's third derivative jumps, so the
     # sum errs by 1/64^4 of little.
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    p = (((nodes + 1) / 2 + np.arange(64)[:, None]) / 64 - 0.5).ravel() * width
+    p = ((nodes + 1) / 2 + np.arange(64)[:, None]).ravel() / 64 * width + low
     share = np.tile(weights / 128 * width, 64) * p**power
     at = p[:, None] - np.arange(-reach, reach + 1)
     if over_cells:
@@ -116,16 +138,17 @@ def _taps(width: float, power: int, over_cells: bool) -> np.ndarray:
     return share @ values
 
 
-def _aperture(rings: list[np.ndarray], taps: list[np.ndarray]) -> np.ndarray:
+def _aperture(rings: list[np.ndarray], taps: list[tuple[Taps, Taps]]) -> np.ndarray:
     """Return a PSF through the pixel's aperture, of the source that belongs to each point.
 
     Light that lands p from the pixel's centre, t + p from its chief ray, comes from x - t. The ring
     holds there the PSF of x - t - p; its rates of change lead back.
     """
     total = 0.0
-    for ring, (down, across) in zip(rings, ((0, 0), (0, 1), (1, 0)), strict=False):
-        one = correlate1d(ring, taps[down], axis=0, mode="constant")
-        total = total + correlate1d(one, taps[across], axis=1, mode="constant")
+    for in_y, in_x in taps:
+        for ring, (down, across) in zip(rings, ((0, 0), (0, 1), (1, 0)), strict=False):
+            one = correlate1d(ring, in_y[down], axis=0, mode="constant")
+            total = total + correlate1d(one, in_x[across], axis=1, mode="constant")
     return total
 
 

@@ -45,6 +45,7 @@ MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
 KEPT_KERNELS = 200  # of 0.8 MiB each
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 NEWTON_STEPS = 30
+MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
 HIGHLIGHT_ORDER = 4  # nodes across an aperture, and across a square as large
 
 
@@ -178,7 +179,9 @@ class Truth:
         self.bank = bank
         self.sensor = sensor
         self.fields = _Grid(bank) if hasattr(bank, "field_x_deg") else _Heights(bank)
-        self.aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
+        self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
+        self.boxes = self._boxes()
+        self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
         self.spectra, self.wavelengths_nm = spectra, wavelengths_nm
         self.mean_qe = None
         if sensor.eqe_map is not None:
@@ -200,7 +203,7 @@ class Truth:
         reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
         ends = [(-1.0, 0.0), *(pair for pair in FALLS_UM if pair[1] < reach), (reach, reach)]
         self.zones = [
-            Zone(bank.pitch_um / cells, split, rises, falls, self.aperture_um)
+            Zone(bank.pitch_um / cells, split, rises, falls, self.boxes)
             for cells, split, rises, falls in zip(CELLS, SPLITS, ends[:-1], ends[1:], strict=False)
         ]
         self.splines: np.ndarray | None = None
@@ -366,7 +369,7 @@ class Truth:
         if zone is self.zones[0]:
             # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal;
             # of the outer zones' light that is below 1e-6.
-            for way in np.eye(2) * self.aperture_um / 2:
+            for way in np.eye(2) * self.half_um:
                 there = self._spread(channel, spectrum, zone.t, source + way, degree)
                 rings.append((there - here) / way.sum())
         return [zone.ring(one) for one in rings]
@@ -527,22 +530,68 @@ class Truth:
         nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
         shares = np.outer(share, share).ravel() / 4
         sources, weights = self._squares(highlights, nodes, shares)
+        seen, of_seen = self._seen(nodes, shares)
         # To the corners of the PSFs' window, and as far as lateral colour.
         reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + 4.0
         for number, (row, col) in enumerate(pixels):
             centre = self._position(row, col)
-            near = np.hypot(*np.moveaxis(sources - centre, -1, 0)) < reach + self.aperture_um
+            near = np.hypot(*np.moveaxis(sources - centre, -1, 0)) < reach + 2 * self.half_um.max()
             if not near.any():
                 continue
             owners, source, weight = np.nonzero(near)[0], sources[near], weights[near]
             excess, channel = highlights.excess[owners], self._channel(row, col)
             light = np.zeros(len(source))
-            for node, share in zip(nodes, shares, strict=True):
-                t = centre + node * self.aperture_um - source
+            for place, share in zip(seen, of_seen, strict=True):
+                t = centre + place - source
                 light += share * self._density(excess, channel, t, source)
             each = np.bincount(owners, light * weight)
-            out[number] = np.maximum(each, 0.0).sum() * self.aperture_um**2
+            out[number] = np.maximum(each, 0.0).sum() * self.side_um**2
         return out
+
+    def _boxes(self) -> list[tuple[float, float, float, float, float]]:
+        """Return ends in x and y of rectangles, um from the pixel's middle, and their response.
+
+        The response is such that its integral over the pixel is the fill factor's area. Where the
+        image moves over the pixel, it sees as from many places on the way, by Gauss-Legendre.
+        """
+        sensor, pitch = self.sensor, self.sensor.pixel_pitch_um
+        if sensor.aperture is None:
+            edge = self.side_um / 2
+            boxes = [(-edge, edge, -edge, edge, 1.0)]
+        elif sensor.aperture.rectangles is not None:
+            boxes = [
+                (*(pitch * (at - 0.5) for at in (r.x, r.x + r.width, r.y, r.y + r.height)), 1.0)
+                for r in sensor.aperture.rectangles
+            ]
+        else:
+            cells = np.array(sensor.aperture.map, np.float64)
+            x, y = (np.linspace(-pitch / 2, pitch / 2, count + 1) for count in cells.shape[::-1])
+            boxes = [
+                (x[col], x[col + 1], y[row], y[row + 1], cells[row, col])
+                for row, col in np.argwhere(cells)
+            ]
+        whole = sum((x1 - x0) * (y1 - y0) * one for x0, x1, y0, y1, one in boxes)
+        boxes = [(*ends, one * self.side_um**2 / whole) for *ends, one in boxes]
+        if sensor.scan_motion_px is None:
+            return boxes
+        mx, my = (pitch * one for one in sensor.scan_motion_px)
+        nodes, weights = np.polynomial.legendre.leggauss(
+            MOTION_ORDER + int(MOTION_ORDER * np.hypot(mx, my))
+        )
+        return [
+            (x0 + at * mx, x1 + at * mx, y0 + at * my, y1 + at * my, one * share)
+            for at, share in zip(nodes / 2, weights / 2, strict=True)
+            for x0, x1, y0, y1, one in boxes
+        ]
+
+    def _seen(self, nodes: np.ndarray, shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points (P, 2) of the aperture and shares (P,) of its response."""
+        places, parts = [], []
+        for x0, x1, y0, y1, one in self.boxes:
+            size = np.array([x1 - x0, y1 - y0])
+            places.append(np.array([x0 + x1, y0 + y1]) / 2 + nodes * size)
+            parts.append(shares * one * size.prod() / self.side_um**2)
+        return np.concatenate(places), np.concatenate(parts)
 
     def _squares(
         self, highlights: Any, nodes: np.ndarray, shares: np.ndarray
@@ -550,7 +599,7 @@ class Truth:
         """Return points of squares on the real plane (N, I, 2), with their areas (N, I)."""
         if self.squares is None or self.squares[0] is not highlights:
             # A square may be larger than the PSF: it has the nodes for each part.
-            cuts = int(np.ceil(highlights.size_um / self.aperture_um))
+            cuts = int(np.ceil(highlights.size_um / self.side_um))
             cell = highlights.size_um / cuts
             corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
             corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)

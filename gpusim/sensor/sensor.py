@@ -21,6 +21,7 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator, mo
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
+from gpusim.sensor.aperture import AREA_ROUNDING, Aperture, Response
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
@@ -50,6 +51,7 @@ PATTERNS = {
 }
 MAX_CHANNELS = 16  # that the shaders tell apart
 MAX_SIDE = 65535  # pixels
+MAX_MOTION_PX = 4
 ABSOLUTE_ZERO_C = -273.15
 MAX_RAW_DN = 65535  # raw files hold 16 bits
 
@@ -224,6 +226,12 @@ class Sensor(Strict):
         Their shift over the field, with ``eqe_map``.
     filters : list of Filter
         In front of the sensor, where ``quantum_efficiency`` does not include them.
+    aperture : Aperture, optional
+        What of the pixel sees light, where it is no square in its middle; ``fill_factor`` is its
+        area.
+    scan_motion_px : (float, float), optional
+        x, y by which the image moves over the sensor while a pixel of a scanning system is
+        exposed, pixels: the middle of the way is where it stands still in other sensors.
     sources : dict of str to str
         Where each figure comes from, by field.
     """
@@ -273,6 +281,8 @@ class Sensor(Strict):
     eqe_map: EqeMap | None = None
     micro_lens: MicroLens | None = None
     filters: list[Filter] = Field(default_factory=list)
+    aperture: Aperture | None = None
+    scan_motion_px: tuple[float, float] | None = None
     sources: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="before")
@@ -361,6 +371,19 @@ class Sensor(Strict):
                 "cross-talk is simulated of sensors that do not shift their charge",
                 "no overscan, smear, bloom or cti beside it",
                 field="crosstalk",
+            )
+        if self.aperture and abs(self.aperture.area / self.fill_factor - 1) > AREA_ROUNDING:
+            raise wrong(
+                "the aperture has another area than the fill factor says",
+                f"{self.aperture.area:.4g}",
+                field="fill_factor",
+                value=self.fill_factor,
+            )
+        if self.scan_motion_px and math.hypot(*self.scan_motion_px) > MAX_MOTION_PX:
+            raise wrong(
+                "the image moves too far while a pixel is exposed",
+                f"{MAX_MOTION_PX} pixels at most",
+                field="scan_motion_px",
             )
         for kind in ("optical", "electrical"):
             if self.crosstalk and (kernels := getattr(self.crosstalk, kind)):
@@ -455,6 +478,22 @@ class Sensor(Strict):
                 field="dual_gain.system_gain_dn_per_e",
                 value=dual.system_gain_dn_per_e,
             )
+
+    @property
+    def response_um(self) -> float | Response:
+        """Side of the square pixel aperture, um; or the response in space of any other."""
+        if self.aperture is None and self.scan_motion_px is None:
+            return self.pixel_pitch_um * math.sqrt(self.fill_factor)
+        side = math.sqrt(self.fill_factor)
+        square = [((1 - side) / 2, (1 - side) / 2, side, side, 1.0)]
+        parts = self.aperture.parts if self.aperture else square
+        whole = sum(w * h * response for _, _, w, h, response in parts)
+        centred = tuple(
+            (x + w / 2 - 0.5, y + h / 2 - 0.5, w, h, w * h * response / whole)
+            for x, y, w, h, response in parts
+        )
+        motion = self.scan_motion_px or (0.0, 0.0)
+        return Response(centred, motion) / (1 / self.pixel_pitch_um)
 
     @property
     def max_dn(self) -> int:
@@ -587,17 +626,21 @@ class Sensor(Strict):
         """
         if not any(self.cfa.shift_px):
             return self
-        by_name = {"channel_black_level_dn": self.channel_black_level_dn}
+        by_name = {
+            "channel_black_level_dn": self.channel_black_level_dn,
+            "eqe_map": self.eqe_map,
+            "aperture": self.aperture,
+        }
         if self.crosstalk:
             kernels = (self.crosstalk.optical, self.crosstalk.electrical)
             by_name["crosstalk"] = any(one and set(one.root) != {"*"} for one in kernels)
         for field, given in by_name.items():
             if given:
                 raise UserError(
-                    "the filters' shift makes other channels than those that are named",
+                    "the filters' shift makes other channels, of a square aperture",
                     field=field,
-                    allowed="the same for all channels; or cfa.pattern and quantum_efficiency "
-                    "with the mixtures, and no shift",
+                    allowed="no such field, or the same for all channels; or cfa.pattern and "
+                    "quantum_efficiency with the mixtures, and no shift",
                 )
         names, mixtures = mixed_pattern(
             self.cfa.pattern, self.cfa.shift_px, math.sqrt(self.fill_factor)

@@ -33,6 +33,7 @@ from gpusim.reference.splat import splat
 from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.aperture import Aperture, Part
 from gpusim.sensor.sensor import ColourFilterArray
 
 F32 = np.float32
@@ -217,6 +218,24 @@ def test_a_highlight_lights_pixels_as_in_the_truth(device: Device, place):
             np.stack([camera.rows - 1 - pixels[:, 0], pixels[:, 1]], axis=1),
         )
         assert np.ptp(other / expected) > 0.1 or np.allclose(other, expected, rtol=0.05)
+
+
+@pytest.mark.parametrize("place", PLACES[[0, 2]])
+def test_an_aperture_that_is_no_square_sees_highlights_as_in_the_truth(device: Device, place):
+    """An L that moves over the image: the same only after a whole turn of the azimuth."""
+    parts = [Part(x=0, y=0, width=1, height=0.4), Part(x=0, y=0.4, width=0.5, height=0.6)]
+    shape = Aperture(rectangles=parts)
+    moved = {"fill_factor": shape.area, "aperture": shape, "scan_motion_px": (0.6, -1.0)}
+    camera = sensor(**moved)
+    one = Highlights(place[None], PITCH, np.array([[1e9, 2e9, 0.5e9]]))
+    pixels = around(camera, LENS, place)
+    expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    found = on_sensor(device, camera, one)[pixels[:, 0], pixels[:, 1]].astype(float)
+    # As for the square, but steps of the angle turn an L, not only its corners: twice as much.
+    assert_close(found, expected, rtol=1e-2, atol=4e-4 * expected.max())
+    square = sensor(fill_factor=shape.area)
+    other = Truth(LENS, square, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    assert np.abs(other - expected).max() > 0.05 * expected.max()  # the control
 
 
 def test_light_far_from_a_highlight_is_right_relative_to_itself(device: Device):
