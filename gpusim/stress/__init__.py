@@ -8,7 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gpusim.stress import angle, ccd, data_sheet, levels, noise, optics, readout, sensor_files
+from gpusim.stress import (
+    angle,
+    ccd,
+    data_sheet,
+    levels,
+    noise,
+    optics,
+    pixel,
+    readout,
+    sensor_files,
+)
 from gpusim.stress.table import Case, Row, judged
 
 # In the order that light takes. A new part of the chain brings a module with its own table and a
@@ -16,6 +26,7 @@ from gpusim.stress.table import Case, Row, judged
 CASES: tuple[Case, ...] = (
     *optics.CASES,
     *angle.CASES,
+    *pixel.CASES,
     *noise.CASES,
     *ccd.CASES,
     *levels.CASES,
