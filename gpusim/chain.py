@@ -53,10 +53,10 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.ccd import ReadOut, needed
+from gpusim.sensor.ccd import ReadOut, needed, record_tile
 from gpusim.sensor.frame import overlap, parts_around
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_light, record_readout, rects_of
+from gpusim.sensor.readout import Shot, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
@@ -741,7 +741,10 @@ class _ShiftedShot(_Shot):
     ) -> None:
         sensor = renderer.camera.sensor
         tiled = needed(rect, sensor, renderer.plan.runs)
-        super().__init__(renderer, tiled, {"light": np.float32}, folder, shot)
+        light = {"light": np.float32}
+        if "rate" in names and renderer.plan.runs("crosstalk"):
+            light["rate"] = np.float32
+        super().__init__(renderer, tiled, light, folder, shot)
         size = sensor.frame.read[2], tiled[3]
         self.charge = _on_host("charge", size, np.float32, folder)
         self.wanted = rect
@@ -771,7 +774,7 @@ class _ShiftedShot(_Shot):
             self.found["rate"][
                 row - self.wanted[0] : row - self.wanted[0] + rows,
                 col - self.wanted[1] : col - self.wanted[1] + cols,
-            ] = light[top : top + rows, left : left + cols]
+            ] = self.planes.get("rate", light)[top : top + rows, left : left + cols]
         self.planes = self.found
 
     def _outputs(
@@ -779,8 +782,7 @@ class _ShiftedShot(_Shot):
     ) -> dict[str, Array]:
         renderer = self.renderer
         glare, sensor = renderer.resident_glare, renderer.camera.sensor
-        light = record_light(rec, rates, glare, sensor, strip, tile, renderer.plan.runs)
-        return {"light": light}
+        return record_tile(rec, rates, glare, sensor, strip, tile, renderer.plan.runs)
 
 
 def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None) -> np.ndarray:

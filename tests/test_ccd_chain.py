@@ -23,9 +23,11 @@ from gpusim.cli.render import write
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
 from gpusim.reference.bloom import bloom
+from gpusim.reference.crosstalk import crosstalk
 from gpusim.reference.cti import cti
 from gpusim.reference.smear import smear
 from gpusim.reference.traps import traps
+from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.frame import Border, Overscan
 from gpusim.sensor.sensor import PRESETS, load_sensor
@@ -45,6 +47,8 @@ WHOLE = {
     "parallel_cti": TRAPS,
     "serial_cti": LINEAR,
 }
+NEAR = [[0.0, 0.02, 0.0], [0.03, 0.9, 0.03], [0.0, 0.02, 0.0]]
+SPREAD = Crosstalk(optical=Kernels({"*": NEAR}), electrical=Kernels({"*": NEAR}))
 KEEP = ("rate", "electrons")
 EXPOSURE_S = 0.01
 TOLERANCE = 100 * 2.0**-24
@@ -74,8 +78,8 @@ def bare() -> Capture:
 
 @pytest.fixture(scope="module")
 def shifting():
-    # A full well that the brightest photosites exceed.
-    one = renderer(ccd(**WHOLE, full_well_e=150.0))
+    # A full well that the brightest photosites exceed; cross-talk needs the pixels around a tile.
+    one = renderer(ccd(**WHOLE, crosstalk=SPREAD, full_well_e=150.0))
     yield one
     one.release()
 
@@ -104,6 +108,23 @@ def test_overscan_alone_changes_no_pixel_and_holds_no_charge(kind):
     spread = np.hypot(sigma, found.camera.sensor.dsnu_e)
     assert abs(read.mean()) < 4.9 * spread / np.sqrt(read.size)  # no dark current either
     assert read.std() == pytest.approx(spread, rel=4.9 / np.sqrt(2 * read.size))
+
+
+def test_cross_talk_comes_before_the_shift_and_after_it():
+    fields = {"overscan": AFTER, "smear": SMEAR, "serial_cti": LINEAR}
+    found = captured(ccd(**fields, crosstalk=SPREAD))
+    one = found.camera.sensor
+    plain = captured(ccd(**fields))
+    assert_close(found.rate, plain.rate, atol=0)  # the light is what the optics made
+    near, channels = np.array(NEAR), np.full((ROWS, COLS), "W")
+    light = crosstalk(found.rate[LIT], channels, lambda giver, taker: near, (2, 2))
+    mean = light * EXPOSURE_S + one.dark_current_e_per_s * EXPOSURE_S
+    smeared = smear(framed(light), framed(mean), "cleared", SMEAR.row_s)
+    channels = np.full((ROWS + MORE, COLS + MORE), "W")
+    expected = crosstalk(
+        cti(smeared.T, LINEAR.inefficiency).T, channels, lambda giver, taker: near, (2, 2)
+    )
+    assert_close(found.electrons, expected, rtol=TOLERANCE, atol=1e-5)
 
 
 def test_optical_black_is_shifted_with_the_rest():

@@ -2,14 +2,16 @@
 
 Towards row 0 and column 0, which are read first; what is read after the last of them is overscan.
 
+0. of each tile: mosaic, border and optical crosstalk, as of any sensor
 1. exposure, dead and hot pixels, as of any sensor
 2. smear: what light makes in the packets of whole columns on their way, from rates not clipped
 3. noise, its first half: shot noise of all that; full well, unless charge blooms
 4. bloom: charge above the full well flows along the columns
 5. cti or traps, parallel: along the columns
 6. cti or traps, serial: along the rows
-7. noise, its second half: what is added when the charge is read; stuck pixels
-8. adc
+7. crosstalk, electrical ("coupling" in the plan): between what is read one after the other
+8. noise, its second half: what is added when the charge is read; stuck pixels
+9. adc
 
 Smear comes before the transfer's inefficiency, so that its trails point the right way in the
 overscan; the overscan, which collects no light and no dark current, is smeared like all that passes
@@ -31,13 +33,14 @@ from gpusim.gpu import Array, Device, Recording, Result
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.bloom import record_bloom
 from gpusim.sensor.border import record_border
+from gpusim.sensor.crosstalk import grown, reach, record_crosstalk
 from gpusim.sensor.cti import record_cti
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.defects import record_defects, record_stuck
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect
 from gpusim.sensor.noise import record_noise
-from gpusim.sensor.readout import Shot
+from gpusim.sensor.readout import Shot, record_light
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.smear import record_smear
 from gpusim.sensor.traps import record_traps
@@ -60,9 +63,44 @@ def needed(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
         Whether a stage runs, by its name in the plan.
     """
     row, first, rows, cols = sensor.frame.pixels
-    begin = first if runs("serial cti") else max(rect[1], first)
-    end = min(rect[1] + rect[3], first + cols)
+    around = _around(sensor, runs)
+    begin = first if runs("serial cti") else max(rect[1] - around, first)
+    end = min(rect[1] + rect[3] + around, first + cols)
     return row, begin, rows, end - begin
+
+
+def _around(sensor: Sensor, runs: Callable[[str], bool]) -> int:
+    """Return how many pixels around a rectangle its electrical cross-talk needs."""
+    return reach(sensor.crosstalk.electrical, sensor.period) if runs("coupling") else 0
+
+
+def record_tile(
+    rec: Recording,
+    sites: Array,
+    glare: Array,
+    sensor: Sensor,
+    rect: Rect,
+    lit: Rect,
+    runs: Callable[[str], bool],
+) -> dict[str, Array]:
+    """Record the light that makes charge on a rectangle of pixels: see `readout.record_readout`.
+
+    Returns
+    -------
+    dict of str to Array (rows, cols), f32
+        ``rate``, and ``light``, which is the rate with optical cross-talk: electrons/s.
+    """
+    if not runs("crosstalk"):
+        rate = record_light(rec, sites, glare, sensor, rect, lit, runs)
+        return {"rate": rate, "light": rate}
+    optical = sensor.crosstalk.optical
+    frame = sensor.frame.pixels
+    taking = grown(rect, reach(optical, sensor.period), frame)
+    around = record_light(rec, sites, glare, sensor, taking, lit, runs)
+    return {
+        "rate": record_light(rec, sites, glare, sensor, rect, lit, runs, "own rate"),
+        "light": record_crosstalk(rec, around, optical, sensor, taking, rect, frame=frame),
+    }
 
 
 def record_columns(
@@ -139,6 +177,7 @@ def record_rows(
     rec: Recording,
     charge: Array,
     sensor: Sensor,
+    given: Rect,
     rect: Rect,
     shot: Shot,
     runs: Callable[[str], bool],
@@ -149,10 +188,12 @@ def record_rows(
     ----------
     rec : Recording
     charge : Array (rows, pixels' cols), f32
-        Electrons, where ``rect`` begins.
+        Electrons, where ``given`` begins.
     sensor : Sensor
+    given : (row, col, rows, cols)
+        What is shifted; with overscan where it is wider than ``charge``.
     rect : (row, col, rows, cols)
-        What is wanted; with overscan where it is wider than ``charge``.
+        What is wanted: the same, or with electrical cross-talk what has enough around it.
     shot : Shot
     runs : callable
         Whether a stage runs, by its name in the plan.
@@ -162,13 +203,18 @@ def record_rows(
     dict of str to Array
         ``electrons``, f32, and ``dn``, u32: each (rows, cols).
     """
-    overscan = rect[3] - charge.shape[1]
+    overscan = given[3] - charge.shape[1]
     if overscan:
-        held = (*rect[:2], *charge.shape)
-        charge = record_border(rec, charge, held, rect, label="framed charge")
+        held = (*given[:2], *charge.shape)
+        charge = record_border(rec, charge, held, given, label="framed charge")
     electrons, origin = charge, sensor.frame.on_chip(rect)
     if runs("serial cti"):
         electrons = _shifted(rec, charge, sensor.serial_cti, sensor, overscan, serial=True)
+    if runs("coupling"):
+        kernels, frame = sensor.crosstalk.electrical, sensor.frame.read
+        electrons = record_crosstalk(
+            rec, electrons, kernels, sensor, given, rect, frame=frame, label="coupled"
+        )
     if runs("noise"):
         electrons = record_noise(
             rec,
@@ -260,19 +306,22 @@ class ReadOut:
             "dn" or "electrons" of the rectangle.
         """
         row, col, rows, cols = rect
-        above = row - self.sensor.frame.read[0]
-        width = col + cols - first_col
+        read, around = self.sensor.frame.read, _around(self.sensor, self.runs)
+        width = min(col + cols + around, read[1] + read[3]) - first_col
         for begin, end in self._strips(rows, width):
+            top = max(row + begin - around, read[0])
+            bottom = min(row + end + around, read[0] + read[2])
             rec = Recording(self.device)
-            held = charge[above + begin : above + end]
-            buffer = rec.buffer("charge", held.shape, "f4")
+            held = charge[top - read[0] : bottom - read[0]]
+            buffer = rec.buffer("charge in", held.shape, "f4")
             rec.upload(buffer, np.ascontiguousarray(held))
-            part = row + begin, first_col, end - begin, width
-            found = record_rows(rec, buffer, self.sensor, part, self.shot, self.runs)
+            given = top, first_col, bottom - top, width
+            part = (row + begin, col, end - begin, cols) if around else given
+            found = record_rows(rec, buffer, self.sensor, given, part, self.shot, self.runs)
             labels = {name: rec.download(found[name]) for name in planes}
-            result = self.run(rec)
+            result, left = self.run(rec), col - part[1]
             for name, plane in planes.items():
-                plane[begin:end] = result[labels[name]][:, col - first_col :]
+                plane[begin:end] = result[labels[name]][:, left : left + cols]
 
     def _strips(self, count: int, length: int) -> Iterator[tuple[int, int]]:
         """Cut lines of some length into strips that fit the memory."""
