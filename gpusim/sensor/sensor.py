@@ -355,8 +355,6 @@ class Sensor(Strict):
                         f"{field} gives a read noise that gaussian_variance_per_e replaces",
                         "one of the two",
                     )
-        if self.bloom and self.full_well_knee < 1:
-            raise wrong("charge above the full well blooms: it has no knee", "bloom or the knee")
         for pixel in self.defects.pixels if self.defects else ():
             row, col = pixel.row - self.first_row, pixel.col - self.first_col
             if not (0 <= row < self.rows and 0 <= col < self.cols):

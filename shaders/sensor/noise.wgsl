@@ -67,10 +67,10 @@ fn place(row: u32, col: i32) -> u32 {
     return row * params.cols + u32(clamp(col, 0, i32(params.cols) - 1));
 }
 
-// Reads quantiles: the measured law's value at z sigmas of the normal law.
+// Reads quantiles: the measured law's value at z sigmas of the normal law, of which a deviate has less than REACH.
 fn measured(z: f32) -> f32 {
     let at = (z + REACH) * (f32(QUANTILES - 1) / (2.0 * REACH));
-    let cell = clamp(i32(at), 0, QUANTILES - 2);
+    let cell = i32(at);
     return mix(quantiles[cell], quantiles[cell + 1], at - f32(cell));
 }
 

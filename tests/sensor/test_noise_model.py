@@ -205,7 +205,7 @@ def test_reset_noise_follows_the_temperature(device: Device, tmp_path: Path):
         ({"full_well_knee": 0}, "full_well_knee", None),
         ({"full_well_knee": 1.1}, "full_well_knee", None),
         ({"dcnu_percent": -1}, "dcnu_percent", None),
-        ({"bloom": True, "full_well_knee": 0.9}, None, "has no knee"),
+        ({"bloom": True, "full_well_knee": 0.9}, "full_well_knee", "where charge blooms"),
         (
             {
                 "gaussian_variance_per_e": 1,
