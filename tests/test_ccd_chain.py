@@ -127,6 +127,19 @@ def test_cross_talk_comes_before_the_shift_and_after_it():
     assert_close(found.electrons, expected, rtol=TOLERANCE, atol=1e-5)
 
 
+@pytest.mark.parametrize("more", [{}, {"overscan": AFTER}])
+def test_optical_black_takes_from_the_lit_pixels_beside_it_alone(more: dict):
+    black = Border(top=4, bottom=4, left=4, right=4)
+    found = captured(ccd(optical_black=black, crosstalk=SPREAD, **more))
+    dark = found.camera.sensor.dark_current_e_per_s * EXPOSURE_S
+    inner = found.electrons[4 : ROWS + 4, 4 : COLS + 4]
+    # Kernels of 3 x 3, twice: two rows and columns take something, the others nothing.
+    for edge in (found.electrons[:2, 4 : COLS + 4], found.electrons[4 : ROWS + 4, :2].T):
+        assert_close(edge.copy(), np.full(edge.shape, dark), rtol=TOLERANCE)
+    beside = found.electrons[3, 4 : COLS + 4].mean()
+    assert 0.02 < beside / inner[0].mean() < 0.06
+
+
 def test_optical_black_is_shifted_with_the_rest():
     black = Border(top=4, bottom=2, left=6, right=3)
     plain = captured(ccd(optical_black=black), noise=True)

@@ -72,7 +72,8 @@ def record_crosstalk(
     wanted : (row, col, rows, cols)
         The rectangle.
     frame : (row, col, rows, cols), optional
-        All pixels between which there is cross-talk; by default those of the sensor.
+        All pixels between which there is cross-talk; by default those of the sensor, with its
+        optical black.
     label : str
         Of the buffer that is returned.
 
@@ -86,7 +87,7 @@ def record_crosstalk(
     ValueError
         The signal is not that of `given`, or `given` does not suffice.
     """
-    frame = frame or (0, 0, sensor.rows, sensor.cols)
+    frame = frame or sensor.frame.pixels
     needed = grown(wanted, reach(kernels, sensor.period), frame)
     if signal.shape[-2:] != given[2:] or grown(given, 0, needed) != needed:
         raise ValueError(f"{signal} of {given} does not give the cross-talk of {wanted}")
