@@ -222,6 +222,26 @@ def test_a_colour_sensor_is_measured_channel_by_channel(device: Device):
         assert row.data_sheet == pytest.approx(sensor.qe[name].max())
 
 
+@pytest.mark.parametrize(
+    "pattern", [[["R", "B"]], [["R", "G", "B"], ["G", "B", "R"]], [["G"], ["B"], ["R"]]]
+)
+def test_every_photosite_has_the_light_of_its_channel(device: Device, pattern):
+    """Patterns of 1 x 2, 2 x 3 and 3 x 1, of which the optics make unlike planes."""
+    channels = {"R": [0.1, 0.1, 0.5], "G": [0.1, 0.6, 0.1], "B": [0.7, 0.1, 0.2]}
+    channels = {name: channels[name] for row in pattern for name in row}
+    curves = QuantumEfficiency(wavelengths_nm=[400, 550, 700], channels=channels)
+    cfa = ColourFilterArray(pattern=pattern)
+    sensor = flat_field.region(sensor_of(cfa=cfa, quantum_efficiency=curves, prnu_percent=0.0), 48)
+    light = flat_field.Light(0.01, 5000.0, 700.0, 1)
+    frame = flat_field.take(sensor, light, device, sensor_runs(sensor), seed=1, frame=0)
+    py, px = sensor.period
+    for row, names in enumerate(pattern):
+        for col, name in enumerate(names):
+            site = frame[row::py, col::px]
+            mean = 64 + 0.3 * (5000 * channels[name][2] + 0.08)
+            assert abs(site.mean() - mean) < 5 * site.std() / site.size**0.5
+
+
 def test_every_frame_has_noise_of_its_own(device: Device):
     sensor = sensor_of()
     taken = []
