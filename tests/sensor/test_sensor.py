@@ -101,6 +101,16 @@ def test_quantum_efficiency_is_interpolated_onto_the_grid(tmp_path: Path):
         qe["R"][0] = 1
 
 
+def test_a_copy_with_other_curves_works_its_own_out():
+    sensor = load_sensor("imx477")
+    assert sensor.qe["G"].max() == 0.563  # kept from now on
+    flat = sensor.quantum_efficiency.model_copy(
+        update={"channels": dict.fromkeys("RGB", [0.25] * 61)}
+    )
+    copy = sensor.model_copy(update={"quantum_efficiency": flat})
+    assert copy.qe["G"].max() == 0.25 and sensor.qe["G"].max() == 0.563
+
+
 def test_a_monochrome_sensor_has_one_site(tmp_path: Path):
     data = yaml.safe_load(IMX477.read_text())
     data["cfa"] = {"pattern": [["W"]]}
