@@ -35,7 +35,8 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[Costs]:
 
 
 def test_every_rate_is_measured_and_none_is_nothing(device: Device, monkeypatch):
-    monkeypatch.setattr(calibrate, "RUNS", 2)
+    monkeypatch.setattr(calibrate, "RUNS", 1)
+    monkeypatch.setattr(calibrate, "TURNS", 1)
     before, steps = device.pool.in_use, []
     costs = calibrate.measure(device, lambda done, total: steps.append((done, total)))
     assert costs.ns.keys() == UNITS.keys() and costs.lengths.keys() == set(TRANSFORMS)
