@@ -12,7 +12,7 @@ from gpusim.optics.grid import SimGrid
 # Unit of work of each rate: what the planner counts and gpusim.plan.calibrate measures.
 UNITS = {
     "kernels": "sample of a PSF that is made for a node, on the host",
-    "spectra": "sample of such a PSF's spectrum, on the host",
+    "spectra": "sample of such a PSF's spectrum, on the host and to the device",
     "paint": "sample of the sim grid",
     "edges": "sample and primitive, where a tile sees its edge",
     "warp": "sample and plane",
