@@ -93,14 +93,13 @@ class Blur:
         ]
 
     def _spectra(self, psfs: np.ndarray) -> np.ndarray:
-        """Return what `mix` multiplies with, (GY, 81, GX, 160) complex64, as pairs of float32."""
+        """Return what `mix` multiplies with, (GY, GX, 81, 160) complex64, as pairs of float32."""
         size = psfs.shape[-1]
         placed = np.zeros((*psfs.shape[:2], LENGTH, LENGTH))
         first = self.margin - size // 2
         placed[..., first : first + size, first : first + size] = psfs
         spectra = scipy.fft.rfft2(placed, workers=2).swapaxes(-1, -2)[..., ORDER] / LENGTH**2
-        by_line = np.ascontiguousarray(spectra.swapaxes(1, 2), np.complex64)
-        return by_line.reshape(-1).view(np.float32)
+        return np.ascontiguousarray(spectra, np.complex64).reshape(-1).view(np.float32)
 
     def release(self) -> None:
         """Give the device's memory back."""

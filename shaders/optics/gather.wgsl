@@ -68,7 +68,7 @@ fn finish(rest: ptr<function, Line>, x: u32, at: u32, shared_: bool) {
     }
 }
 
-@compute @workgroup_size(64, 1, 1)
+@compute @workgroup_size(8, 1, 1)
 fn main(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= params.lines) {
         return;

@@ -3,7 +3,7 @@
 //
 //   X[ky] = sum_n H_n[kx, ky] sum_y A_nx[y] r_ny(y) exp(-2 pi i ky y / 160),   r_0 = 1 - s(y), r_1 = s(y)
 //   columns[block, kx, y] = sum_ky X[ky] exp(2 pi i ky y / 160)
-// A_nx = spectra (blocks, SIDE, 81, 2), unit of the image; kernels (nodes down, 81, nodes across, 160), ky = a + 10 m at place
+// A_nx = spectra (blocks, SIDE, 81, 2), unit of the image; kernels (nodes down, nodes across, 81, 160), ky = a + 10 m at place
 // 16 a + m, divided by 160^2 -> columns (blocks, 81, 160), unit of the image.
 // Dispatch: ceil(lines / 64) workgroups of 64 invocations.
 #include "line_160"
@@ -17,17 +17,23 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> spectra: array<vec4f>;
+@group(0) @binding(1) var<storage, read> spectra: array<vec2f>;  // for the left and the right node in turns
 @group(0) @binding(2) var<storage, read> kernels: array<vec4f>;
 @group(0) @binding(3) var<storage, read_write> columns: array<vec4f>;  // two rows at a time
 
-// Row y of the column at `a` for the left (0) or the right (1) node, weighted by w + y step.
-fn load(v: ptr<function, Line>, y: u32, a: u32, side: u32, w: f32, step: f32) {
-    var both = vec4f(0.0);
+// Row y of the column at `a`: of one side.
+fn load(column: ptr<function, Line>, y: u32, a: u32) {
     if (y < SIDE) {
-        both = spectra[a + y * 81u];
+        (*column)[y] = spectra[a + 162u * y];
     }
-    (*v)[y] = (w + f32(y) * step) * select(both.xy, both.zw, side == 1u);
+}
+
+// Rows y .. y + 3, weighted by w + y step.
+fn weigh(v: ptr<function, Line>, column: ptr<function, Line>, y: u32, w: f32, step: f32) {
+    (*v)[y] = (w + f32(y) * step) * (*column)[y];
+    (*v)[y + 1u] = (w + f32(y + 1u) * step) * (*column)[y + 1u];
+    (*v)[y + 2u] = (w + f32(y + 2u) * step) * (*column)[y + 2u];
+    (*v)[y + 3u] = (w + f32(y + 3u) * step) * (*column)[y + 3u];
 }
 
 // Two frequencies times the PSF of one node; real and imaginary parts exchanged for the inverse transform.
@@ -53,98 +59,105 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let cell = block % across / params.per_cell;
     let step = 1.0 / f32(params.per_cell * SIDE);
     let s = (f32(row % params.per_cell * SIDE) + 0.5) * step;
-    let a = block * SIDE * 81u + kx;
+    let a = 2u * (block * SIDE * 81u + kx);
+    var column: Line;  // rows from SIDE on stay zero
     var v: Line;
     var sum: Line;
-    for (var node = 0u; node < 4u; node++) {
-        let lower = node / 2u;
-        let w = select(1.0 - s, s, lower == 1u);
-        let by = select(-step, step, lower == 1u);
-        let h = (((row / params.per_cell + lower) * 81u + kx) * (params.cells + 1u) + cell + node % 2u) * 80u;
-        load(&v, 0u, a, node % 2u, w, by); load(&v, 1u, a, node % 2u, w, by); load(&v, 2u, a, node % 2u, w, by);
-        load(&v, 3u, a, node % 2u, w, by); load(&v, 4u, a, node % 2u, w, by); load(&v, 5u, a, node % 2u, w, by);
-        load(&v, 6u, a, node % 2u, w, by); load(&v, 7u, a, node % 2u, w, by); load(&v, 8u, a, node % 2u, w, by);
-        load(&v, 9u, a, node % 2u, w, by); load(&v, 10u, a, node % 2u, w, by); load(&v, 11u, a, node % 2u, w, by);
-        load(&v, 12u, a, node % 2u, w, by); load(&v, 13u, a, node % 2u, w, by); load(&v, 14u, a, node % 2u, w, by);
-        load(&v, 15u, a, node % 2u, w, by); load(&v, 16u, a, node % 2u, w, by); load(&v, 17u, a, node % 2u, w, by);
-        load(&v, 18u, a, node % 2u, w, by); load(&v, 19u, a, node % 2u, w, by); load(&v, 20u, a, node % 2u, w, by);
-        load(&v, 21u, a, node % 2u, w, by); load(&v, 22u, a, node % 2u, w, by); load(&v, 23u, a, node % 2u, w, by);
-        load(&v, 24u, a, node % 2u, w, by); load(&v, 25u, a, node % 2u, w, by); load(&v, 26u, a, node % 2u, w, by);
-        load(&v, 27u, a, node % 2u, w, by); load(&v, 28u, a, node % 2u, w, by); load(&v, 29u, a, node % 2u, w, by);
-        load(&v, 30u, a, node % 2u, w, by); load(&v, 31u, a, node % 2u, w, by); load(&v, 32u, a, node % 2u, w, by);
-        load(&v, 33u, a, node % 2u, w, by); load(&v, 34u, a, node % 2u, w, by); load(&v, 35u, a, node % 2u, w, by);
-        load(&v, 36u, a, node % 2u, w, by); load(&v, 37u, a, node % 2u, w, by); load(&v, 38u, a, node % 2u, w, by);
-        load(&v, 39u, a, node % 2u, w, by); load(&v, 40u, a, node % 2u, w, by); load(&v, 41u, a, node % 2u, w, by);
-        load(&v, 42u, a, node % 2u, w, by); load(&v, 43u, a, node % 2u, w, by); load(&v, 44u, a, node % 2u, w, by);
-        load(&v, 45u, a, node % 2u, w, by); load(&v, 46u, a, node % 2u, w, by); load(&v, 47u, a, node % 2u, w, by);
-        load(&v, 48u, a, node % 2u, w, by); load(&v, 49u, a, node % 2u, w, by); load(&v, 50u, a, node % 2u, w, by);
-        load(&v, 51u, a, node % 2u, w, by); load(&v, 52u, a, node % 2u, w, by); load(&v, 53u, a, node % 2u, w, by);
-        load(&v, 54u, a, node % 2u, w, by); load(&v, 55u, a, node % 2u, w, by); load(&v, 56u, a, node % 2u, w, by);
-        load(&v, 57u, a, node % 2u, w, by); load(&v, 58u, a, node % 2u, w, by); load(&v, 59u, a, node % 2u, w, by);
-        load(&v, 60u, a, node % 2u, w, by); load(&v, 61u, a, node % 2u, w, by); load(&v, 62u, a, node % 2u, w, by);
-        load(&v, 63u, a, node % 2u, w, by); load(&v, 64u, a, node % 2u, w, by); load(&v, 65u, a, node % 2u, w, by);
-        load(&v, 66u, a, node % 2u, w, by); load(&v, 67u, a, node % 2u, w, by); load(&v, 68u, a, node % 2u, w, by);
-        load(&v, 69u, a, node % 2u, w, by); load(&v, 70u, a, node % 2u, w, by); load(&v, 71u, a, node % 2u, w, by);
-        load(&v, 72u, a, node % 2u, w, by); load(&v, 73u, a, node % 2u, w, by); load(&v, 74u, a, node % 2u, w, by);
-        load(&v, 75u, a, node % 2u, w, by); load(&v, 76u, a, node % 2u, w, by); load(&v, 77u, a, node % 2u, w, by);
-        load(&v, 78u, a, node % 2u, w, by); load(&v, 79u, a, node % 2u, w, by); load(&v, 80u, a, node % 2u, w, by);
-        load(&v, 81u, a, node % 2u, w, by); load(&v, 82u, a, node % 2u, w, by); load(&v, 83u, a, node % 2u, w, by);
-        load(&v, 84u, a, node % 2u, w, by); load(&v, 85u, a, node % 2u, w, by); load(&v, 86u, a, node % 2u, w, by);
-        load(&v, 87u, a, node % 2u, w, by); load(&v, 88u, a, node % 2u, w, by); load(&v, 89u, a, node % 2u, w, by);
-        load(&v, 90u, a, node % 2u, w, by); load(&v, 91u, a, node % 2u, w, by); load(&v, 92u, a, node % 2u, w, by);
-        load(&v, 93u, a, node % 2u, w, by); load(&v, 94u, a, node % 2u, w, by); load(&v, 95u, a, node % 2u, w, by);
-        load(&v, 96u, a, node % 2u, w, by); load(&v, 97u, a, node % 2u, w, by); load(&v, 98u, a, node % 2u, w, by);
-        load(&v, 99u, a, node % 2u, w, by); load(&v, 100u, a, node % 2u, w, by); load(&v, 101u, a, node % 2u, w, by);
-        load(&v, 102u, a, node % 2u, w, by); load(&v, 103u, a, node % 2u, w, by);
-        load(&v, 104u, a, node % 2u, w, by); load(&v, 105u, a, node % 2u, w, by);
-        load(&v, 106u, a, node % 2u, w, by); load(&v, 107u, a, node % 2u, w, by);
-        load(&v, 108u, a, node % 2u, w, by); load(&v, 109u, a, node % 2u, w, by);
-        load(&v, 110u, a, node % 2u, w, by); load(&v, 111u, a, node % 2u, w, by);
-        load(&v, 112u, a, node % 2u, w, by); load(&v, 113u, a, node % 2u, w, by);
-        load(&v, 114u, a, node % 2u, w, by); load(&v, 115u, a, node % 2u, w, by);
-        load(&v, 116u, a, node % 2u, w, by); load(&v, 117u, a, node % 2u, w, by);
-        load(&v, 118u, a, node % 2u, w, by); load(&v, 119u, a, node % 2u, w, by);
-        load(&v, 120u, a, node % 2u, w, by); load(&v, 121u, a, node % 2u, w, by);
-        load(&v, 122u, a, node % 2u, w, by); load(&v, 123u, a, node % 2u, w, by);
-        load(&v, 124u, a, node % 2u, w, by); load(&v, 125u, a, node % 2u, w, by);
-        load(&v, 126u, a, node % 2u, w, by); load(&v, 127u, a, node % 2u, w, by);
-        load(&v, 128u, a, node % 2u, w, by); load(&v, 129u, a, node % 2u, w, by);
-        load(&v, 130u, a, node % 2u, w, by); load(&v, 131u, a, node % 2u, w, by);
-        load(&v, 132u, a, node % 2u, w, by); load(&v, 133u, a, node % 2u, w, by);
-        load(&v, 134u, a, node % 2u, w, by); load(&v, 135u, a, node % 2u, w, by);
-        load(&v, 136u, a, node % 2u, w, by); load(&v, 137u, a, node % 2u, w, by);
-        load(&v, 138u, a, node % 2u, w, by); load(&v, 139u, a, node % 2u, w, by);
-        load(&v, 140u, a, node % 2u, w, by); load(&v, 141u, a, node % 2u, w, by);
-        load(&v, 142u, a, node % 2u, w, by); load(&v, 143u, a, node % 2u, w, by);
-        load(&v, 144u, a, node % 2u, w, by); load(&v, 145u, a, node % 2u, w, by);
-        load(&v, 146u, a, node % 2u, w, by); load(&v, 147u, a, node % 2u, w, by);
-        load(&v, 148u, a, node % 2u, w, by); load(&v, 149u, a, node % 2u, w, by);
-        load(&v, 150u, a, node % 2u, w, by); load(&v, 151u, a, node % 2u, w, by);
-        load(&v, 152u, a, node % 2u, w, by); load(&v, 153u, a, node % 2u, w, by);
-        load(&v, 154u, a, node % 2u, w, by); load(&v, 155u, a, node % 2u, w, by);
-        load(&v, 156u, a, node % 2u, w, by); load(&v, 157u, a, node % 2u, w, by);
-        load(&v, 158u, a, node % 2u, w, by); load(&v, 159u, a, node % 2u, w, by);
-        line_160(&v);
-        add(&sum, &v, 0u, h); add(&sum, &v, 2u, h); add(&sum, &v, 4u, h); add(&sum, &v, 6u, h); add(&sum, &v, 8u, h);
-        add(&sum, &v, 10u, h); add(&sum, &v, 12u, h); add(&sum, &v, 14u, h); add(&sum, &v, 16u, h);
-        add(&sum, &v, 18u, h); add(&sum, &v, 20u, h); add(&sum, &v, 22u, h); add(&sum, &v, 24u, h);
-        add(&sum, &v, 26u, h); add(&sum, &v, 28u, h); add(&sum, &v, 30u, h); add(&sum, &v, 32u, h);
-        add(&sum, &v, 34u, h); add(&sum, &v, 36u, h); add(&sum, &v, 38u, h); add(&sum, &v, 40u, h);
-        add(&sum, &v, 42u, h); add(&sum, &v, 44u, h); add(&sum, &v, 46u, h); add(&sum, &v, 48u, h);
-        add(&sum, &v, 50u, h); add(&sum, &v, 52u, h); add(&sum, &v, 54u, h); add(&sum, &v, 56u, h);
-        add(&sum, &v, 58u, h); add(&sum, &v, 60u, h); add(&sum, &v, 62u, h); add(&sum, &v, 64u, h);
-        add(&sum, &v, 66u, h); add(&sum, &v, 68u, h); add(&sum, &v, 70u, h); add(&sum, &v, 72u, h);
-        add(&sum, &v, 74u, h); add(&sum, &v, 76u, h); add(&sum, &v, 78u, h); add(&sum, &v, 80u, h);
-        add(&sum, &v, 82u, h); add(&sum, &v, 84u, h); add(&sum, &v, 86u, h); add(&sum, &v, 88u, h);
-        add(&sum, &v, 90u, h); add(&sum, &v, 92u, h); add(&sum, &v, 94u, h); add(&sum, &v, 96u, h);
-        add(&sum, &v, 98u, h); add(&sum, &v, 100u, h); add(&sum, &v, 102u, h); add(&sum, &v, 104u, h);
-        add(&sum, &v, 106u, h); add(&sum, &v, 108u, h); add(&sum, &v, 110u, h); add(&sum, &v, 112u, h);
-        add(&sum, &v, 114u, h); add(&sum, &v, 116u, h); add(&sum, &v, 118u, h); add(&sum, &v, 120u, h);
-        add(&sum, &v, 122u, h); add(&sum, &v, 124u, h); add(&sum, &v, 126u, h); add(&sum, &v, 128u, h);
-        add(&sum, &v, 130u, h); add(&sum, &v, 132u, h); add(&sum, &v, 134u, h); add(&sum, &v, 136u, h);
-        add(&sum, &v, 138u, h); add(&sum, &v, 140u, h); add(&sum, &v, 142u, h); add(&sum, &v, 144u, h);
-        add(&sum, &v, 146u, h); add(&sum, &v, 148u, h); add(&sum, &v, 150u, h); add(&sum, &v, 152u, h);
-        add(&sum, &v, 154u, h); add(&sum, &v, 156u, h); add(&sum, &v, 158u, h);
+    for (var right = 0u; right < 2u; right++) {
+        load(&column, 0u, a + right); load(&column, 1u, a + right); load(&column, 2u, a + right);
+        load(&column, 3u, a + right); load(&column, 4u, a + right); load(&column, 5u, a + right);
+        load(&column, 6u, a + right); load(&column, 7u, a + right); load(&column, 8u, a + right);
+        load(&column, 9u, a + right); load(&column, 10u, a + right); load(&column, 11u, a + right);
+        load(&column, 12u, a + right); load(&column, 13u, a + right); load(&column, 14u, a + right);
+        load(&column, 15u, a + right); load(&column, 16u, a + right); load(&column, 17u, a + right);
+        load(&column, 18u, a + right); load(&column, 19u, a + right); load(&column, 20u, a + right);
+        load(&column, 21u, a + right); load(&column, 22u, a + right); load(&column, 23u, a + right);
+        load(&column, 24u, a + right); load(&column, 25u, a + right); load(&column, 26u, a + right);
+        load(&column, 27u, a + right); load(&column, 28u, a + right); load(&column, 29u, a + right);
+        load(&column, 30u, a + right); load(&column, 31u, a + right); load(&column, 32u, a + right);
+        load(&column, 33u, a + right); load(&column, 34u, a + right); load(&column, 35u, a + right);
+        load(&column, 36u, a + right); load(&column, 37u, a + right); load(&column, 38u, a + right);
+        load(&column, 39u, a + right); load(&column, 40u, a + right); load(&column, 41u, a + right);
+        load(&column, 42u, a + right); load(&column, 43u, a + right); load(&column, 44u, a + right);
+        load(&column, 45u, a + right); load(&column, 46u, a + right); load(&column, 47u, a + right);
+        load(&column, 48u, a + right); load(&column, 49u, a + right); load(&column, 50u, a + right);
+        load(&column, 51u, a + right); load(&column, 52u, a + right); load(&column, 53u, a + right);
+        load(&column, 54u, a + right); load(&column, 55u, a + right); load(&column, 56u, a + right);
+        load(&column, 57u, a + right); load(&column, 58u, a + right); load(&column, 59u, a + right);
+        load(&column, 60u, a + right); load(&column, 61u, a + right); load(&column, 62u, a + right);
+        load(&column, 63u, a + right); load(&column, 64u, a + right); load(&column, 65u, a + right);
+        load(&column, 66u, a + right); load(&column, 67u, a + right); load(&column, 68u, a + right);
+        load(&column, 69u, a + right); load(&column, 70u, a + right); load(&column, 71u, a + right);
+        load(&column, 72u, a + right); load(&column, 73u, a + right); load(&column, 74u, a + right);
+        load(&column, 75u, a + right); load(&column, 76u, a + right); load(&column, 77u, a + right);
+        load(&column, 78u, a + right); load(&column, 79u, a + right); load(&column, 80u, a + right);
+        load(&column, 81u, a + right); load(&column, 82u, a + right); load(&column, 83u, a + right);
+        load(&column, 84u, a + right); load(&column, 85u, a + right); load(&column, 86u, a + right);
+        load(&column, 87u, a + right); load(&column, 88u, a + right); load(&column, 89u, a + right);
+        load(&column, 90u, a + right); load(&column, 91u, a + right); load(&column, 92u, a + right);
+        load(&column, 93u, a + right); load(&column, 94u, a + right); load(&column, 95u, a + right);
+        load(&column, 96u, a + right); load(&column, 97u, a + right); load(&column, 98u, a + right);
+        load(&column, 99u, a + right); load(&column, 100u, a + right); load(&column, 101u, a + right);
+        load(&column, 102u, a + right); load(&column, 103u, a + right); load(&column, 104u, a + right);
+        load(&column, 105u, a + right); load(&column, 106u, a + right); load(&column, 107u, a + right);
+        load(&column, 108u, a + right); load(&column, 109u, a + right); load(&column, 110u, a + right);
+        load(&column, 111u, a + right); load(&column, 112u, a + right); load(&column, 113u, a + right);
+        load(&column, 114u, a + right); load(&column, 115u, a + right); load(&column, 116u, a + right);
+        load(&column, 117u, a + right); load(&column, 118u, a + right); load(&column, 119u, a + right);
+        load(&column, 120u, a + right); load(&column, 121u, a + right); load(&column, 122u, a + right);
+        load(&column, 123u, a + right); load(&column, 124u, a + right); load(&column, 125u, a + right);
+        load(&column, 126u, a + right); load(&column, 127u, a + right); load(&column, 128u, a + right);
+        load(&column, 129u, a + right); load(&column, 130u, a + right); load(&column, 131u, a + right);
+        load(&column, 132u, a + right); load(&column, 133u, a + right); load(&column, 134u, a + right);
+        load(&column, 135u, a + right); load(&column, 136u, a + right); load(&column, 137u, a + right);
+        load(&column, 138u, a + right); load(&column, 139u, a + right); load(&column, 140u, a + right);
+        load(&column, 141u, a + right); load(&column, 142u, a + right); load(&column, 143u, a + right);
+        load(&column, 144u, a + right); load(&column, 145u, a + right); load(&column, 146u, a + right);
+        load(&column, 147u, a + right); load(&column, 148u, a + right); load(&column, 149u, a + right);
+        load(&column, 150u, a + right); load(&column, 151u, a + right); load(&column, 152u, a + right);
+        load(&column, 153u, a + right); load(&column, 154u, a + right); load(&column, 155u, a + right);
+        load(&column, 156u, a + right); load(&column, 157u, a + right); load(&column, 158u, a + right);
+        load(&column, 159u, a + right);
+        for (var lower = 0u; lower < 2u; lower++) {
+            let w = select(1.0 - s, s, lower == 1u);
+            let by = select(-step, step, lower == 1u);
+            let h = (((row / params.per_cell + lower) * (params.cells + 1u) + cell + right) * 81u + kx) * 80u;
+            weigh(&v, &column, 0u, w, by); weigh(&v, &column, 4u, w, by); weigh(&v, &column, 8u, w, by);
+            weigh(&v, &column, 12u, w, by); weigh(&v, &column, 16u, w, by); weigh(&v, &column, 20u, w, by);
+            weigh(&v, &column, 24u, w, by); weigh(&v, &column, 28u, w, by); weigh(&v, &column, 32u, w, by);
+            weigh(&v, &column, 36u, w, by); weigh(&v, &column, 40u, w, by); weigh(&v, &column, 44u, w, by);
+            weigh(&v, &column, 48u, w, by); weigh(&v, &column, 52u, w, by); weigh(&v, &column, 56u, w, by);
+            weigh(&v, &column, 60u, w, by); weigh(&v, &column, 64u, w, by); weigh(&v, &column, 68u, w, by);
+            weigh(&v, &column, 72u, w, by); weigh(&v, &column, 76u, w, by); weigh(&v, &column, 80u, w, by);
+            weigh(&v, &column, 84u, w, by); weigh(&v, &column, 88u, w, by); weigh(&v, &column, 92u, w, by);
+            weigh(&v, &column, 96u, w, by); weigh(&v, &column, 100u, w, by); weigh(&v, &column, 104u, w, by);
+            weigh(&v, &column, 108u, w, by); weigh(&v, &column, 112u, w, by); weigh(&v, &column, 116u, w, by);
+            weigh(&v, &column, 120u, w, by); weigh(&v, &column, 124u, w, by); weigh(&v, &column, 128u, w, by);
+            weigh(&v, &column, 132u, w, by); weigh(&v, &column, 136u, w, by); weigh(&v, &column, 140u, w, by);
+            weigh(&v, &column, 144u, w, by); weigh(&v, &column, 148u, w, by); weigh(&v, &column, 152u, w, by);
+            weigh(&v, &column, 156u, w, by);
+            line_160(&v);
+            add(&sum, &v, 0u, h); add(&sum, &v, 2u, h); add(&sum, &v, 4u, h); add(&sum, &v, 6u, h);
+            add(&sum, &v, 8u, h); add(&sum, &v, 10u, h); add(&sum, &v, 12u, h); add(&sum, &v, 14u, h);
+            add(&sum, &v, 16u, h); add(&sum, &v, 18u, h); add(&sum, &v, 20u, h); add(&sum, &v, 22u, h);
+            add(&sum, &v, 24u, h); add(&sum, &v, 26u, h); add(&sum, &v, 28u, h); add(&sum, &v, 30u, h);
+            add(&sum, &v, 32u, h); add(&sum, &v, 34u, h); add(&sum, &v, 36u, h); add(&sum, &v, 38u, h);
+            add(&sum, &v, 40u, h); add(&sum, &v, 42u, h); add(&sum, &v, 44u, h); add(&sum, &v, 46u, h);
+            add(&sum, &v, 48u, h); add(&sum, &v, 50u, h); add(&sum, &v, 52u, h); add(&sum, &v, 54u, h);
+            add(&sum, &v, 56u, h); add(&sum, &v, 58u, h); add(&sum, &v, 60u, h); add(&sum, &v, 62u, h);
+            add(&sum, &v, 64u, h); add(&sum, &v, 66u, h); add(&sum, &v, 68u, h); add(&sum, &v, 70u, h);
+            add(&sum, &v, 72u, h); add(&sum, &v, 74u, h); add(&sum, &v, 76u, h); add(&sum, &v, 78u, h);
+            add(&sum, &v, 80u, h); add(&sum, &v, 82u, h); add(&sum, &v, 84u, h); add(&sum, &v, 86u, h);
+            add(&sum, &v, 88u, h); add(&sum, &v, 90u, h); add(&sum, &v, 92u, h); add(&sum, &v, 94u, h);
+            add(&sum, &v, 96u, h); add(&sum, &v, 98u, h); add(&sum, &v, 100u, h); add(&sum, &v, 102u, h);
+            add(&sum, &v, 104u, h); add(&sum, &v, 106u, h); add(&sum, &v, 108u, h); add(&sum, &v, 110u, h);
+            add(&sum, &v, 112u, h); add(&sum, &v, 114u, h); add(&sum, &v, 116u, h); add(&sum, &v, 118u, h);
+            add(&sum, &v, 120u, h); add(&sum, &v, 122u, h); add(&sum, &v, 124u, h); add(&sum, &v, 126u, h);
+            add(&sum, &v, 128u, h); add(&sum, &v, 130u, h); add(&sum, &v, 132u, h); add(&sum, &v, 134u, h);
+            add(&sum, &v, 136u, h); add(&sum, &v, 138u, h); add(&sum, &v, 140u, h); add(&sum, &v, 142u, h);
+            add(&sum, &v, 144u, h); add(&sum, &v, 146u, h); add(&sum, &v, 148u, h); add(&sum, &v, 150u, h);
+            add(&sum, &v, 152u, h); add(&sum, &v, 154u, h); add(&sum, &v, 156u, h); add(&sum, &v, 158u, h);
+        }
     }
     line_160_back(&sum);
     let at = (block * 81u + kx) * 80u;

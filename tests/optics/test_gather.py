@@ -39,7 +39,7 @@ def on_device(columns: np.ndarray, down: int, across: int, side: int) -> np.ndar
         }
         # The odd rows find what the even ones left.
         outputs = {"image": (frame[0] * frame[1], np.float32)}
-        groups = (-(-lines // 64), 1, 1)
+        groups = (-(-lines // 8), 1, 1)
         given |= run_stage("optics/gather", groups, params, given, outputs, SIDE=side)
     return given["image"].reshape(frame)
 

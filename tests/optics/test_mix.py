@@ -42,7 +42,7 @@ def on_device(
         {"lines": lines, "cells": cells, "per_cell": per_cell},
         {
             "spectra": np.ascontiguousarray(spectra),
-            "kernels": np.ascontiguousarray(responses.swapaxes(1, 2), np.complex64),
+            "kernels": np.ascontiguousarray(responses, np.complex64),
         },
         {"columns": (len(spectra) * HALF * LENGTH, np.complex64)},
         SIDE=side,
