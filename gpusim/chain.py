@@ -420,11 +420,13 @@ class Renderer:
     def lines(self, rect: Rect) -> Iterator[tuple[int, list[tuple[int, int]]]]:
         """Yield the blocks that a rectangle of lit pixels needs, where there is light, by line.
 
-        In the order in which they are added up: with the number of their scale.
+        A line is a row of cells between PSF nodes. In the order in which they are added up: with
+        the number of their scale.
         """
         for number, (scale, source) in enumerate(zip(self.plan.scales, self.sources, strict=True)):
-            blocks = [block for block in scale.grid.blocks_for(*rect) if source.needed[block]]
-            for _, line in groupby(blocks, key=lambda block: block[1]):
+            grid = scale.grid
+            blocks = [block for block in grid.blocks_for(*rect) if source.needed[block]]
+            for _, line in groupby(blocks, key=lambda block: grid.cell_of(block)[1]):
                 yield number, list(line)
 
     def working_bytes(self) -> int:

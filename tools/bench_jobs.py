@@ -484,7 +484,7 @@ def warp_job(device: Device, frame: tuple[int, int]) -> Job:
 def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     """Time rows, columns or lattice alone over all blocks: one plane, three channels."""
     grid = sim_grid(frame)
-    length, half, window = grid.length, grid.length // 2 + 1, grid.window
+    length, window = grid.length, grid.window
     part = Convolve(device, scale_of(grid), {}, PITCH_UM, SITES)
     # The kernels of 64 nodes serve all: 50 MiB, so that they come from memory as in a render.
     few = SimGrid(64, 64, 4, 2, length, grid.half_size, (7, 7))
@@ -500,7 +500,7 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         rng.standard_normal(array.shape, np.float32)
         for array in (scratch.planes, scratch.spectra, scratch.folded)
     )
-    folded[:, [0, -1], :, :, 1] = 0  # frequencies that are their own mirror images
+    folded[:, :, 0, :, 1] = 0  # the frequency that is its own mirror image
     device.write(scratch.planes, planes)
     device.write(scratch.spectra, spectra)
     device.write(scratch.folded, folded)
@@ -523,15 +523,15 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         peers["scipy"] = (lambda: scipy.fft.fft(lines, workers=2), blocks)
     elif stage == "columns":
         packed = [device.read(part.nodes[x, y]) for y in (0, 1) for x in (0, 1)]
-        kernels = [unpacked(node, half, length) for node in packed]
+        kernels = [unpacked(node, length) for node in packed]
         places = [(channel, 2 * (s % 2), 2 * (s // 2)) for s, channel in enumerate(SITES)]
-        sites_apart = columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride)
-        mirrored = sites_apart[:, half - 2 : 0 : -1].conj()
-        whole = np.concatenate([sites_apart, mirrored], axis=1).reshape(4, -1, window, window)
-        found = error(by_site(device.read(scratch.folded)), whole.sum(axis=1)[:, : window // 2 + 1])
+        found = error(
+            by_site(device.read(scratch.folded)),
+            columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride),
+        )
         nbytes = spectra.nbytes + 4 * packed[0].nbytes + folded.nbytes
-        samples = half * length
-        lines = np.resize(complex_of(spectra), (4, half, length))
+        samples = length**2 // 2
+        lines = np.resize(complex_of(spectra), (4, length // 2 + 1, length))
         four = np.ascontiguousarray(np.swapaxes(np.stack(kernels)[:, :, 0], 1, 2))
 
         def peer() -> None:
@@ -631,16 +631,18 @@ def complex_of(pairs: np.ndarray) -> np.ndarray:
     return pairs.view(np.complex64)[..., 0]
 
 
-def unpacked(packed: np.ndarray, half: int, length: int) -> np.ndarray:
+def unpacked(packed: np.ndarray, length: int) -> np.ndarray:
     """Return one plane's kernel spectra (kx, 1, channel, ky), as `kernel_spectra` packs them."""
-    lanes = packed.view(np.complex64).reshape(half, 1, length // 64, 3, 4, 8, 2)
-    return lanes.transpose(0, 1, 3, 4, 6, 2, 5).reshape(half, 1, 3, length)
+    by_lane = packed.view(np.complex64).reshape(length // 16, length // 256, 16, 3, 8, 8, 2)
+    lines = by_lane.transpose(0, 5, 3, 4, 6, 2, 1).reshape(length // 2, 1, 3, length)
+    return np.concatenate([lines, np.zeros_like(lines[:1])])
 
 
 def by_site(folded: np.ndarray) -> np.ndarray:
-    """Return (S, M/2+1, M) from (S/2, M/2+1, M, 2, 2): two sites side by side, two parts each."""
+    """Return (S, T/2+1, M) from (S/2, M, T/2, 2, 2): two sites side by side, two parts each."""
     pairs = complex_of(folded)
-    return np.moveaxis(pairs, 3, 1).reshape(-1, *pairs.shape[1:3])
+    lines = pairs.transpose(0, 3, 2, 1).reshape(-1, pairs.shape[2], pairs.shape[1])
+    return np.concatenate([lines, np.zeros_like(lines[:, :1])], axis=1)
 
 
 def sensor_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:

@@ -50,5 +50,5 @@ def run(calibrate: bool) -> None:
     for name, unit in UNITS.items():
         rates.add_row(name, f"{costs.ns[name]:,.3g}", f"a {unit}")
     lengths = ", ".join(f"{length}: {factor:.2f}" for length, factor in costs.lengths.items())
-    rates.add_row("by length", "", f"{lengths}, relative to transforms of 512")
+    rates.add_row("by length", "", f"{lengths}, relative to transforms of 256")
     console.print(rates)

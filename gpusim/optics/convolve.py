@@ -32,7 +32,7 @@ class Scratch:
     def __init__(
         self, rec: Recording, name: str, grid: SimGrid, planes: int, lines: int | None = None
     ) -> None:
-        self.planes, self.spectra, self.folded = (
+        self.planes, self.spectra, self.lines, self.folded = (
             rec.buffer(f"{label} {name}", shape, np.float32)
             for label, shape in self.shapes(grid, planes, lines).items()
         )
@@ -41,10 +41,14 @@ class Scratch:
     def shapes(grid: SimGrid, planes: int, lines: int | None = None) -> dict[str, tuple[int, ...]]:
         """Return the shape of each array, of floats."""
         pairs = -(-grid.sites // 2)
+        lines = lines or planes
+        # Squares of 16 x 17 numbers: see shaders/optics/columns.
+        slots = 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
         return {
             "planes": (planes, grid.block[1], grid.block[0]),
-            "spectra": (lines or planes, grid.block[1], grid.length, 2),
-            "folded": (pairs, grid.window // 2 + 1, grid.window, 2, 2),
+            "spectra": (lines, grid.block[1], grid.length, 2),
+            "lines": (grid.length // 16, slots, 8, 4),
+            "folded": (pairs, grid.window, grid.length // 2, 2, 2),
         }
 
     @classmethod
@@ -63,7 +67,7 @@ def packed_channels(of_site: list[int]) -> list[int]:
 
 def spectra_bytes(grid: SimGrid, outputs: Outputs) -> int:
     """Return the bytes of the spectra of one plane's kernels."""
-    return len(outputs.places) * (grid.length // 2 + 1) * grid.length * 8
+    return len(outputs.places) * grid.length // 2 * grid.length * 8
 
 
 def block_transform(grid: SimGrid) -> dict[str, int]:
@@ -91,21 +95,25 @@ class Transforms:
 
     def __init__(self, device: Device, scale: Scale, outputs: Outputs, nodes: int) -> None:
         self.grid = grid = scale.grid
-        line = {"T": grid.length, "LANES": grid.length // 8}
-        lattice = {"D": grid.stride, "M": grid.window, "SITE_RADIX": FIRST_RADIX[grid.window]}
+        lattice = {"T": grid.length, "D": grid.stride, "M": grid.window}
         self.columns = Kernel(
             "optics/columns",
-            **line,
-            FIRST_RADIX=FIRST_RADIX[grid.length],
+            **lattice,
+            E=grid.length // 256,
             BY=grid.block[1],
             C=len(outputs.places),
-            **lattice,
             PERIOD=grid.period,
             STEP=outputs.step,
             PAIRS=-(-grid.sites // 2),
             NODES=nodes,
         )
-        self.lattice = Kernel("optics/lattice", **line, **lattice, S=grid.sites)
+        self.lattice = Kernel(
+            "optics/lattice",
+            **lattice,
+            LANES=grid.length // 8,
+            SITE_RADIX=FIRST_RADIX[grid.window],
+            S=grid.sites,
+        )
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
         self.site_channels = packed_channels(outputs.of_site)
@@ -129,11 +137,12 @@ class Transforms:
         for first in range(0, self.columns.overrides["C"], 4):
             self.columns.record(
                 rec,
-                groups=(grid.window // 2 + 1, 1, 1),
+                groups=(grid.length // 16, 1, 1),
                 params={**columns, "first": first, "site_channels": self.site_channels},
                 twiddle=self.twiddle,
                 spectra=scratch.spectra,
                 **dict(zip(names, kernels, strict=True)),
+                lines=scratch.lines,
                 folded=scratch.folded,
             )
         row0, col0, rows, cols = (-(-value // grid.period) for value in rect)

@@ -166,7 +166,11 @@ class SimGrid:
         return tuple(result)
 
     def blocks_for(self, row0: int, col0: int, rows: int, cols: int) -> list[tuple[int, int]]:
-        """Return the blocks whose windows touch a rectangle of pixels, row by row."""
+        """Return the blocks whose windows touch a rectangle of pixels, row by row of cells.
+
+        Those of a cell follow one another: they use the same kernels, which then still lie in the
+        processor's cache.
+        """
         chosen = []
         for axis, first, count in ((0, col0, cols), (1, row0, rows)):
             # The whole window: where the kernels do not reach, it still holds their rounding
@@ -175,4 +179,5 @@ class SimGrid:
             origins = [start + i * self.block[axis] for i in range(self.blocks[axis])]
             low, high = first * self.oversampling, (first + count) * self.oversampling
             chosen.append([i for i, o in enumerate(origins) if o < high and o + self.length > low])
-        return [(x, y) for y in chosen[1] for x in chosen[0]]
+        blocks = [(x, y) for y in chosen[1] for x in chosen[0]]
+        return sorted(blocks, key=lambda block: (*self.cell_of(block)[::-1], *block[::-1]))

@@ -358,21 +358,20 @@ def kernel_spectra(
 
     Returns
     -------
-    ndarray (J, T/2+1, T/64, len(outputs), 4, 8, 2), complex64
-        [plane, kx, g, output, a, l, b] with ky = (2 a + b) T/8 + 8 g + l: the lanes 8 g + l of a
-        workgroup load two at a time, and what eight lanes load lies together (the columns pass
-        takes a fifth less time than with [plane, kx, output, a, lane, b], lavapipe, 2 cores);
-        divided by T^2 for the inverse transforms, which are not normalised.
+    ndarray (J, T/16, T/256, 16, len(outputs), 8, 8, 2), complex64
+        [plane, kx/8, g, p, output, q/2, kx%8, q%2] with ky = T/256 (p + 16 q) + g: what eight
+        invocations load lies together; divided by T^2 for the inverse transforms, which are not
+        normalised. Without kx = T/2, where `aperture_spectra` are zero.
     """
-    half = length // 2 + 1
     # Of the rows that are there, not of the padding's.
     rows = scipy.fft.rfft(sampled.astype(np.float32), length)
     spectra = scipy.fft.fft(np.ascontiguousarray(rows.swapaxes(-1, -2)), length, overwrite_x=True)
-    result = np.empty((len(sampled), half, length // 64, len(outputs), 4, 8, 2), np.complex64)
+    fine = length // 256
+    result = np.empty((len(sampled), length // 16, fine, 16, len(outputs), 8, 8, 2), np.complex64)
     for place, (channel, shift_x, shift_y) in enumerate(outputs):
         one = spectra[:, channel] * _aperture_spectra(length, aperture, sigma, shift_x, shift_y)
-        lanes = one.reshape(-1, half, 4, 2, length // 64, 8)
-        result[:, :, :, place] = lanes.transpose(0, 1, 4, 2, 5, 3)
+        by_lane = one[:, :-1].reshape(-1, length // 16, 8, 8, 2, 16, fine)
+        result[:, :, :, :, place] = by_lane.transpose(0, 1, 6, 5, 3, 2, 4)
     return result
 
 

@@ -215,7 +215,7 @@ def modes_work(
     kernels = len(outputs_of(grid, site_channels, max(site_channels) + 1).places)
     pairs = sum(-(-planes * rank // 2) for planes in needed.values())
     most = max(needed.values(), default=0) * rank
-    half = grid.length // 2 + 1
+    half = grid.length // 2
     # Each column of a pair is transformed as both lines': from both halves of the spectrum.
     return ModesWork(
         row_transforms=pairs * grid.block[1],

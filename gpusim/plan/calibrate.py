@@ -246,34 +246,34 @@ def _stage_time(device: Device, stage: Paint | Warp) -> dict[str, float]:
 
 def _transforms(device: Device) -> dict[str | int, float]:
     """Time rows, columns and lattice: by planes, channels and length."""
-    at_512 = {
-        (channels, planes): _convolved(device, 512, channels, planes)
+    at_256 = {
+        (channels, planes): _convolved(device, 256, channels, planes)
         for channels in (1, 3)
         for planes in (1, PLANES)
     }
-    others = {length: _convolved(device, length, 3, 1) for length in TRANSFORMS if length != 512}
+    others = {length: _convolved(device, length, 3, 1) for length in TRANSFORMS if length != 256}
     # The three rates of columns from four times, each counted by its share.
     work, times = [], []
-    grid = _grid(512, 2)
-    unit = {name: 1e9 if name in ("columns", "products", "fold") else 0.0 for name in UNITS}
-    for (channels, planes), found in at_512.items():
+    grid = _grid(256, 2)
+    unit = {name: 1e9 if name in ("columns", "products", "inverse") else 0.0 for name in UNITS}
+    for (channels, planes), found in at_256.items():
         count = np.array([planes])
         work.append(
             [
                 Costs(
-                    "", unit | {other: 0.0 for other in unit if other != name}, {512: 1.0}
+                    "", unit | {other: 0.0 for other in unit if other != name}, {256: 1.0}
                 ).transforms(grid, channels, count)["columns"]
-                for name in ("columns", "products", "fold")
+                for name in ("columns", "products", "inverse")
             ]
         )
         times.append(found["columns"])
     share = 1 / np.array(times)
     rates, _ = nnls(np.array(work) * share[:, None], np.ones(len(times)))
-    units = Costs("", dict.fromkeys(UNITS, 1e9), {512: 1.0}).transforms(grid, 3, np.array([PLANES]))
-    ns = {stage: 1e9 * at_512[3, PLANES][stage] / units[stage] for stage in ("rows", "lattice")}
-    ns |= dict(zip(("columns", "products", "fold"), 1e9 * rates, strict=True))
+    units = Costs("", dict.fromkeys(UNITS, 1e9), {256: 1.0}).transforms(grid, 3, np.array([PLANES]))
+    ns = {stage: 1e9 * at_256[3, PLANES][stage] / units[stage] for stage in ("rows", "lattice")}
+    ns |= dict(zip(("columns", "products", "inverse"), 1e9 * rates, strict=True))
     alike = Costs("", dict.fromkeys(UNITS, 0.0) | ns, dict.fromkeys(TRANSFORMS, 1.0))
-    lengths = {512: 1.0}
+    lengths = {256: 1.0}
     for length, found in others.items():
         expected = alike.transforms(_grid(length, 2), 3, np.array([1]))
         lengths[length] = sum(found.values()) / sum(expected.values())
@@ -300,7 +300,7 @@ def _convolved(device: Device, length: int, channels: int, planes: int) -> dict[
     grid = _grid(length, 2)
     sites = [0, 1, 1, 2] if channels == 3 else [0] * 4
     convolution = Convolve(device, _scale(grid, channels), {}, 1.0, sites)
-    size = planes * (length // 2 + 1) * length * channels * 2
+    size = planes * length // 2 * length * channels * 2
     for node in np.ndindex(grid.nodes):
         convolution.nodes[node] = device.resident("node", np.zeros(size, np.float32))
     return _blocks_time(device, convolution, planes)

@@ -18,9 +18,9 @@ UNITS = {
     "warp": "sample and plane",
     "rows": "complex sample of a transform, and log2 of its length",
     "modes": "complex sample of a transform, and log2 of its length",
-    "columns": "complex sample of a transform, and log2 of its length",
+    "columns": "complex sample of a transform",
     "products": "complex product with a kernel, in the columns pass",
-    "fold": "complex sample that the columns pass folds",
+    "inverse": "complex sample of the inverse transform, in the columns pass",
     "lattice": "complex sample of a transform, and log2 of its length",
     "direct": "multiply-add of a source sample and a tap",
     "mosaic": "pixel",
@@ -49,7 +49,7 @@ class Costs:
     ns : mapping of str to float
         Nanoseconds for each unit of work: see UNITS.
     lengths : mapping of int to float
-        By transform length: what rows, columns and lattice cost relative to transforms of 512.
+        By transform length: what rows, columns and lattice cost relative to transforms of 256.
     """
 
     source: str
@@ -83,10 +83,10 @@ class Costs:
             transforms, products = 1, min(2, rank * int(np.max(planes, initial=0)))
         blocks = np.count_nonzero(planes)
         length, window, pairs = grid.length, grid.window, -(-grid.sites // 2)
-        samples = (window // 2 + 1) * grid.stride * length
-        columns = self.seconds("columns", transforms * lines * samples * np.log2(length))
+        samples = length**2 // 2  # the other half are their mirrors
+        columns = self.seconds("columns", transforms * lines * samples)
         columns += self.seconds("products", products * outputs * lines * samples)
-        columns += self.seconds("fold", blocks * pairs * samples)
+        columns += self.seconds("inverse", blocks * pairs * samples / grid.stride)
         seconds = {
             first: self.seconds(first, lines * grid.block[1] * length * np.log2(length)),
             "columns": columns,
@@ -106,10 +106,10 @@ LAVAPIPE = Costs(
         "warp": 12.5,
         "rows": 0.85,
         "modes": 1.1,
-        "columns": 1.4,
-        "products": 2.3,
-        "fold": 4.4,
-        "lattice": 1.45,
+        "columns": 4.0,
+        "products": 1.7,
+        "inverse": 2.0,
+        "lattice": 4.0,
         "direct": 0.15,
         "mosaic": 3.7,
         "border": 2.5,

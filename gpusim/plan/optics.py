@@ -380,7 +380,7 @@ class _Problem:
             )
 
         def memory(grid: SimGrid, needed: Needed) -> Memory:
-            half = (grid.length // 2 + 1) * grid.length * 8 * outputs
+            half = grid.length // 2 * grid.length * 8 * outputs
             most = max(needed.values(), default=0)
             if method == "modes":
                 pairs = -(-most * rank // 2)

@@ -1,35 +1,35 @@
-// Second half of the space-variant convolution, for the column frequencies kx = q (mod M) of one source block:
-// forward transform in y with the weights of the upper and lower PSF nodes, product with the channel kernels of
-// the four nodes, sum over planes and nodes, fold of both spectra onto the photosites, inverse transform in y.
+// Second part of the space-variant convolution, for one column frequency kx of one source block to an invocation: forward
+// transform in y with the weights of the upper and lower PSF nodes, product with the channel kernels of the four nodes, sum
+// over planes and nodes, inverse transform in y at the photosites.
 //
 //   A_0 = (Z[k] + conj Z[T-k]) / 2,  A_1 = (Z[k] - conj Z[T-k]) / 2i     rows weighted for left, right node
 //   X_c[ky, kx] = sum_j sum_n H_n[j, kx, c, ky] sum_y A_j,nx[y, kx] r_ny(y) exp(-2 pi i ky y / T)
 //   r_0 = 1 - s(y), r_1 = s(y), s(y) = first_s + y step_s
-//   F_site[p, q] = sum over kx = q, ky = p (mod M) of X_c(site)[ky, kx] exp(2 pi i (ky o_y + kx o_x) / T),  M = T/D
-//   folded[site, q, m] = sum_p F_site[p, q] exp(2 pi i p m / M)
+//   folded[site, m, kx] = exp(2 pi i kx o_x / T) sum_ky X_c(site)[ky, kx] exp(2 pi i ky (D m + o_y) / T)
 // Where the PSFs are sums of modes (shaders/optics/modes), NODES = 2: there are no weights in y and no lower nodes, `planes`
 // are pairs of lines, and the left and right node's kernels are those of a pair's two lines. NODES = 1: of a single line.
-// Columns kx > T/2 are mirrored: X[ky, kx] = conj X[T-ky, T-kx], because the result is real.
-// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D
-// (for D = 8 of an even STEP).
-// spectra (planes, BY, T), kernels (planes, T/2+1, LANES/8, C, 4, 8, 2) per node [electrons/s per unit
-// of the plane, divided by T^2], ky = (2 a + b) LANES + 8 g + l at [.., g, c, a, l, b]: what eight lanes load lies together.
-// -> folded (ceil(S/2), M/2+1, M, 2) electrons/s: sites 2 p and 2 p + 1 side by side.
-// Dispatch: (M/2+1, 1, 1) workgroups of LANES = T/8 invocations; of more than four channels once for each four of them, from
-// `first` on. Then each site has a kernel of its own, and a dispatch makes the sites of its kernels.
-#include "line_fft"
+// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D.
+//
+// T = 16 16 E: with y = n + 16 r + 256 e and ky = E (p + 16 q) + g, the sums over e (turned by g y / T), r and q are taken in
+// that order, for one g after another. Between r and q, and between q and p on the way back, sixteen times sixteen numbers
+// wait in `lines`: each is stored and loaded once, which is what costs on lavapipe; arithmetic hides behind it. Of the
+// inverse transform over q only those results are kept on which photosites lie: nothing else is left of the fold onto them.
+// spectra (planes, BY, T), kernels (planes, T/16, E, 16, C, 8, 8, 2) per node [electrons/s per unit of the plane, divided
+// by T^2]: [j, kx/8, g, p, c, q/2, kx%8, q%2], what eight lanes load lies together
+// -> folded (ceil(S/2), M, T/2, 2) electrons/s: sites 2 i and 2 i + 1 side by side. Kernels have no frequency kx = T/2.
+// Dispatch: (T/16, 1, 1) workgroups of 8 invocations; of more than four channels once for each four of them, from `first`
+// on. Then each site has a kernel of its own, and a dispatch makes the sites of its kernels.
+#include "sixteen"
 
 override T: u32 = 512u;           // transform length, samples
-override LANES: u32 = 64u;        // T/8
-override FIRST_RADIX: u32 = 8u;   // 2, 4 or 8: T = FIRST_RADIX 8^k
+override E: u32 = 2u;             // T/256: 1, 2 or 4
 override BY: u32 = 336u;          // block height, samples
 override C: u32 = 3u;             // channels in the kernels
 override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
 override M: u32 = 128u;           // T/D
-override SITE_RADIX: u32 = 2u;    // 2, 4 or 8: M = SITE_RADIX 8^k
 override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
 override STEP: u32 = 2u;          // samples from a site to the next; 0 where every site has kernels of its own
-override PAIRS: u32 = 2u;         // ceil(PERIOD^2 / 2)
+override PAIRS: u32 = 2u;         // ceil(sites / 2)
 override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes
 
 struct Params {
@@ -47,21 +47,25 @@ struct Params {
 @group(0) @binding(4) var<storage, read> kernels_10: array<vec4f>;  // right, upper
 @group(0) @binding(5) var<storage, read> kernels_01: array<vec4f>;  // left, lower
 @group(0) @binding(6) var<storage, read> kernels_11: array<vec4f>;  // right, lower
-@group(0) @binding(7) var<storage, read_write> folded: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> lines: array<vec4f>;   // [kx/8, slot, kx%8]
+@group(0) @binding(8) var<storage, read_write> folded: array<vec4f>;
 
-var<workgroup> sh_line: array<vec4f, T>;
+// Slots of sixteen times sixteen numbers: 17 apart, for a power of two would fall on few sets of the cache.
+const SQUARE = 16u * 17u;
 
-// Eight frequencies of one channel.
-struct Sum {
-    v0: vec2f, v1: vec2f, v2: vec2f, v3: vec2f,
-    v4: vec2f, v5: vec2f, v6: vec2f, v7: vec2f,
+// Of one channel, by q.
+alias Sum = array<vec2f, 16>;
+
+// For the upper and for the lower nodes: (left, right) each.
+struct Weighted { upper: vec4f, lower: vec4f, }
+
+// exp(-2 pi i k / T)
+fn turn(k: u32) -> vec2f {
+    return twiddle[k % T];
 }
 
 // Row spectra of one sample of column kx: (A_0, A_1) for the left and the right node.
 fn sides(j: u32, kx: u32, y: u32) -> vec4f {
-    if (y >= BY) {
-        return vec4f(0.0);
-    }
     let line = (j * BY + y) * T;
     if (NODES == 1u) {
         return vec4f(spectra[line + kx], 0.0, 0.0);
@@ -71,225 +75,281 @@ fn sides(j: u32, kx: u32, y: u32) -> vec4f {
     return vec4f(z + mirror, -times_i(z - mirror));
 }
 
-fn upper_weight(y: u32) -> f32 {
+fn weighted(j: u32, kx: u32, y: u32, g: u32) -> Weighted {
+    if (y >= BY) {
+        return Weighted();
+    }
+    var a = sides(j, kx, y);
+    if (E > 1u) {
+        a = pair_mul(a, turn(g * y));
+    }
     if (NODES != 4u) {
-        return 1.0;
+        return Weighted(a, vec4f(0.0));
     }
-    return 1.0 - params.first_s - f32(y) * params.step_s;
+    let lower = a * (params.first_s + f32(y) * params.step_s);
+    return Weighted(a - lower, lower);
 }
 
-// Both numbers of x times those of the left and the right node's kernels.
-fn product(x: vec4f, left: vec2f, right: vec2f) -> vec2f {
-    return cmul(x.xy, left) + cmul(x.zw, right);
+// Sum over e at n + 16 r, for `r`.
+fn put(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, r: u32, j: u32, kx: u32, n: u32, g: u32) {
+    var sum = weighted(j, kx, n + 16u * r, g);
+    for (var e = 1u; e < E; e++) {
+        let more = weighted(j, kx, n + 16u * r + 256u * e, g);
+        sum = Weighted(sum.upper + more.upper, sum.lower + more.lower);
+    }
+    (*upper)[r] = sum.upper;
+    (*lower)[r] = sum.lower;
 }
 
-fn add_upper(sum: Sum, x: Octet, i: u32) -> Sum {
-    let l0 = kernels_00[i];
-    let l1 = kernels_00[i + 8u];
-    let l2 = kernels_00[i + 16u];
-    let l3 = kernels_00[i + 24u];
+// Sixteen numbers, `step` slots apart.
+fn keep(v: ptr<function, Sixteen>, at: u32, step: u32) {
+    lines[at + 0u * step * 8u] = (*v)[0]; lines[at + 1u * step * 8u] = (*v)[1]; lines[at + 2u * step * 8u] = (*v)[2];
+    lines[at + 3u * step * 8u] = (*v)[3]; lines[at + 4u * step * 8u] = (*v)[4]; lines[at + 5u * step * 8u] = (*v)[5];
+    lines[at + 6u * step * 8u] = (*v)[6]; lines[at + 7u * step * 8u] = (*v)[7]; lines[at + 8u * step * 8u] = (*v)[8];
+    lines[at + 9u * step * 8u] = (*v)[9]; lines[at + 10u * step * 8u] = (*v)[10];
+    lines[at + 11u * step * 8u] = (*v)[11]; lines[at + 12u * step * 8u] = (*v)[12];
+    lines[at + 13u * step * 8u] = (*v)[13]; lines[at + 14u * step * 8u] = (*v)[14];
+    lines[at + 15u * step * 8u] = (*v)[15];
+}
+
+fn load(v: ptr<function, Sixteen>, at: u32, step: u32) {
+    (*v)[0] = lines[at + 0u * step * 8u]; (*v)[1] = lines[at + 1u * step * 8u]; (*v)[2] = lines[at + 2u * step * 8u];
+    (*v)[3] = lines[at + 3u * step * 8u]; (*v)[4] = lines[at + 4u * step * 8u]; (*v)[5] = lines[at + 5u * step * 8u];
+    (*v)[6] = lines[at + 6u * step * 8u]; (*v)[7] = lines[at + 7u * step * 8u]; (*v)[8] = lines[at + 8u * step * 8u];
+    (*v)[9] = lines[at + 9u * step * 8u]; (*v)[10] = lines[at + 10u * step * 8u];
+    (*v)[11] = lines[at + 11u * step * 8u]; (*v)[12] = lines[at + 12u * step * 8u];
+    (*v)[13] = lines[at + 13u * step * 8u]; (*v)[14] = lines[at + 14u * step * 8u];
+    (*v)[15] = lines[at + 15u * step * 8u];
+}
+
+// Frequencies q and q + 1 of (left, right), times their kernels.
+fn add(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, q: u32, left: vec4f, right: vec4f) {
+    (*sum)[q] += cmul((*x)[q].xy, left.xy) + cmul((*x)[q].zw, right.xy);
+    (*sum)[q + 1u] += cmul((*x)[q + 1u].xy, left.zw) + cmul((*x)[q + 1u].zw, right.zw);
+}
+
+fn right_upper(i: u32) -> vec4f {
     if (NODES == 1u) {
-        return Sum(
-            sum.v0 + cmul(x.v0.xy, l0.xy), sum.v1 + cmul(x.v1.xy, l0.zw),
-            sum.v2 + cmul(x.v2.xy, l1.xy), sum.v3 + cmul(x.v3.xy, l1.zw),
-            sum.v4 + cmul(x.v4.xy, l2.xy), sum.v5 + cmul(x.v5.xy, l2.zw),
-            sum.v6 + cmul(x.v6.xy, l3.xy), sum.v7 + cmul(x.v7.xy, l3.zw),
-        );
+        return vec4f(0.0);
     }
-    let r0 = kernels_10[i];
-    let r1 = kernels_10[i + 8u];
-    let r2 = kernels_10[i + 16u];
-    let r3 = kernels_10[i + 24u];
-    return Sum(
-        sum.v0 + product(x.v0, l0.xy, r0.xy), sum.v1 + product(x.v1, l0.zw, r0.zw),
-        sum.v2 + product(x.v2, l1.xy, r1.xy), sum.v3 + product(x.v3, l1.zw, r1.zw),
-        sum.v4 + product(x.v4, l2.xy, r2.xy), sum.v5 + product(x.v5, l2.zw, r2.zw),
-        sum.v6 + product(x.v6, l3.xy, r3.xy), sum.v7 + product(x.v7, l3.zw, r3.zw),
-    );
+    return kernels_10[i];
 }
 
-fn add_lower(sum: Sum, x: Octet, i: u32) -> Sum {
-    let l0 = kernels_01[i];
-    let l1 = kernels_01[i + 8u];
-    let l2 = kernels_01[i + 16u];
-    let l3 = kernels_01[i + 24u];
-    let r0 = kernels_11[i];
-    let r1 = kernels_11[i + 8u];
-    let r2 = kernels_11[i + 16u];
-    let r3 = kernels_11[i + 24u];
-    return Sum(
-        sum.v0 + product(x.v0, l0.xy, r0.xy), sum.v1 + product(x.v1, l0.zw, r0.zw),
-        sum.v2 + product(x.v2, l1.xy, r1.xy), sum.v3 + product(x.v3, l1.zw, r1.zw),
-        sum.v4 + product(x.v4, l2.xy, r2.xy), sum.v5 + product(x.v5, l2.zw, r2.zw),
-        sum.v6 + product(x.v6, l3.xy, r3.xy), sum.v7 + product(x.v7, l3.zw, r3.zw),
-    );
+fn add_upper(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
+    add(sum, x, 0u, kernels_00[i + 0u * 8u], right_upper(i + 0u * 8u));
+    add(sum, x, 2u, kernels_00[i + 1u * 8u], right_upper(i + 1u * 8u));
+    add(sum, x, 4u, kernels_00[i + 2u * 8u], right_upper(i + 2u * 8u));
+    add(sum, x, 6u, kernels_00[i + 3u * 8u], right_upper(i + 3u * 8u));
+    add(sum, x, 8u, kernels_00[i + 4u * 8u], right_upper(i + 4u * 8u));
+    add(sum, x, 10u, kernels_00[i + 5u * 8u], right_upper(i + 5u * 8u));
+    add(sum, x, 12u, kernels_00[i + 6u * 8u], right_upper(i + 6u * 8u));
+    add(sum, x, 14u, kernels_00[i + 7u * 8u], right_upper(i + 7u * 8u));
 }
 
-// exp(2 pi i k / T)
-fn phase(k: u32) -> vec2f {
-    return conj(twiddle[k % T]);
+fn add_lower(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
+    add(sum, x, 0u, kernels_01[i + 0u * 8u], kernels_11[i + 0u * 8u]);
+    add(sum, x, 2u, kernels_01[i + 1u * 8u], kernels_11[i + 1u * 8u]);
+    add(sum, x, 4u, kernels_01[i + 2u * 8u], kernels_11[i + 2u * 8u]);
+    add(sum, x, 6u, kernels_01[i + 3u * 8u], kernels_11[i + 3u * 8u]);
+    add(sum, x, 8u, kernels_01[i + 4u * 8u], kernels_11[i + 4u * 8u]);
+    add(sum, x, 10u, kernels_01[i + 5u * 8u], kernels_11[i + 5u * 8u]);
+    add(sum, x, 12u, kernels_01[i + 6u * 8u], kernels_11[i + 6u * 8u]);
+    add(sum, x, 14u, kernels_01[i + 7u * 8u], kernels_11[i + 7u * 8u]);
+}
+
+// Two channels side by side.
+fn pair_up(v: ptr<function, Sixteen>, a: ptr<function, Sum>, b: ptr<function, Sum>) {
+    (*v)[0] = vec4f((*a)[0], (*b)[0]); (*v)[1] = vec4f((*a)[1], (*b)[1]); (*v)[2] = vec4f((*a)[2], (*b)[2]);
+    (*v)[3] = vec4f((*a)[3], (*b)[3]); (*v)[4] = vec4f((*a)[4], (*b)[4]); (*v)[5] = vec4f((*a)[5], (*b)[5]);
+    (*v)[6] = vec4f((*a)[6], (*b)[6]); (*v)[7] = vec4f((*a)[7], (*b)[7]); (*v)[8] = vec4f((*a)[8], (*b)[8]);
+    (*v)[9] = vec4f((*a)[9], (*b)[9]); (*v)[10] = vec4f((*a)[10], (*b)[10]); (*v)[11] = vec4f((*a)[11], (*b)[11]);
+    (*v)[12] = vec4f((*a)[12], (*b)[12]); (*v)[13] = vec4f((*a)[13], (*b)[13]); (*v)[14] = vec4f((*a)[14], (*b)[14]);
+    (*v)[15] = vec4f((*a)[15], (*b)[15]);
 }
 
 fn channel_of(site: u32) -> u32 {
     return (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
 }
 
-// Store or add one folded frequency: bin p of the pair, or its mirror image.
-fn put(pair: u32, q: u32, p: u32, value: vec4f, mirrored: bool, first: bool) {
-    let bin = select(p, (M - p) % M, mirrored);
-    let at = (pair * (M / 2u + 1u) + q) * M + bin;
-    var v = select(value, pair_conj(value), mirrored);
-    if (!first) {
-        v += folded[at];
-    }
-    folded[at] = v;
+// Photosite row r + o_y of the channels of two sites, of the first two channels and the last two.
+fn rows_of(low: ptr<function, Sixteen>, high: ptr<function, Sixteen>, r: u32, even: u32, odd: u32, o_y: u32) -> vec4f {
+    var x = (*low)[r];
+    var y = (*high)[r];
+    if (D > 1u && o_y == 1u) { x = (*low)[r + 1u]; y = (*high)[r + 1u]; }
+    if (D > 2u && o_y == 2u) { x = (*low)[r + 2u]; y = (*high)[r + 2u]; }
+    if (D > 2u && o_y == 3u) { x = (*low)[r + 3u]; y = (*high)[r + 3u]; }
+    if (D > 4u && o_y == 4u) { x = (*low)[r + 4u]; y = (*high)[r + 4u]; }
+    if (D > 4u && o_y == 6u) { x = (*low)[r + 6u]; y = (*high)[r + 6u]; }
+    var result = vec4f(x.xy, x.xy);
+    if (C > 1u && even == 1u) { result.x = x.z; result.y = x.w; }
+    if (C > 2u && even == 2u) { result.x = y.x; result.y = y.y; }
+    if (C > 3u && even == 3u) { result.x = y.z; result.y = y.w; }
+    if (C > 1u && odd == 1u) { result.z = x.z; result.w = x.w; }
+    if (C > 2u && odd == 2u) { result.z = y.x; result.w = y.y; }
+    if (C > 3u && odd == 3u) { result.z = y.z; result.w = y.w; }
+    return result;
 }
 
-// Turn the pair's spectra to sites at (o_x, o_y) and (o_x + STEP, o_y).
-fn turned(x: vec4f, k: u32, more: u32) -> vec4f {
-    return vec4f(cmul(x.xy, phase(k)), cmul(x.zw, phase(k + more)));
+// Photosites m .. of a pair of sites, 16/D apart, turned to where the sites lie in x.
+fn store(v: ptr<function, Sixteen>, at: u32, even: vec2f, odd: vec2f) {
+    store_one((*v)[0], 0u, at, even, odd); store_one((*v)[1], 1u, at, even, odd);
+    store_one((*v)[2], 2u, at, even, odd); store_one((*v)[3], 3u, at, even, odd);
+    store_one((*v)[4], 4u, at, even, odd); store_one((*v)[5], 5u, at, even, odd);
+    store_one((*v)[6], 6u, at, even, odd); store_one((*v)[7], 7u, at, even, odd);
+    store_one((*v)[8], 8u, at, even, odd); store_one((*v)[9], 9u, at, even, odd);
+    store_one((*v)[10], 10u, at, even, odd); store_one((*v)[11], 11u, at, even, odd);
+    store_one((*v)[12], 12u, at, even, odd); store_one((*v)[13], 13u, at, even, odd);
+    store_one((*v)[14], 14u, at, even, odd); store_one((*v)[15], 15u, at, even, odd);
 }
 
-// Shift a pair of sites' spectra to (o_x, o_y) and (o_x + STEP, o_y), fold the T frequencies onto M = T/D, and
-// add them to `folded`. across = kx o_x, more = kx STEP.
-fn fold(x: Octet, pair: u32, q: u32, t: u32, o_y: u32, across: u32, mirrored: bool, first: bool, more: u32) {
-    // From one of the frequencies that fall on one another to the next, the shift turns them by a part of the period.
-    let w1 = phase(M * o_y);
-    let w2 = phase(2u * M * o_y);
-    let w3 = phase(3u * M * o_y);
-    let k = t * o_y + across;
-    let step = LANES * o_y;
-    if (D == 2u) {
-        put(pair, q, t, turned(x.v0 + pair_mul(x.v4, w1), k, more), mirrored, first);
-        put(pair, q, t + LANES, turned(x.v1 + pair_mul(x.v5, w1), k + step, more), mirrored, first);
-        put(pair, q, t + 2u * LANES, turned(x.v2 + pair_mul(x.v6, w1), k + 2u * step, more), mirrored, first);
-        put(pair, q, t + 3u * LANES, turned(x.v3 + pair_mul(x.v7, w1), k + 3u * step, more), mirrored, first);
-    } else if (D == 4u) {
-        let even = x.v0 + pair_mul(x.v2, w1) + pair_mul(x.v4, w2) + pair_mul(x.v6, w3);
-        let odd = x.v1 + pair_mul(x.v3, w1) + pair_mul(x.v5, w2) + pair_mul(x.v7, w3);
-        put(pair, q, t, turned(even, k, more), mirrored, first);
-        put(pair, q, t + LANES, turned(odd, k + step, more), mirrored, first);
-    } else if (D == 8u) {
-        let low = x.v0 + pair_mul(x.v1, w1) + pair_mul(x.v2, w2) + pair_mul(x.v3, w3);
-        let high = x.v4 + pair_mul(x.v5, w1) + pair_mul(x.v6, w2) + pair_mul(x.v7, w3);
-        // Sites lie an even number of samples apart here: half the period turns nothing.
-        put(pair, q, t, turned(low + high, k, more), mirrored, first);
-    } else {
-        // One sample a photosite: no site is shifted.
-        put(pair, q, t, x.v0, mirrored, first);
-        put(pair, q, t + LANES, x.v1, mirrored, first);
-        put(pair, q, t + 2u * LANES, x.v2, mirrored, first);
-        put(pair, q, t + 3u * LANES, x.v3, mirrored, first);
-        put(pair, q, t + 4u * LANES, x.v4, mirrored, first);
-        put(pair, q, t + 5u * LANES, x.v5, mirrored, first);
-        put(pair, q, t + 6u * LANES, x.v6, mirrored, first);
-        put(pair, q, t + 7u * LANES, x.v7, mirrored, first);
-    }
+fn store_one(x: vec4f, t: u32, at: u32, even: vec2f, odd: vec2f) {
+    folded[at + t * (16u / D) * (T / 2u)] = vec4f(cmul(x.xy, even), cmul(x.zw, odd));
 }
 
-@compute @workgroup_size(LANES, 1, 1)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t: u32) {
-    let q = group.x;
+// Adds numbers turned by exp(2 pi i g y / T), y = 16 t + `first`.
+fn add_turned(sum: ptr<function, Sixteen>, v: ptr<function, Sixteen>, g: u32, first: u32) {
+    (*sum)[0] += pair_mul((*v)[0], conj(turn(g * (first + 16u * 0u))));
+    (*sum)[1] += pair_mul((*v)[1], conj(turn(g * (first + 16u * 1u))));
+    (*sum)[2] += pair_mul((*v)[2], conj(turn(g * (first + 16u * 2u))));
+    (*sum)[3] += pair_mul((*v)[3], conj(turn(g * (first + 16u * 3u))));
+    (*sum)[4] += pair_mul((*v)[4], conj(turn(g * (first + 16u * 4u))));
+    (*sum)[5] += pair_mul((*v)[5], conj(turn(g * (first + 16u * 5u))));
+    (*sum)[6] += pair_mul((*v)[6], conj(turn(g * (first + 16u * 6u))));
+    (*sum)[7] += pair_mul((*v)[7], conj(turn(g * (first + 16u * 7u))));
+    (*sum)[8] += pair_mul((*v)[8], conj(turn(g * (first + 16u * 8u))));
+    (*sum)[9] += pair_mul((*v)[9], conj(turn(g * (first + 16u * 9u))));
+    (*sum)[10] += pair_mul((*v)[10], conj(turn(g * (first + 16u * 10u))));
+    (*sum)[11] += pair_mul((*v)[11], conj(turn(g * (first + 16u * 11u))));
+    (*sum)[12] += pair_mul((*v)[12], conj(turn(g * (first + 16u * 12u))));
+    (*sum)[13] += pair_mul((*v)[13], conj(turn(g * (first + 16u * 13u))));
+    (*sum)[14] += pair_mul((*v)[14], conj(turn(g * (first + 16u * 14u))));
+    (*sum)[15] += pair_mul((*v)[15], conj(turn(g * (first + 16u * 15u))));
+}
+
+@compute @workgroup_size(8, 1, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    let kx = id.x;
     let first_pair = select(0u, params.first / 2u, C > 4u);
     let end_pair = select(PAIRS, min(first_pair + 2u, PAIRS), C > 4u);
-    let r0 = upper_weight(t);
-    let r1 = upper_weight(t + LANES);
-    let r2 = upper_weight(t + 2u * LANES);
-    let r3 = upper_weight(t + 3u * LANES);
-    let r4 = upper_weight(t + 4u * LANES);
-    let r5 = upper_weight(t + 5u * LANES);
-    let r6 = upper_weight(t + 6u * LANES);
-    let r7 = upper_weight(t + 7u * LANES);
-    for (var n = 0u; n < D; n++) {
-        let k = q + n * M;
-        let mirrored = k > T / 2u;
-        let kx = select(k, T - k, mirrored);
-        // Sum(): without it, wgpu 0.32 leaves the variable as the last turn of the loop left it.
-        var sum_0 = Sum();
-        var sum_1 = Sum();
-        var sum_2 = Sum();
-        var sum_3 = Sum();
+    let site_slots = PAIRS * E * (16u / D) * 17u;
+    let base = (kx / 8u * (site_slots + params.planes * 2u * SQUARE)) * 8u + kx % 8u;
+    let forward = base + site_slots * 8u;
+    for (var g = 0u; g < E; g++) {
         for (var j = 0u; j < params.planes; j++) {
-            let i = (j * (T / 2u + 1u) + kx) * C * (T / 2u) + (t / 8u * C + params.first) * 32u + t % 8u;
-            let a0 = sides(j, kx, t);
-            let a1 = sides(j, kx, t + LANES);
-            let a2 = sides(j, kx, t + 2u * LANES);
-            let a3 = sides(j, kx, t + 3u * LANES);
-            let a4 = sides(j, kx, t + 4u * LANES);
-            let a5 = sides(j, kx, t + 5u * LANES);
-            let a6 = sides(j, kx, t + 6u * LANES);
-            let a7 = sides(j, kx, t + 7u * LANES);
-            let b0 = a0 * r0;
-            let b1 = a1 * r1;
-            let b2 = a2 * r2;
-            let b3 = a3 * r3;
-            let b4 = a4 * r4;
-            let b5 = a5 * r5;
-            let b6 = a6 * r6;
-            let b7 = a7 * r7;
-            let upper = line_fft(Octet(b0, b1, b2, b3, b4, b5, b6, b7), t, 0u, T, FIRST_RADIX);
-            sum_0 = add_upper(sum_0, upper, i);
-            if (C > 1u) { sum_1 = add_upper(sum_1, upper, i + 32u); }
-            if (C > 2u) { sum_2 = add_upper(sum_2, upper, i + 64u); }
-            if (C > 3u) { sum_3 = add_upper(sum_3, upper, i + 96u); }
-            if (NODES == 4u) {
-                let lower = line_fft(
-                    Octet(a0 - b0, a1 - b1, a2 - b2, a3 - b3, a4 - b4, a5 - b5, a6 - b6, a7 - b7),
-                    t, 0u, T, FIRST_RADIX,
-                );
-                sum_0 = add_lower(sum_0, lower, i);
-                if (C > 1u) { sum_1 = add_lower(sum_1, lower, i + 32u); }
-                if (C > 2u) { sum_2 = add_lower(sum_2, lower, i + 64u); }
-                if (C > 3u) { sum_3 = add_lower(sum_3, lower, i + 96u); }
+            for (var n = 0u; n < 16u; n++) {
+                var upper: Sixteen;
+                var lower: Sixteen;
+                put(&upper, &lower, 0u, j, kx, n, g); put(&upper, &lower, 1u, j, kx, n, g);
+                put(&upper, &lower, 2u, j, kx, n, g); put(&upper, &lower, 3u, j, kx, n, g);
+                put(&upper, &lower, 4u, j, kx, n, g); put(&upper, &lower, 5u, j, kx, n, g);
+                put(&upper, &lower, 6u, j, kx, n, g); put(&upper, &lower, 7u, j, kx, n, g);
+                put(&upper, &lower, 8u, j, kx, n, g); put(&upper, &lower, 9u, j, kx, n, g);
+                put(&upper, &lower, 10u, j, kx, n, g); put(&upper, &lower, 11u, j, kx, n, g);
+                put(&upper, &lower, 12u, j, kx, n, g); put(&upper, &lower, 13u, j, kx, n, g);
+                put(&upper, &lower, 14u, j, kx, n, g); put(&upper, &lower, 15u, j, kx, n, g);
+                let w = turn(E * n);
+                let w2 = turn(2u * E * n);
+                let w4 = turn(4u * E * n);
+                let w8 = turn(8u * E * n);
+                let at = forward + (2u * j * SQUARE + n) * 8u;
+                sixteen(&upper);
+                turn_sixteen(&upper, w, w2, w4, w8);
+                keep(&upper, at, 17u);
+                if (NODES == 4u) {
+                    sixteen(&lower);
+                    turn_sixteen(&lower, w, w2, w4, w8);
+                    keep(&lower, at + SQUARE * 8u, 17u);
+                }
             }
         }
-        for (var pair = first_pair; pair < end_pair; pair++) {
-            let site = 2u * pair;
-            let even = channel_of(site) - params.first;
-            let odd = channel_of(site + 1u) - params.first;
-            var x = sum_0;
-            if (C > 1u && even == 1u) { x = sum_1; }
-            if (C > 2u && even == 2u) { x = sum_2; }
-            if (C > 3u && even == 3u) { x = sum_3; }
-            var y = sum_0;
-            if (C > 1u && odd == 1u) { y = sum_1; }
-            if (C > 2u && odd == 2u) { y = sum_2; }
-            if (C > 3u && odd == 3u) { y = sum_3; }
-            let o_x = (site % PERIOD) * STEP;
-            let o_y = (site / PERIOD) * STEP;
-            fold(Octet(
-                vec4f(x.v0, y.v0), vec4f(x.v1, y.v1), vec4f(x.v2, y.v2), vec4f(x.v3, y.v3),
-                vec4f(x.v4, y.v4), vec4f(x.v5, y.v5), vec4f(x.v6, y.v6), vec4f(x.v7, y.v7),
-            ), pair, q, t, o_y, kx * o_x, mirrored, n == 0u, kx * STEP);
+        for (var p = 0u; p < 16u; p++) {
+            var sum_0 = Sum();
+            var sum_1 = Sum();
+            var sum_2 = Sum();
+            var sum_3 = Sum();
+            for (var j = 0u; j < params.planes; j++) {
+                let i = ((((j * (T / 16u) + kx / 8u) * E + g) * 16u + p) * C + params.first) * 64u + kx % 8u;
+                let at = forward + (2u * j * SQUARE + 17u * p) * 8u;
+                var x: Sixteen;
+                load(&x, at, 1u);
+                sixteen(&x);
+                add_upper(&sum_0, &x, i);
+                if (C > 1u) { add_upper(&sum_1, &x, i + 64u); }
+                if (C > 2u) { add_upper(&sum_2, &x, i + 128u); }
+                if (C > 3u) { add_upper(&sum_3, &x, i + 192u); }
+                if (NODES == 4u) {
+                    load(&x, at + SQUARE * 8u, 1u);
+                    sixteen(&x);
+                    add_lower(&sum_0, &x, i);
+                    if (C > 1u) { add_lower(&sum_1, &x, i + 64u); }
+                    if (C > 2u) { add_lower(&sum_2, &x, i + 128u); }
+                    if (C > 3u) { add_lower(&sum_3, &x, i + 192u); }
+                }
+            }
+            var low: Sixteen;
+            var high: Sixteen;
+            let w = conj(turn(E * p));
+            let w2 = conj(turn(2u * E * p));
+            let w4 = conj(turn(4u * E * p));
+            let w8 = conj(turn(8u * E * p));
+            pair_up(&low, &sum_0, &sum_1);
+            sixteen_back(&low);
+            turn_sixteen(&low, w, w2, w4, w8);
+            if (C > 2u) {
+                pair_up(&high, &sum_2, &sum_3);
+                sixteen_back(&high);
+                turn_sixteen(&high, w, w2, w4, w8);
+            }
+            for (var pair = first_pair; pair < end_pair; pair++) {
+                let site = 2u * pair;
+                let even = channel_of(site) - params.first;
+                let odd = channel_of(site + 1u) - params.first;
+                let o_y = site / PERIOD * STEP;
+                let at = base + (((pair * E + g) * (16u / D)) * 17u + p) * 8u;
+                lines[at] = rows_of(&low, &high, 0u, even, odd, o_y);
+                if (1u < 16u / D) { lines[at + 1u * 17u * 8u] = rows_of(&low, &high, 1u * D, even, odd, o_y); }
+                if (2u < 16u / D) { lines[at + 2u * 17u * 8u] = rows_of(&low, &high, 2u * D, even, odd, o_y); }
+                if (3u < 16u / D) { lines[at + 3u * 17u * 8u] = rows_of(&low, &high, 3u * D, even, odd, o_y); }
+                if (4u < 16u / D) { lines[at + 4u * 17u * 8u] = rows_of(&low, &high, 4u * D, even, odd, o_y); }
+                if (5u < 16u / D) { lines[at + 5u * 17u * 8u] = rows_of(&low, &high, 5u * D, even, odd, o_y); }
+                if (6u < 16u / D) { lines[at + 6u * 17u * 8u] = rows_of(&low, &high, 6u * D, even, odd, o_y); }
+                if (7u < 16u / D) { lines[at + 7u * 17u * 8u] = rows_of(&low, &high, 7u * D, even, odd, o_y); }
+                if (8u < 16u / D) { lines[at + 8u * 17u * 8u] = rows_of(&low, &high, 8u * D, even, odd, o_y); }
+                if (9u < 16u / D) { lines[at + 9u * 17u * 8u] = rows_of(&low, &high, 9u * D, even, odd, o_y); }
+                if (10u < 16u / D) { lines[at + 10u * 17u * 8u] = rows_of(&low, &high, 10u * D, even, odd, o_y); }
+                if (11u < 16u / D) { lines[at + 11u * 17u * 8u] = rows_of(&low, &high, 11u * D, even, odd, o_y); }
+                if (12u < 16u / D) { lines[at + 12u * 17u * 8u] = rows_of(&low, &high, 12u * D, even, odd, o_y); }
+                if (13u < 16u / D) { lines[at + 13u * 17u * 8u] = rows_of(&low, &high, 13u * D, even, odd, o_y); }
+                if (14u < 16u / D) { lines[at + 14u * 17u * 8u] = rows_of(&low, &high, 14u * D, even, odd, o_y); }
+                if (15u < 16u / D) { lines[at + 15u * 17u * 8u] = rows_of(&low, &high, 15u * D, even, odd, o_y); }
+            }
         }
-        storageBarrier();
     }
-    // D pairs of lines at a time, M/8 lanes each.
-    let slot = t / (M / 8u);
-    let lane = t % (M / 8u);
-    for (var next = first_pair; next < end_pair; next += D) {
-        let pair = next + slot;
-        let there = (min(pair, PAIRS - 1u) * (M / 2u + 1u) + q) * M + lane;
-        let x = Octet(
-            pair_conj(folded[there]),
-            pair_conj(folded[there + M / 8u]),
-            pair_conj(folded[there + 2u * M / 8u]),
-            pair_conj(folded[there + 3u * M / 8u]),
-            pair_conj(folded[there + 4u * M / 8u]),
-            pair_conj(folded[there + 5u * M / 8u]),
-            pair_conj(folded[there + 6u * M / 8u]),
-            pair_conj(folded[there + 7u * M / 8u]),
-        );
-        let y = line_fft(x, lane, slot * M, M, SITE_RADIX);
-        if (pair < end_pair) {
-            folded[there] = pair_conj(y.v0);
-            folded[there + M / 8u] = pair_conj(y.v1);
-            folded[there + 2u * M / 8u] = pair_conj(y.v2);
-            folded[there + 3u * M / 8u] = pair_conj(y.v3);
-            folded[there + 4u * M / 8u] = pair_conj(y.v4);
-            folded[there + 5u * M / 8u] = pair_conj(y.v5);
-            folded[there + 6u * M / 8u] = pair_conj(y.v6);
-            folded[there + 7u * M / 8u] = pair_conj(y.v7);
+    for (var pair = first_pair; pair < end_pair; pair++) {
+        let site = 2u * pair;
+        let o_y = site / PERIOD * STEP;
+        let o_x = site % PERIOD * STEP;
+        let even = conj(turn(kx * o_x));
+        let odd = conj(turn(kx * (o_x + STEP)));
+        for (var r = 0u; r < 16u / D; r++) {
+            let at = base + (pair * E * (16u / D) + r) * 17u * 8u;
+            let to = (pair * M + r) * (T / 2u) + kx;
+            var v: Sixteen;
+            if (E == 1u) {
+                load(&v, at, 1u);
+                sixteen_back(&v);
+                store(&v, to, even, odd);
+            } else {
+                for (var e = 0u; e < E; e++) {
+                    var sum = Sixteen();
+                    for (var g = 0u; g < E; g++) {
+                        load(&v, at + g * (16u / D) * 17u * 8u, 1u);
+                        sixteen_back(&v);
+                        add_turned(&sum, &v, g, D * r + o_y + 256u * e);
+                    }
+                    store(&sum, to + e * (256u / D) * (T / 2u), even, odd);
+                }
+            }
         }
     }
 }

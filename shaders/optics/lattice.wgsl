@@ -1,9 +1,9 @@
-// Last step of the space-variant convolution: inverse transform in x at the photosites, and overlap-add
-// of the block's window into the planes of the CFA sites.
+// Last step of the space-variant convolution: fold of the frequencies in x onto those of the photosites, inverse transform
+// there, and overlap-add of the block's window into the planes of the CFA sites.
 //
-//   rates[site, origin_y + m, origin_x + n] += sum_q F_s[q] exp(2 pi i q n / M),  F_s[M-q] = conj F_s[q]
+//   rates[site, origin_y + m, origin_x + n] += sum_q sum_d F_s[q + d M] exp(2 pi i q n / M),  F_s[T-k] = conj F_s[k], F_s[T/2] = 0
 // Two sites share one complex transform, F_s + i F_s', and two of those share the lanes.
-// folded (ceil(S/2), M/2+1, M, 2) electrons/s -> rates (S, rows, cols) electrons/s.
+// folded (ceil(S/2), M, T/2, 2) electrons/s -> rates (S, rows, cols) electrons/s.
 // Dispatch: (M/D, ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 #include "line_fft"
@@ -29,10 +29,16 @@ var<workgroup> sh_line: array<vec4f, T>;
 
 // conj(F_s + i F_s') of two sites at bin q: the inverse transform is the conjugate of the conjugate's forward one.
 fn bin(pair: u32, q: u32, m: u32) -> vec2f {
-    let mirrored = q > M / 2u;
-    let f = folded[(pair * (M / 2u + 1u) + select(q, M - q, mirrored)) * M + m];
-    let g = select(f, pair_conj(f), mirrored);
-    return vec2f(g.x - g.w, -g.y - g.z);
+    let line = (pair * M + m) * (T / 2u);
+    var sum = vec4f(0.0);
+    for (var k = q; k < T; k += M) {
+        if (k < T / 2u) {
+            sum += folded[line + k];
+        } else if (k > T / 2u) {
+            sum += pair_conj(folded[line + T - k]);
+        }
+    }
+    return vec2f(sum.x - sum.w, -sum.y - sum.z);
 }
 
 // Of one or two sites the second pair is read past the end, and not used.
@@ -61,8 +67,8 @@ fn add(site: u32, n: u32, y: i32, pair: vec4f) {
 
 @compute @workgroup_size(LANES, 1, 1)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t: u32) {
-    let slot = t % D;
-    let lane = t / D;
+    let slot = t / (M / 8u);
+    let lane = t % (M / 8u);
     let m = group.x * D + slot;
     let site = 4u * group.y;
     let v = line_fft(Octet(

@@ -91,7 +91,10 @@ def test_blocks_of_a_rectangle_are_those_whose_windows_touch_it(grid: SimGrid):
                 hit &= window < high and window + grid.length > low
             if hit:
                 touching.append((x, y))
-        assert grid.blocks_for(row0, col0, rows, cols) == touching
+        found = grid.blocks_for(row0, col0, rows, cols)
+        assert sorted(found, key=lambda block: block[::-1]) == touching
+        cells = [grid.cell_of(block) for block in found]
+        assert cells == sorted(cells, key=lambda cell: cell[::-1]), "cell by cell"
 
 
 @EVERY

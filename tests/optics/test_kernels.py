@@ -10,6 +10,7 @@ from gpusim.optics import kernels as optics_kernels
 from gpusim.optics.kernels import (
     BAND_EDGE,
     CUT_EDGE,
+    aperture_spectra,
     aperture_spectrum,
     core_window,
     distances_um,
@@ -278,17 +279,17 @@ def test_the_aperture_is_an_average_over_a_square_at_the_pixels_centre():
 
 
 def unpacked(spectra: np.ndarray, length: int) -> np.ndarray:
-    """Return [plane, kx, output, ky] from the lanes' order: ky = (2 a + b) T/8 + 8 g + l."""
-    planes, half, groups, outputs = spectra.shape[:4]
-    result = np.empty((planes, half, outputs, length), np.complex128)
-    for g, a, b in np.ndindex(groups, 4, 2):
-        first = (2 * a + b) * (length // 8) + 8 * g
-        result[..., first : first + 8] = spectra[:, :, g, :, a, :, b]
+    """Return [plane, kx, output, ky], kx = T/2 of zeros: ky = T/256 (p + 16 q) + g."""
+    planes, _, fine, _, outputs = spectra.shape[:5]
+    result = np.zeros((planes, length // 2 + 1, outputs, length), np.complex128)
+    for kx, g, p, q in np.ndindex(length // 2, fine, 16, 16):
+        ky = fine * (p + 16 * q) + g
+        result[:, kx, :, ky] = spectra[:, kx // 8, g, p, :, q // 2, kx % 8, q % 2]
     return result
 
 
 def test_spectra_give_each_output_at_its_pixel():
-    length, blob = 64, (2.6, 3.4)
+    length, blob = 512, (2.6, 3.4)
     at = np.arange(32) - 16.0
     sampled = np.empty((2, 2, 32, 32))
     for plane in range(2):
@@ -299,18 +300,18 @@ def test_spectra_give_each_output_at_its_pixel():
             )
     outputs = [(1, 0.5, -0.25), (0, 2.0, 0.0), (1, 0.0, 1.5)]
     spectra = kernel_spectra(sampled, length, 2.2, 0.7, outputs)
-    assert spectra.shape == (2, 33, 1, 3, 4, 8, 2) and spectra.dtype == np.complex64
+    assert spectra.shape == (2, 32, 2, 16, 3, 8, 8, 2) and spectra.dtype == np.complex64
     full = unpacked(spectra, length)
     narrow = np.sqrt(np.array(blob) ** 2 - 0.7**2)
     for plane in range(2):
         for place, (channel, shift_x, shift_y) in enumerate(outputs):
-            image = np.fft.irfft2(full[plane, :, place].T, s=(64, 64)) * length**2
+            image = np.fft.irfft2(full[plane, :, place].T, s=(length, length)) * length**2
             along = []
             for shift, centre, sd in (
                 (shift_y, 16 - 1, narrow[1]),
                 (shift_x, 16 + plane - 2 * channel, narrow[0]),
             ):
-                away = (np.arange(64) + shift - centre + 32) % 64 - 32
+                away = (np.arange(length) + shift - centre + 32) % length - 32
                 along.append((ndtr((away + 1.1) / sd) - ndtr((away - 1.1) / sd)) / 2.2)
             expected = (1 + plane + 3 * channel) * np.outer(*along)
             # The blobs are cut off 4 standard deviations out, where they are 3e-4 of their peak.
@@ -332,8 +333,9 @@ def test_the_constant_term_is_the_energy():
 
 def test_the_nyquist_terms_are_zero():
     sampled = np.random.default_rng(1).normal(size=(1, 1, 32, 32))
-    full = unpacked(kernel_spectra(sampled, 64, 1.0, 0.8, [(0, 0.5, 0.5)]), 64)
-    assert not full[:, 32].any() and not full[..., 32].any() and full[:, 31].any()
+    full = unpacked(kernel_spectra(sampled, 256, 1.0, 0.8, [(0, 0.5, 0.5)]), 256)
+    assert not full[..., 128].any() and full[:, 127].any() and full[..., 127].any()
+    assert not aperture_spectra(256, 1.0, 0.8, 0.5, 0.5)[128].any()  # which is left out
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -23,12 +23,12 @@ def case(device: Device, length, stride, period, origin, size, seed=0, layers=1)
     kernel = convolve_for(device, grid, [0] * grid.sites, 1).lattice
     rng = np.random.default_rng(seed)
     pairs = -(-grid.sites // 2)
-    folded = complex_noise(rng, grid.sites, grid.window // 2 + 1, grid.window)
-    folded[:, [0, -1]] = folded[:, [0, -1]].real  # the planes are real
+    folded = complex_noise(rng, grid.sites, grid.length // 2 + 1, grid.window)
+    folded[:, 0], folded[:, -1] = folded[:, 0].real, 0  # the planes are real
     rates = rng.uniform(0, 100, (grid.sites, *size)).astype(F32)
-    side_by_side = np.zeros((2 * pairs, *folded.shape[1:]), np.complex64)
-    side_by_side[: grid.sites] = folded
-    side_by_side = np.moveaxis(side_by_side.reshape(pairs, 2, *folded.shape[1:]), 1, 3)
+    side_by_side = np.zeros((2 * pairs, grid.length // 2, grid.window), np.complex64)
+    side_by_side[: grid.sites] = folded[:, :-1]
+    side_by_side = side_by_side.reshape(pairs, 2, -1, grid.window).transpose(0, 3, 2, 1)
     found = run_stage(
         kernel,
         (grid.window // stride, -(-grid.sites // 4), 1),

@@ -218,9 +218,9 @@ def test_work_counts_pairs_of_lines():
     work = modes_work(grid, 3, needed, [0, 1, 1, 2])
     pairs = 2 * (len(blocks) - 1) + 5
     assert work.row_transforms == pairs * grid.block[1]
-    assert work.column_transforms == 2 * pairs * 129
-    assert work.products == 2 * pairs * 129 * 256 * 3
-    assert work.kernel_bytes == 10 * 129 * 256 * 3 * 8  # nine lines, and one for the last pair
+    assert work.column_transforms == 2 * pairs * 128
+    assert work.products == 2 * pairs * 128 * 256 * 3
+    assert work.kernel_bytes == 10 * 128 * 256 * 3 * 8  # nine lines, and one for the last pair
 
 
 @pytest.mark.parametrize("length", TRANSFORMS)
@@ -254,7 +254,7 @@ def test_modes_come_and_go_together(device: Device):
     grid = SimGrid(50, 75, 4, 2, 256, 40, (1, 1))
     made, blocks = stage_for(device, grid, 3), [(0, 0)]
     # Three lines, the last pair's second of zeros: twice two, of three channels.
-    half = size_class(2 * 3 * 129 * 256 * 8)
+    half = size_class(2 * 3 * 128 * 256 * 8)
     assert made.load_bytes(blocks) == made.missing_bytes(blocks) == made.block_bytes(1) == 2 * half
     assert made.load_bytes([]) == made.held_bytes == 0
     seen = []

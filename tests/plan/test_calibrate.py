@@ -41,7 +41,7 @@ def test_every_rate_is_measured_and_none_is_nothing(device: Device, monkeypatch)
     costs = calibrate.measure(device, lambda done, total: steps.append((done, total)))
     assert costs.ns.keys() == UNITS.keys() and costs.lengths.keys() == set(TRANSFORMS)
     # Two of the three rates of columns may drown in each other; not both, and no other.
-    in_columns = ("columns", "products", "fold")
+    in_columns = ("columns", "products", "inverse")
     assert all(rate > 0 for name, rate in costs.ns.items() if name not in in_columns)
     assert min(costs.ns.values()) >= 0 and costs.ns["columns"] + costs.ns["products"] > 0
     assert all(0.1 < slower < 10 for slower in costs.lengths.values())

@@ -29,12 +29,12 @@ def test_work_is_counted_by_the_shaders_loops():
 
     # Rows: every row of every plane is one transform of 512.
     assert found("rows") == {"rows": 4 * block * 512 * 9, "columns": 0, "lattice": 0}
-    # Columns: 65 groups of 4 lines, the upper and the lower half each; 4 nodes, 3 channels.
-    lines = 65 * 4 * 512
-    assert found("columns")["columns"] == 4 * 2 * lines * 9
+    # Columns: 256 lines, for the upper and the lower nodes each; 4 nodes, 3 channels.
+    lines = 256 * 512
+    assert found("columns")["columns"] == 4 * 2 * lines
     assert found("products")["columns"] == 4 * 4 * 3 * lines
-    # Folded: two pairs of sites, in the two blocks that are lit.
-    assert found("fold")["columns"] == 2 * 2 * lines
+    # Back to the photosites: two pairs of sites, in the two blocks that are lit.
+    assert found("inverse")["columns"] == 2 * 2 * lines / 4
     assert found("lattice") == {"rows": 0, "columns": 0, "lattice": 2 * 2 * 128**2 * 7}
 
 
@@ -45,9 +45,9 @@ def test_modes_share_transforms_in_pairs():
         return only(name).transforms(GRID, 3, planes, rank)
 
     # 9 and 3 lines of three modes: 5 and 2 pairs, each transformed once.
-    lines = 65 * 4 * 512
+    lines = 256 * 512
     assert found("modes", 3)["modes"] == 7 * GRID.block[1] * 512 * 9
-    assert found("columns", 3)["columns"] == 7 * lines * 9
+    assert found("columns", 3)["columns"] == 7 * lines
     assert found("products", 3)["columns"] == 2 * 7 * 3 * lines
     assert found("rows", 3) == {"modes": 0, "columns": 0, "lattice": 0}
     # One mode of one plane has no other to pair with: one product each.

@@ -15,7 +15,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan, layout, plan_optics
-from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import BLOCK_BYTES, Memory, cheapest_grid, planes_at_nodes
 from gpusim.plan.optics import CUTS_UM
 from gpusim.plan.predict import alias_error, cells_within, cut_error, edge_integral, node_error
@@ -392,17 +392,23 @@ def test_a_lens_that_changes_too_fast_is_refused():
 # Layout of blocks
 
 
-def layouts(planes: int, cells: tuple[int, int], rows: int = 1520, cols: int = 2028) -> SimGrid:
+def layouts(
+    planes: int,
+    cells: tuple[int, int],
+    rows: int = 1520,
+    cols: int = 2028,
+    costs: Costs = LAVAPIPE,
+) -> SimGrid:
     def needed(grid: SimGrid) -> dict[tuple[int, int], int]:
         return dict.fromkeys(np.ndindex(grid.blocks), planes)
 
     def work(grid: SimGrid, needed: dict[tuple[int, int], int]) -> dict[str, float]:
-        return LAVAPIPE.transforms(grid, 3, np.array(list(needed.values())))
+        return costs.transforms(grid, 3, np.array(list(needed.values())))
 
     def preparation(grid: SimGrid, needed: dict[tuple[int, int], int]) -> float:
         nodes = 3 * planes_at_nodes(grid, needed).sum()
-        sampled = LAVAPIPE.seconds("kernels", nodes * (2 * grid.half_size) ** 2)
-        return sampled + LAVAPIPE.seconds("spectra", nodes * grid.length**2)
+        sampled = costs.seconds("kernels", nodes * (2 * grid.half_size) ** 2)
+        return sampled + costs.seconds("spectra", nodes * grid.length**2)
 
     def memory(grid: SimGrid, needed: dict[tuple[int, int], int]) -> Memory:
         node = 3 * max(needed.values()) * grid.length**2 * 4
@@ -414,11 +420,14 @@ def layouts(planes: int, cells: tuple[int, int], rows: int = 1520, cols: int = 2
 
 def test_blocks_are_full_where_more_nodes_cost_less_than_more_transforms():
     """A photograph in three planes, of which all blocks need all: 176 samples of 256 - 2 x 40."""
-    grid = layouts(3, (16, 12))
+    cheap = replace(LAVAPIPE, ns=LAVAPIPE.ns | {"kernels": 3.0, "spectra": 0.75})
+    grid = layouts(3, (16, 12), costs=cheap)
     # Two blocks of 132 samples for each cell took 1.8 times as many transforms.
     assert (grid.block, grid.cells, grid.blocks) == ((176, 176), (24, 18), (24, 18))
-    # Where cells of the tolerance hold whole blocks, no node is added.
-    assert layouts(3, (12, 9)).cells == (12, 9)
+    # Where cells of the tolerance hold whole blocks, no node is added; nor where nodes are dear.
+    assert layouts(3, (12, 9), costs=cheap).cells == (12, 9)
+    dear = replace(LAVAPIPE, ns=LAVAPIPE.ns | {"kernels": 3e3, "spectra": 750.0})
+    assert layouts(3, (16, 12), costs=dear).cells == (16, 12)
 
 
 def test_what_memory_holds_all_kernels_does_not_bound_the_frame():
