@@ -157,7 +157,8 @@ def load_camera(name_or_path: str | Path) -> Camera:
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
-    from gpusim.sensor.sensor import load_filters, load_sensor
+    from gpusim.sensor.filters_model import load_filters
+    from gpusim.sensor.load import load_sensor
 
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):

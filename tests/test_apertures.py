@@ -12,7 +12,8 @@ from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
 from gpusim.sensor.aperture import Aperture, Part, Response, transfer_along
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 LENS = bank(coma_um=0.6, falloff=0.1, halo=0.1)
 ASIDE = Aperture(rectangles=[Part(x=0.1, y=0.3, width=0.5, height=0.7)])

@@ -30,7 +30,7 @@ from gpusim.reference.traps import traps
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.frame import Border, Overscan
-from gpusim.sensor.sensor import PRESETS, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.smear_model import Smear
 
 LENS = bank(coma_um=0.0, falloff=0.1)

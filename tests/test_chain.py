@@ -25,8 +25,8 @@ from gpusim.plan.costs import LAVAPIPE
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
+from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.noise_model import Defects, LineNoise, ResetNoise
-from gpusim.sensor.sensor import ColourFilterArray
 
 LENS = bank(coma_um=0.6, falloff=0.1, halo=0.01)
 CAMERA = StubCamera(LENS, sensor())

@@ -9,7 +9,7 @@ import yaml
 from command_line import assert_refused, gpusim
 from metrics.made import write
 
-from gpusim.sensor.sensor import PRESETS
+from gpusim.sensor.load import PRESETS
 
 SMALL = ("--side", "64")
 

@@ -10,7 +10,7 @@ import yaml
 from command_line import assert_refused, gpusim
 from sensor import isetcam_files, speos_files
 
-from gpusim.sensor.sensor import PRESETS, load_sensor, presets
+from gpusim.sensor.load import PRESETS, load_sensor, presets
 
 
 def test_without_a_name_it_lists_the_sensors():

@@ -10,7 +10,9 @@ from optics.made import StubCamera, bank, scene, sensor, shapes
 from gpusim.chain import Renderer
 from gpusim.plan import Accuracy
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor
+from gpusim.sensor.cfa import ColourFilterArray
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 LENS = bank(coma_um=0.6, falloff=0.1, halo=0.1)
 PATTERNS = {

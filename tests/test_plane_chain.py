@@ -34,7 +34,7 @@ from gpusim.scene.chart import Disc
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.sensor import QuantumEfficiency
+from gpusim.sensor.qe import QuantumEfficiency
 
 EXPOSURE_S = 0.01
 PITCH = 1.55

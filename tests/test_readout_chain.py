@@ -22,7 +22,7 @@ from gpusim.isp.dng import write_dng
 from gpusim.plan import Accuracy
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.frame import MAX_BORDER, Border
-from gpusim.sensor.sensor import PRESETS, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
 
 LENS = bank(coma_um=0.0, falloff=0.1)
 BLACK = Border(top=8, bottom=3, left=12, right=5)

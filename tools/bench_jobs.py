@@ -58,10 +58,11 @@ from gpusim.sensor.adc import record_adc
 from gpusim.sensor.crosstalk import record_crosstalk
 from gpusim.sensor.crosstalk_model import Kernels
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 EXPOSURE_S = 1 / 60
 PITCH_UM, SIM_PITCH_UM, SIGMA = 1.55, 0.775, 0.8

@@ -23,8 +23,9 @@ from gpusim.isp.colour import colour_matrix, response
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
 from gpusim.sensor.ccd import ReadOut
 from gpusim.sensor.cti_model import Cti, Species
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.readout import Shot
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 TYPICAL, STRONG = 5e-5, 5e-4  # left behind in each transfer of the serial register
 LEVELS = (0.5, 0.1, 0.02)  # greys for the traps, of the full well

@@ -24,7 +24,7 @@ from gpusim.report.lens_figure import png
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.noise_html import noise_html
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 FILES = ("noise.json", "noise.html", "noise.png")
 

@@ -13,8 +13,9 @@ from gpusim.cli.files import whole_file
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion, sensor_text
 from gpusim.sensor.isetcam import read_isetcam
+from gpusim.sensor.load import load_sensor, presets
 from gpusim.sensor.mistakes import UNITS, read_yaml
-from gpusim.sensor.sensor import Sensor, load_sensor, presets
+from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.speos import is_speos, read_speos
 
 ISETCAM, YAML = (".mat", ".json"), (".yaml", ".yml")

@@ -40,10 +40,10 @@ from gpusim.sensor.crosstalk_model import Kernels
 from gpusim.sensor.cti import record_cti
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.merge import record_merge
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.noise import record_noise
-from gpusim.sensor.sensor import load_sensor
 from gpusim.sensor.smear import record_smear
 from gpusim.sensor.smear_model import Smear
 from gpusim.sensor.traps import record_traps

@@ -5,6 +5,7 @@ All is folded into the channel kernels' transform, as the square aperture is: sh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -158,6 +159,31 @@ class Response:
             places.append((grid[:, None] + shift).reshape(-1, 2))
             shares.append(share * np.outer(np.outer(of_y, of_x).ravel(), of_moved).ravel())
         return np.concatenate(places), np.concatenate(shares)
+
+
+def response_of(
+    aperture: Aperture | None, fill_factor: float, motion: tuple[float, float] | None
+) -> Response:
+    """Return a pixel's response in space, in pixels.
+
+    Parameters
+    ----------
+    aperture : Aperture or None
+        None: a square in the middle of the pixel.
+    fill_factor : float
+        Area of that square over the pixel's.
+    motion : (float, float) or None
+        x, y by which the image moves while the pixel is exposed, pixels.
+    """
+    side = math.sqrt(fill_factor)
+    square = [((1 - side) / 2, (1 - side) / 2, side, side, 1.0)]
+    parts = aperture.parts if aperture else square
+    whole = sum(w * h * response for _, _, w, h, response in parts)
+    centred = tuple(
+        (x + w / 2 - 0.5, y + h / 2 - 0.5, w, h, w * h * response / whole)
+        for x, y, w, h, response in parts
+    )
+    return Response(centred, motion or (0.0, 0.0))
 
 
 def transfer_along(aperture: float | Response, frequency: np.ndarray, axis: int) -> np.ndarray:

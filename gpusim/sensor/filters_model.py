@@ -8,10 +8,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationInfo, model_validator
+from pydantic import ValidationError, ValidationInfo, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
 
 
@@ -96,3 +97,24 @@ def passed(filters: Iterable[Filter]) -> np.ndarray:
     for one in filters:
         product *= np.interp(WAVELENGTHS_NM, one.wavelengths_nm, one.transmission)
     return product
+
+
+class _Filters(Strict):
+    """Filters of a camera file, with the name that they have in a sensor's."""
+
+    filters: list[Filter]
+
+
+def load_filters(data: object, path: Path) -> list[Filter]:
+    """Return the filters in front of a lens, of a camera file that lies at a path.
+
+    Raises
+    ------
+    UserError
+        A wrong field, or a spectrum that cannot be read.
+    """
+    try:
+        found = _Filters.model_validate({"filters": data}, context={"folder": path.parent})
+    except ValidationError as error:
+        raise user_error(error, _Filters, path) from error
+    return found.filters

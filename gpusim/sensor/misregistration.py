@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from typing import TYPE_CHECKING
+
 import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.sensor.cfa import ColourFilterArray
+
+if TYPE_CHECKING:
+    from gpusim.sensor.sensor import Sensor
 
 Names = list[list[str]]
 Mixture = tuple[tuple[str, float], ...]
@@ -73,3 +82,50 @@ def mixed_pattern(
             found[key] = own if not alike else f"{own}{alike + 1}"
         names[row][col] = found[key]
     return names, {name: mixture for (_, mixture), name in found.items()}
+
+
+def mixed(sensor: Sensor) -> Sensor:
+    """Return the sensor whose channels are the mixtures that its pixels see.
+
+    Of a filter array that lies beside its pixels (``cfa.shift_px``) each photosite sees the
+    filters over it in proportion to the part of its aperture that they cover, and sites of one
+    letter become unlike channels (Gr, Gb). Scene and image are sampled as before; the aperture
+    is taken to see one mixture all over.
+
+    Raises
+    ------
+    UserError
+        Another field tells channels apart by their names, which change here.
+    """
+    if not any(sensor.cfa.shift_px):
+        return sensor
+    by_name = {
+        "channel_black_level_dn": sensor.channel_black_level_dn,
+        "eqe_map": sensor.eqe_map,
+        "aperture": sensor.aperture,
+    }
+    if sensor.crosstalk:
+        kernels = (sensor.crosstalk.optical, sensor.crosstalk.electrical)
+        by_name["crosstalk"] = any(one and set(one.root) != {"*"} for one in kernels)
+    for field, given in by_name.items():
+        if given:
+            raise UserError(
+                "the filters' shift makes other channels, of a square aperture",
+                field=field,
+                allowed="no such field, or the same for all channels; or cfa.pattern and "
+                "quantum_efficiency with the mixtures, and no shift",
+            )
+    names, mixtures = mixed_pattern(
+        sensor.cfa.pattern, sensor.cfa.shift_px, math.sqrt(sensor.fill_factor)
+    )
+    measured = sensor.quantum_efficiency
+    curves = {
+        name: sum(share * np.array(measured.channels[one]) for one, share in mixture).tolist()
+        for name, mixture in mixtures.items()
+    }
+    return sensor.model_copy(
+        update={
+            "cfa": ColourFilterArray(pattern=names),
+            "quantum_efficiency": measured.model_copy(update={"channels": curves}),
+        }
+    )

@@ -8,7 +8,6 @@ DSNU and PRNU.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping
 from functools import cached_property
 from itertools import chain
@@ -16,127 +15,28 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, model_validator
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
-from gpusim.sensor.aperture import AREA_ROUNDING, Aperture, Response
+from gpusim.sensor.aperture import Aperture, Response, response_of
+from gpusim.sensor.cfa import CFA_LETTERS, ColourFilterArray
+from gpusim.sensor.checks import check_fields
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
 from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.frame import Border, Frame, Overscan
-from gpusim.sensor.misregistration import mixed_pattern
-from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
+from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.smear_model import Smear
-from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
 
-PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
-# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
-CFA_LETTERS = "RGBCMYW"
-# By the names under which they are known; W is what RCCB and RCCC call C, clear.
-PATTERNS = {
-    "RGGB": ("RG", "GB"),
-    "BGGR": ("BG", "GR"),
-    "GRBG": ("GR", "BG"),
-    "GBRG": ("GB", "RG"),
-    "RCCB": ("RW", "WB"),
-    "RCCC": ("RW", "WW"),
-    "RGBW": ("RG", "BW"),
-    "quad Bayer": ("RRGG", "RRGG", "GGBB", "GGBB"),
-    "X-Trans": ("GBGGRG", "RGRBGB", "GBGGRG", "GRGGBG", "BGBRGR", "GRGGBG"),
-    "monochrome": ("W",),
-}
-MAX_CHANNELS = 16  # that the shaders tell apart
 MAX_SIDE = 65535  # pixels
-MAX_MOTION_PX = 4
 ABSOLUTE_ZERO_C = -273.15
-MAX_RAW_DN = 65535  # raw files hold 16 bits
 
 Value = TypeVar("Value", float, np.ndarray)
-
-
-class ColourFilterArray(Strict):
-    """The filter pattern, from the upper left pixel: a channel for each photosite, row by row.
-
-    A channel is a letter of :data:`CFA_LETTERS`, which is the colour of its filter, and may have
-    more after it: Gr and Gb are green photosites of unlike response. A file may also give one of
-    the names of :data:`PATTERNS`, in which C is clear: a photosite without a filter, W.
-
-    Attributes
-    ----------
-    pattern : list of list of str
-    shift_px : (float, float)
-        x, y by which the filters lie to the right of their pixels, and below, pixels. What is
-        loaded from a file has the mixtures that its pixels then see: see :meth:`Sensor.mixed`.
-    """
-
-    pattern: list[list[str]]
-    shift_px: tuple[float, float] = (0.0, 0.0)
-
-    @field_validator("pattern", mode="before")
-    @classmethod
-    def _by_name(cls, pattern: object) -> object:
-        if not isinstance(pattern, str):
-            return pattern
-        if pattern not in PATTERNS:
-            raise wrong(f"there is no pattern {pattern!r}", f"a table, or {', '.join(PATTERNS)}")
-        return [list(row) for row in PATTERNS[pattern]]
-
-    @field_validator("shift_px")
-    @classmethod
-    def _within_a_pixel(cls, shift: tuple[float, float]) -> tuple[float, float]:
-        if max(map(abs, shift)) > 1:
-            raise wrong("the filters are shifted by more than a pixel", "x, y from -1 to 1 pixel")
-        return shift
-
-    @property
-    def letters(self) -> list[list[str]]:
-        """The pattern of the filters' colours."""
-        return [[name[0] for name in row] for row in self.pattern]
-
-    @field_validator("pattern")
-    @classmethod
-    def _rectangle_of_letters(cls, pattern: list[list[str]]) -> list[list[str]]:
-        if not pattern or not pattern[0] or any(len(row) != len(pattern[0]) for row in pattern):
-            raise wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
-        for name in chain(*pattern):
-            if name[:1] not in tuple(CFA_LETTERS):
-                raise wrong(f"unknown filter colour {name!r}", ", ".join(CFA_LETTERS))
-        return pattern
-
-
-class QuantumEfficiency(Strict):
-    """Quantum efficiency of each channel, filters included, on a wavelength grid of its own."""
-
-    wavelengths_nm: list[Positive]
-    channels: dict[str, list[NotNegative]]
-
-    @model_validator(mode="after")
-    def _on_one_grid(self) -> QuantumEfficiency:
-        grid = self.wavelengths_nm
-        check_grid(grid)
-        first, last = WAVELENGTHS_NM[[0, -1]]
-        for name, curve in self.channels.items():
-            if len(curve) != len(grid):
-                raise wrong(
-                    f"channel {name} has {len(curve)} values", f"{len(grid)}, as wavelengths"
-                )
-            if not np.interp(WAVELENGTHS_NM, grid, curve).any():
-                raise wrong(
-                    f"channel {name} sees nothing",
-                    f"values above 0 between {first:g} and {last:g} nm",
-                    field=f"channels.{name}",
-                )
-            if (most := max(curve)) > 1:
-                at = grid[curve.index(most)]
-                warnings.warn(
-                    f"the quantum efficiency of {name} exceeds 1: {most:g} at {at:g} nm",
-                    stacklevel=2,
-                )
-        return self
 
 
 class Sensor(Strict):
@@ -304,194 +204,16 @@ class Sensor(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
-        letters, curves = set(self.site_channels()), set(self.quantum_efficiency.channels)
-        if self.eqe_map is not None and set(self.eqe_map.channels) != letters:
-            raise UserError(
-                "the channels are not those of the filter pattern",
-                file=self.eqe_map.file,
-                field="channels",
-                value=", ".join(sorted(self.eqe_map.channels)),
-                allowed=", ".join(sorted(letters)),
-            )
-        if letters != curves:
-            raise wrong(
-                f"the filter pattern has {', '.join(sorted(letters))}, "
-                f"quantum_efficiency has {', '.join(sorted(curves))}",
-                "the same channels in both",
-                field="cfa.pattern",
-            )
-        if len(curves) > MAX_CHANNELS:
-            raise wrong(
-                "there are too many channels",
-                f"{MAX_CHANNELS} at most",
-                field="quantum_efficiency.channels",
-                value=len(curves),
-            )
-        if self.micro_lens is not None and self.eqe_map is None:
-            raise wrong(
-                "micro_lens shifts what no eqe_map gives",
-                "both, or neither",
-                field="micro_lens",
-            )
-        if self.black_level_dn >= self.max_dn:
-            raise wrong(
-                "the black level leaves no range",
-                f"below {self.max_dn} (DN)",
-                field="black_level_dn",
-                value=self.black_level_dn,
-            )
-        self._check_read_out()
-        black, (down, across) = self.optical_black, self.period
-        if black and (black.top % down or black.left % across):
-            raise wrong(
-                f"there are {black.top} rows above and {black.left} columns to the left",
-                f"multiples of {down} and {across}, as the filter pattern",
-                field="optical_black",
-            )
-        if self.gaussian_variance_per_e is not None:
-            for field in ("read_noise_law", "dual_gain"):
-                if getattr(self, field) is not None:
-                    raise wrong(
-                        f"{field} gives a read noise that gaussian_variance_per_e replaces",
-                        "one of the two",
-                    )
-        for pixel in self.defects.pixels if self.defects else ():
-            row, col = pixel.row - self.first_row, pixel.col - self.first_col
-            if not (0 <= row < self.rows and 0 <= col < self.cols):
-                raise wrong(
-                    f"the defect pixel {pixel.row}, {pixel.col} lies beside the sensor",
-                    f"rows from {self.first_row}, {self.rows} of them; columns from "
-                    f"{self.first_col}, {self.cols} of them",
-                )
-        shifts = (self.overscan, self.smear, self.parallel_cti, self.serial_cti)
-        if self.crosstalk and (self.bloom or any(one is not None for one in shifts)):
-            raise wrong(
-                "cross-talk is simulated of sensors that do not shift their charge",
-                "no overscan, smear, bloom or cti beside it",
-                field="crosstalk",
-            )
-        if self.aperture and abs(self.aperture.area / self.fill_factor - 1) > AREA_ROUNDING:
-            raise wrong(
-                "the aperture has another area than the fill factor says",
-                f"{self.aperture.area:.4g}",
-                field="fill_factor",
-                value=self.fill_factor,
-            )
-        if self.scan_motion_px and math.hypot(*self.scan_motion_px) > MAX_MOTION_PX:
-            raise wrong(
-                "the image moves too far while a pixel is exposed",
-                f"{MAX_MOTION_PX} pixels at most",
-                field="scan_motion_px",
-            )
-        for kind in ("optical", "electrical"):
-            if self.crosstalk and (kernels := getattr(self.crosstalk, kind)):
-                kernels.check(f"crosstalk.{kind}", self.cfa.pattern)
-        if unknown := set(self.sources) - set(type(self).model_fields):
-            raise wrong(
-                f"sources names no field: {', '.join(sorted(unknown))}",
-                "fields of this file",
-                field="sources",
-            )
+        check_fields(self)
         return self
-
-    def _check_read_out(self) -> None:
-        """Refuse what does not fit in the figures of the converter."""
-        for name, level in (self.channel_black_level_dn or {}).items():
-            if name not in self.site_channels():
-                raise wrong(
-                    "the filter pattern has no such channel",
-                    ", ".join(self.channels),
-                    field="channel_black_level_dn",
-                    value=name,
-                )
-            if level >= self.max_dn:
-                raise wrong(
-                    "the black level leaves no range",
-                    f"below {self.max_dn} (DN)",
-                    field=f"channel_black_level_dn.{name}",
-                    value=level,
-                )
-        if self.linearity and self.linearity.electrons[-1] < self.full_well_e:
-            raise wrong(
-                "the response ends before the full well",
-                f"a last point at {self.full_well_e:g} electrons or beyond",
-                field="linearity.electrons",
-                value=self.linearity.electrons[-1],
-            )
-        given = self.column_offset and self.column_offset.offsets_dn
-        columns = self.first_col + self.frame.read[3]
-        if given is not None and len(given) != columns:
-            raise wrong(
-                f"there are offsets of {len(given)} columns",
-                f"{columns}, one for each column that is read",
-                field="column_offset.offsets_dn",
-                value=f"{len(given)} values",
-            )
-        if self.bloom and self.full_well_knee < 1:
-            raise wrong(
-                "a soft full well where charge blooms",
-                "1, or no bloom",
-                field="full_well_knee",
-                value=self.full_well_knee,
-            )
-        if self.dual_gain and self.is_ccd:
-            raise wrong(
-                "dual_gain in a CCD", "one read of each packet: no dual_gain", field="dual_gain"
-            )
-        if dual := self.dual_gain:
-            self._check_dual_gain(dual)
-
-    def _check_dual_gain(self, dual: DualGain) -> None:
-        if self.analogue_gains or self.channel_black_level_dn:
-            raise wrong(
-                "two reads go with one analogue gain and one black level for all channels",
-                "no analogue_gains and no channel_black_level_dn beside it",
-                field="dual_gain",
-            )
-        if dual.system_gain_dn_per_e >= self.system_gain_dn_per_e:
-            raise wrong(
-                "the low gain is not the lower",
-                f"below {self.system_gain_dn_per_e:g}, the system_gain_dn_per_e of the high gain",
-                field="dual_gain.system_gain_dn_per_e",
-                value=dual.system_gain_dn_per_e,
-            )
-        if not self.black_level_dn < dual.switch_dn <= self.max_dn:
-            raise wrong(
-                "the switch is no code of a signal",
-                f"above the black level, {self.black_level_dn:g}, up to {self.max_dn} (DN)",
-                field="dual_gain.switch_dn",
-                value=dual.switch_dn,
-            )
-        if dual.black_level_dn >= self.max_dn:
-            raise wrong(
-                "the black level leaves no range",
-                f"below {self.max_dn} (DN)",
-                field="dual_gain.black_level_dn",
-                value=dual.black_level_dn,
-            )
-        if self.raw_max_dn > MAX_RAW_DN:
-            raise wrong(
-                f"the merged codes go up to {self.raw_max_dn}",
-                f"up to {MAX_RAW_DN}: gains closer to each other, or fewer bits",
-                field="dual_gain.system_gain_dn_per_e",
-                value=dual.system_gain_dn_per_e,
-            )
 
     @property
     def response_um(self) -> float | Response:
         """Side of the square pixel aperture, um; or the response in space of any other."""
         if self.aperture is None and self.scan_motion_px is None:
             return self.pixel_pitch_um * math.sqrt(self.fill_factor)
-        side = math.sqrt(self.fill_factor)
-        square = [((1 - side) / 2, (1 - side) / 2, side, side, 1.0)]
-        parts = self.aperture.parts if self.aperture else square
-        whole = sum(w * h * response for _, _, w, h, response in parts)
-        centred = tuple(
-            (x + w / 2 - 0.5, y + h / 2 - 0.5, w, h, w * h * response / whole)
-            for x, y, w, h, response in parts
-        )
-        motion = self.scan_motion_px or (0.0, 0.0)
-        return Response(centred, motion) / (1 / self.pixel_pitch_um)
+        in_pixels = response_of(self.aperture, self.fill_factor, self.scan_motion_px)
+        return in_pixels / (1 / self.pixel_pitch_um)
 
     @property
     def max_dn(self) -> int:
@@ -555,6 +277,18 @@ class Sensor(Strict):
             }
         )
 
+    def at_low_gain(self) -> Sensor:
+        """Return the sensor as it reads at the low gain of two."""
+        dual = self.dual_gain
+        return self.model_copy(
+            update={
+                "system_gain_dn_per_e": dual.system_gain_dn_per_e,
+                "temporal_dark_noise_e": dual.temporal_dark_noise_e,
+                "black_level_dn": dual.black_level_dn,
+                "dual_gain": None,
+            }
+        )
+
     @property
     def frame(self) -> Frame:
         """The areas that are read out."""
@@ -608,52 +342,6 @@ class Sensor(Strict):
     def colour_qe(self) -> dict[str, np.ndarray]:
         """Mean quantum efficiency of the photosites of each filter colour, by letter: (61,)."""
         return self.by_colour(self.qe)
-
-    def mixed(self) -> Sensor:
-        """Return the sensor whose channels are the mixtures that its pixels see.
-
-        Of a filter array that lies beside its pixels (``cfa.shift_px``) each photosite sees the
-        filters over it in proportion to the part of its aperture that they cover, and sites of one
-        letter become unlike channels (Gr, Gb). Scene and image are sampled as before; the aperture
-        is taken to see one mixture all over.
-
-        Raises
-        ------
-        UserError
-            Another field tells channels apart by their names, which change here.
-        """
-        if not any(self.cfa.shift_px):
-            return self
-        by_name = {
-            "channel_black_level_dn": self.channel_black_level_dn,
-            "eqe_map": self.eqe_map,
-            "aperture": self.aperture,
-        }
-        if self.crosstalk:
-            kernels = (self.crosstalk.optical, self.crosstalk.electrical)
-            by_name["crosstalk"] = any(one and set(one.root) != {"*"} for one in kernels)
-        for field, given in by_name.items():
-            if given:
-                raise UserError(
-                    "the filters' shift makes other channels, of a square aperture",
-                    field=field,
-                    allowed="no such field, or the same for all channels; or cfa.pattern and "
-                    "quantum_efficiency with the mixtures, and no shift",
-                )
-        names, mixtures = mixed_pattern(
-            self.cfa.pattern, self.cfa.shift_px, math.sqrt(self.fill_factor)
-        )
-        measured = self.quantum_efficiency
-        curves = {
-            name: sum(share * np.array(measured.channels[one]) for one, share in mixture).tolist()
-            for name, mixture in mixtures.items()
-        }
-        return self.model_copy(
-            update={
-                "cfa": ColourFilterArray(pattern=names),
-                "quantum_efficiency": measured.model_copy(update={"channels": curves}),
-            }
-        )
 
     def by_colour(self, of_channel: Mapping[str, Value]) -> dict[str, Value]:
         """Return the mean over the photosites of each filter colour, by letter."""
@@ -735,18 +423,6 @@ class Sensor(Strict):
             )
         return temperature_c
 
-    def at_low_gain(self) -> Sensor:
-        """Return the sensor as it reads at the low gain of two."""
-        dual = self.dual_gain
-        return self.model_copy(
-            update={
-                "system_gain_dn_per_e": dual.system_gain_dn_per_e,
-                "temporal_dark_noise_e": dual.temporal_dark_noise_e,
-                "black_level_dn": dual.black_level_dn,
-                "dual_gain": None,
-            }
-        )
-
     def roi(self, rows: int, cols: int) -> Sensor:
         """Return the region of rows x cols pixels about the centre.
 
@@ -784,58 +460,3 @@ class Sensor(Strict):
         first = row % self.period[0]
         pattern = ColourFilterArray(pattern=rows[first:] + rows[:first])
         return self.model_copy(update={"cfa": pattern})
-
-
-def presets() -> list[str]:
-    """Return the names of the sensors that come with the package."""
-    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
-
-
-def load_sensor(name_or_path: str | Path) -> Sensor:
-    """Load a sensor file, or a preset by its name.
-
-    Raises
-    ------
-    UserError
-        Unknown preset; a file that cannot be read or is no YAML; a wrong field.
-    """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        path = PRESETS / f"{name_or_path}.yaml"
-        if not path.exists():
-            raise UserError(
-                "there is no sensor of that name",
-                field="sensor",
-                value=name_or_path,
-                allowed=f"a .yaml file, or one of: {', '.join(presets())}",
-            )
-    data = read_yaml(path)
-    try:
-        sensor = Sensor.model_validate(data, context={"folder": path.parent}).mixed()
-    except ValidationError as error:
-        raise user_error(error, Sensor, path) from error
-    if sensor.masks is None:
-        return sensor
-    area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)
-    return sensor.model_copy(update={"masks": sensor.masks.placed(path.parent, area)})
-
-
-class _Filters(Strict):
-    """Filters of a camera file, with the name that they have in a sensor's."""
-
-    filters: list[Filter]
-
-
-def load_filters(data: object, path: Path) -> list[Filter]:
-    """Return the filters in front of a lens, of a camera file that lies at a path.
-
-    Raises
-    ------
-    UserError
-        A wrong field, or a spectrum that cannot be read.
-    """
-    try:
-        found = _Filters.model_validate({"filters": data}, context={"folder": path.parent})
-    except ValidationError as error:
-        raise user_error(error, _Filters, path) from error
-    return found.filters

@@ -10,8 +10,10 @@ from gpusim.lens.bank import Bank
 from gpusim.lens.cone import with_exit_pupil
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
+from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.eqe_model import EqeMap
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 from gpusim.stress.made import FLAT, camera_of, compared, gaussian_bank, mono, rate_of
 from gpusim.stress.table import Case
 

@@ -14,8 +14,9 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise import record_noise
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 from gpusim.stress.made import FLAT, camera_of, gaussian_bank, mono
 from gpusim.stress.table import Case
 

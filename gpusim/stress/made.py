@@ -16,7 +16,10 @@ from gpusim.plan import Accuracy
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+from gpusim.sensor.cfa import ColourFilterArray
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 FLAT = np.full(WAVELENGTHS_NM.size, 1e-3)  # W m^-2 sr^-1 nm^-1
 

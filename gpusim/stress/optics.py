@@ -27,7 +27,7 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.exr import write_exr
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.stress.made import (
     FLAT,
     camera_of,

@@ -6,10 +6,11 @@ import numpy as np
 
 from gpusim.gpu import Recording, default_device
 from gpusim.sensor.aperture import Aperture, Part
+from gpusim.sensor.cfa import PATTERNS, ColourFilterArray
 from gpusim.sensor.crosstalk import record_crosstalk
 from gpusim.sensor.crosstalk_model import Kernels
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.misregistration import mixed_pattern
-from gpusim.sensor.sensor import PATTERNS, ColourFilterArray, load_sensor
 from gpusim.stress.table import Case
 
 

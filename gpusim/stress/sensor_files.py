@@ -11,7 +11,8 @@ import numpy as np
 import yaml
 
 from gpusim.errors import UserError
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.sensor import Sensor
 from gpusim.stress.table import REFUSED, Case
 
 MAY_BE_NEGATIVE = ("reference_temperature_c",)

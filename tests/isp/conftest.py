@@ -7,7 +7,8 @@ import pytest
 
 from gpusim.isp.colour import CHANNELS, response
 from gpusim.scene.spectra import colorchecker, white_radiance
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.sensor import Sensor
 
 PATCH = 40  # pixels
 

@@ -14,7 +14,7 @@ from gpusim.scene.spectra import (
     white_radiance,
     xyz,
 )
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 ILLUMINANTS = ["A", "D50", "D65"]
 

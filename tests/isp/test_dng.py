@@ -24,7 +24,7 @@ from gpusim.isp.dng import (
 )
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.sensor.adc_model import GainStep, Linearity
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 PATTERNS = ["RGGB", "BGGR", "GRBG", "GBRG"]
 WHITE_E = {"R": 3000.0, "G": 6000.0, "B": 4500.0}

@@ -15,7 +15,7 @@ from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
 from gpusim.lens.prescription import Coating
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 SMALL = {"wavelengths_nm": [450.0, 550.0, 650.0], "size": 64}
 

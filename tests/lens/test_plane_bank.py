@@ -17,7 +17,7 @@ from gpusim.lens.psf import intensity
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
 from gpusim.optics.kernels import field_images, field_kernels, sampled_kernels
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 GREEN = np.array([550.0])
 SMALL = {"wavelengths_nm": [500.0, 550.0], "size": 64, "pitch_um": 0.7}

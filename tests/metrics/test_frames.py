@@ -11,7 +11,7 @@ from gpusim.isp.dng import write_dng
 from gpusim.metrics import frames
 from gpusim.metrics.emva import characterise
 from gpusim.metrics.flat_field import Light
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 WHOLE = [(0.01, 0.0, 2), *((0.01, 400.0 * k, 2) for k in range(1, 24))]
 

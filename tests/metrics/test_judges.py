@@ -24,7 +24,10 @@ from gpusim.metrics import flat_field, frames
 from gpusim.metrics.emva import Characterisation, characterise
 from gpusim.metrics.flat_field import Light
 from gpusim.plan.stages import sensor_runs
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+from gpusim.sensor.cfa import ColourFilterArray
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 CLOSE = 0.02
 AGREE = {

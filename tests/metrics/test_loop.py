@@ -14,9 +14,12 @@ from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
 from gpusim.sensor import readout
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
+from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ResetNoise
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 MONO = {
     "name": "mono",

@@ -11,8 +11,10 @@ from optics.made import bank, plane_bank, sensor
 from gpusim.lens.bank import Bank
 from gpusim.lens.cone import cone_of, with_exit_pupil
 from gpusim.lens.plane_bank import PlaneBank
+from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.eqe_model import EqeMap, MicroLens
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 GREENS = [["R", "Gr"], ["Gb", "B"]]
 EXIT_MM = 0.4  # from the image: the chief ray reaches 22 degrees at 160 um

@@ -19,7 +19,10 @@ from gpusim.optics.kernels import FieldKernels
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.sensor import ColourFilterArray, QuantumEfficiency, Sensor, load_sensor
+from gpusim.sensor.cfa import ColourFilterArray
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 ULP = 2.0**-24  # largest relative error of one rounding to f32
 

@@ -15,7 +15,7 @@ from gpusim.optics.fold import (
     spectral_weights,
 )
 from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker
-from gpusim.sensor.sensor import QuantumEfficiency
+from gpusim.sensor.qe import QuantumEfficiency
 
 LENS = bank(fields=5)
 CAMERA = sensor()

@@ -34,7 +34,7 @@ from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Aperture, Part
-from gpusim.sensor.sensor import ColourFilterArray
+from gpusim.sensor.cfa import ColourFilterArray
 
 F32 = np.float32
 PITCH = 1.55

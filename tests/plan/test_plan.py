@@ -21,7 +21,7 @@ from gpusim.plan.optics import CUTS_UM
 from gpusim.plan.predict import alias_error, cells_within, cut_error, edge_integral, node_error
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
-from gpusim.sensor.sensor import ColourFilterArray
+from gpusim.sensor.cfa import ColourFilterArray
 
 LENS = bank(coma_um=0.5, falloff=0.1)
 HALO = bank(coma_um=0.5, falloff=0.1, halo=0.02)

@@ -15,7 +15,7 @@ from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.sensor import QuantumEfficiency
+from gpusim.sensor.qe import QuantumEfficiency
 
 PITCH = 1.55
 HC = 6.62607015e-34 * 299792458.0

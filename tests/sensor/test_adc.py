@@ -12,7 +12,7 @@ from gpusim.reference.adc import adc, response
 from gpusim.reference.column_offset import column_offset
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.adc_model import ColumnOffset, Linearity
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 F32 = np.float32
 SERIAL = (5 << 32) + 88

@@ -8,7 +8,8 @@ import yaml
 
 from gpusim.errors import UserError
 from gpusim.sensor.adc_model import LEVELS, ColumnOffset, DualGain, GainStep, Linearity
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 CURVE = {"electrons": [0, 4000, 8180], "read_e": [0, 4100, 8100]}
 DUAL = {

@@ -9,8 +9,9 @@ from gpusim.plan.stages import sensor_runs
 from gpusim.reference.border import border
 from gpusim.sensor.border import record_border
 from gpusim.sensor.frame import Border, overlap, parts_around
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.readout import Shot, record_readout
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 BLACK = Border(top=4, bottom=3, left=6, right=1)

@@ -9,7 +9,7 @@ from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.column_offset import column_offset
 from gpusim.sensor.adc_model import ColumnOffset
 from gpusim.sensor.column_offset import record_column_offset
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 F32 = np.float32
 SERIAL = (5 << 32) + 88

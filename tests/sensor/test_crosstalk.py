@@ -18,10 +18,12 @@ from gpusim.gpu import Device, Kernel, Recording
 from gpusim.plan import Accuracy
 from gpusim.plan.tiles import aligned
 from gpusim.reference.crosstalk import autocorrelation, crosstalk
+from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.crosstalk import ROWS, grown, reach, record_crosstalk
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
+from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.readout import Shot, record_readout, rects_of
-from gpusim.sensor.sensor import PRESETS, ColourFilterArray, Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 ULP = 2.0**-24

@@ -8,8 +8,9 @@ from scipy.stats import binom, kstest
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.defects import defects
 from gpusim.sensor.defects import defects_of, record_defects, record_stuck
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise_model import Defects
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 LEVEL = 1e-3

@@ -11,7 +11,8 @@ from optics.angled import sample
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 NAN = float("nan")
 

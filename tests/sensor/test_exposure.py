@@ -14,7 +14,7 @@ from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.exposure import dark_current, exposure
 from gpusim.sensor.exposure import record_exposure
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 F32 = np.float32
 SERIAL = (3 << 32) + 12345

@@ -12,7 +12,7 @@ from gpusim.errors import UserError
 from gpusim.optics.fold import LIGHT_M_S, PLANCK_J_S, spectral_weights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import Filter, passed
-from gpusim.sensor.sensor import PRESETS, load_sensor
+from gpusim.sensor.load import PRESETS, load_sensor
 
 GRID = [400.0, 650.0, 655.0, 700.0]
 NAN = float("nan")

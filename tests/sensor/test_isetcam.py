@@ -15,7 +15,7 @@ from sensor.isetcam_files import STRUCT, WAVE, check, read, written
 
 from gpusim.errors import UserError
 from gpusim.sensor import isetcam
-from gpusim.sensor.sensor import load_sensor
+from gpusim.sensor.load import load_sensor
 
 
 @pytest.mark.parametrize("kind", [".json", ".mat"])

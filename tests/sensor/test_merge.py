@@ -8,9 +8,10 @@ from gpusim.gpu import Device, Kernel, Recording
 from gpusim.plan.stages import sensor_runs
 from gpusim.reference.merge import merge
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.merge import record_merge
 from gpusim.sensor.readout import Shot, record_readout
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 DUAL = DualGain(

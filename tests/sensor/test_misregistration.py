@@ -5,8 +5,9 @@ import pytest
 import yaml
 
 from gpusim.errors import UserError
+from gpusim.sensor.cfa import PATTERNS
+from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.misregistration import mixed_pattern, shares_along
-from gpusim.sensor.sensor import PATTERNS, PRESETS, load_sensor
 
 BAYER = [["R", "G"], ["G", "B"]]
 

@@ -9,9 +9,11 @@ from harness import assert_close, run_stage, unwritten
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.mosaic import mosaic
+from gpusim.sensor.cfa import ColourFilterArray
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.mosaic import record_mosaic
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.sensor import ColourFilterArray, Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 BAYER = ("RG", "GB")

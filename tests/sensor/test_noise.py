@@ -10,8 +10,8 @@ from scipy.stats import chi2, kstest, norm
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.noise import noise, poisson, softened
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise import record_noise
-from gpusim.sensor.sensor import load_sensor
 
 F32 = np.float32
 SEED, SERIAL = (9 << 32) + 77, (5 << 32) + 88

@@ -14,9 +14,10 @@ from scipy.stats import norm, t
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.noise import QUANTILES, REACH, record_noise
 from gpusim.sensor.noise_model import DefectPixel, ReadNoiseLaw, ResetNoise
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 

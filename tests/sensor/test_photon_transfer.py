@@ -7,9 +7,10 @@ from scipy.stats import norm
 from gpusim.gpu import Device, Recording
 from gpusim.sensor.adc import record_adc
 from gpusim.sensor.exposure import record_exposure
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.noise_model import LineNoise
-from gpusim.sensor.sensor import Sensor, load_sensor
+from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
 SHAPE = (512, 512)

@@ -24,7 +24,8 @@ from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
-from gpusim.sensor.sensor import Sensor, load_sensor, presets
+from gpusim.sensor.load import load_sensor, presets
+from gpusim.sensor.sensor import Sensor
 from gpusim.stress.made import FLAT, camera_of, gaussian_bank
 
 MATRIX_SNR_DB, MATRIX_DR_DB = 45.1, 73.0

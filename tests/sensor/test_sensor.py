@@ -12,8 +12,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gpusim.cli import app
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
+from gpusim.sensor.load import PRESETS, load_sensor, presets
 from gpusim.sensor.mistakes import user_error
-from gpusim.sensor.sensor import PRESETS, Sensor, load_sensor, presets
+from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.words import quads, words
 
 IMX477 = PRESETS / "imx477.yaml"

@@ -1,0 +1,48 @@
+"""Loading sensor files, and those that come with the package by their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from gpusim.errors import UserError
+from gpusim.sensor.misregistration import mixed
+from gpusim.sensor.mistakes import read_yaml, user_error
+from gpusim.sensor.sensor import Sensor
+
+PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
+
+
+def presets() -> list[str]:
+    """Return the names of the sensors that come with the package."""
+    return sorted(path.stem for path in PRESETS.glob("*.yaml"))
+
+
+def load_sensor(name_or_path: str | Path) -> Sensor:
+    """Load a sensor file, or a preset by its name.
+
+    Raises
+    ------
+    UserError
+        Unknown preset; a file that cannot be read or is no YAML; a wrong field.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = PRESETS / f"{name_or_path}.yaml"
+        if not path.exists():
+            raise UserError(
+                "there is no sensor of that name",
+                field="sensor",
+                value=name_or_path,
+                allowed=f"a .yaml file, or one of: {', '.join(presets())}",
+            )
+    data = read_yaml(path)
+    try:
+        sensor = mixed(Sensor.model_validate(data, context={"folder": path.parent}))
+    except ValidationError as error:
+        raise user_error(error, Sensor, path) from error
+    if sensor.masks is None:
+        return sensor
+    area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)
+    return sensor.model_copy(update={"masks": sensor.masks.placed(path.parent, area)})
