@@ -18,7 +18,8 @@ from gpusim.cli.files import staging
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.metrics import flat_field, frames, loop
-from gpusim.metrics.emva import Characterisation, Figure, characterise
+from gpusim.metrics.emva import Characterisation, characterise
+from gpusim.metrics.figure import Figure
 from gpusim.plan.stages import sensor_runs
 from gpusim.report.lens_figure import png
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits

@@ -14,8 +14,8 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
-from gpusim.metrics.emva import LEAST_TIMES, Level
-from gpusim.metrics.statistics import Accumulator
+from gpusim.metrics.dark import LEAST_TIMES
+from gpusim.metrics.statistics import Accumulator, Level
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.planes import planes_of
 from gpusim.sensor.readout import Shot, record_readout

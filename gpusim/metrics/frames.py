@@ -27,9 +27,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.metrics.emva import Level
 from gpusim.metrics.flat_field import Light
-from gpusim.metrics.statistics import Accumulator
+from gpusim.metrics.statistics import Accumulator, Level
 
 LIST, CAMERA = "frames.csv", "camera.json"
 KINDS = (".npy", ".tif", ".tiff", ".dng")

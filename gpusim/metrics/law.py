@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import poisson
 
-from gpusim.metrics.emva import QUANTISATION_DN2
+from gpusim.metrics.dark import QUANTISATION_DN2
 from gpusim.sensor.sensor import Sensor
 
 _NODES = 121  # of a normal law: sums over so even a grid are exact to rounding

@@ -16,17 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from gpusim.metrics.emva import (
-    DRAWS,
-    LEAST_DARK_VARIANCE_DN2,
-    QUANTISATION_DN2,
-    UNDERFLOW_SHARE,
-    Channel,
-    Characterisation,
-    Figure,
-    line,
-)
+from gpusim.metrics.dark import LEAST_DARK_VARIANCE_DN2, QUANTISATION_DN2
+from gpusim.metrics.emva import UNDERFLOW_SHARE, Channel, Characterisation
+from gpusim.metrics.figure import Figure, line
 from gpusim.metrics.law import PixelLaw
+from gpusim.metrics.transfer import DRAWS
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor

@@ -165,6 +165,48 @@ class SiteStatistics:
         return split(self.average).minus(self.temporal.scaled(1 / self.frames))
 
 
+@dataclass(frozen=True)
+class Level:
+    """What one light and exposure time gave.
+
+    Attributes
+    ----------
+    exposure_s : float
+    photons : float
+        Mean number per pixel during the exposure; 0 in the dark.
+    wavelength_nm : float or None
+        Of the light; None in the dark, or where it is not known.
+    sites : tuple of SiteStatistics
+        Of each site of the filter pattern, row by row.
+    """
+
+    exposure_s: float
+    photons: float
+    wavelength_nm: float | None
+    sites: tuple[SiteStatistics, ...]
+
+    def mean_and_variance(self, sites: Sequence[int]) -> tuple[float, float, float, float]:
+        """Return mean and temporal variance over some sites, each with its squared uncertainty.
+
+        DN, DN^2; DN^2, DN^4.
+        """
+        taken = [self.sites[number] for number in sites]
+        temporal = pooled([site.temporal for site in taken])
+        (rows, cols), frames = taken[0].shape, taken[0].frames
+        # Sites may lie in the same rows and columns, whose noise they then share.
+        mean_u2 = (
+            max(temporal.pixel, 0.0) / (rows * cols * len(taken))
+            + max(temporal.row, 0.0) / rows
+            + max(temporal.column, 0.0) / cols
+        ) / frames
+        return (
+            float(np.mean([site.mean for site in taken])),
+            mean_u2,
+            temporal.total,
+            temporal.total_u2,
+        )
+
+
 class Accumulator:
     """Takes the frames of one light one by one; holds a sum and the last frame alone.
 

@@ -6,8 +6,10 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from gpusim.metrics.emva import Channel, Characterisation, Figure, Pattern
+from gpusim.metrics.emva import Channel, Characterisation
+from gpusim.metrics.figure import Figure
 from gpusim.metrics.loop import COVERAGE, Row
+from gpusim.metrics.nonuniformity import Pattern
 
 # Name, symbol and unit of each figure, in the order of the standard's summary sheet.
 OF_A_CHANNEL = {

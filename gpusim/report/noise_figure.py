@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FormatStrFormatter, NullFormatter
 from scipy.ndimage import uniform_filter
 
-from gpusim.metrics.emva import FIT_SHARE, Channel, Characterisation, Pattern, spectrogram
+from gpusim.metrics.emva import Channel, Characterisation
+from gpusim.metrics.nonuniformity import Pattern, spectrogram
+from gpusim.metrics.transfer import FIT_SHARE
 from gpusim.report.lens_figure import INK, SOFT, STYLE, absent, panel, titles, write
 
 # By the colour of the filter, dark enough to read on white, and told apart by lightness too.

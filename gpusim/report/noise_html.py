@@ -6,7 +6,8 @@ import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from gpusim.metrics.emva import Characterisation, Figure
+from gpusim.metrics.emva import Characterisation
+from gpusim.metrics.figure import Figure
 from gpusim.metrics.loop import COVERAGE, Row
 from gpusim.report.lens_figure import svg
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, number, two_digits

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from gpusim.metrics.emva import Level
-from gpusim.metrics.statistics import Accumulator
+from gpusim.metrics.statistics import Accumulator, Level
 
 
 @dataclass
