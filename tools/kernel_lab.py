@@ -63,9 +63,8 @@ def stages(device: Device, pixels: int, planes: int, reach: int) -> Iterator[tup
             yield f"{rank} modes, T {length}", Modes(*arguments, parts)
     close = -(-(reach + 2) // 4) * 4
     for cells in (8, 2):
-        for constant in (False, True):
-            name = f"direct, {2 * reach} taps, {cells} x {cells} cells" + ", one PSF" * constant
-            yield name, Direct(*on(1024, close, cells), reach, constant)
+        name = f"direct, {2 * reach} taps, {cells} x {cells} cells"
+        yield name, Direct(*on(1024, close, cells), reach)
 
 
 def parts_of(scale: Scale, rank: int, planes: int) -> Decomposition:

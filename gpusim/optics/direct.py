@@ -8,7 +8,6 @@ a support.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,7 @@ from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, aperture_spectra, sampled_kernels
-from gpusim.optics.nodes import Node, NodeStore, Outputs, Scale, outputs_of
+from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
 from gpusim.sensor.aperture import Response
 
 # By how much kernels are sampled beyond the support, sim samples: the aperture and the inverse of
@@ -261,9 +260,6 @@ class Direct(NodeStore):
         Colour channel of each CFA site, row by row.
     support : int
         Sim samples from a photosite's centre to the last tap: see `support_within`.
-    constant : bool
-        Use one PSF everywhere, the mean of the nodes' PSFs: half the multiply-adds, and a quarter
-        of the taps to load.
     """
 
     def __init__(
@@ -274,11 +270,8 @@ class Direct(NodeStore):
         aperture_um: float | Response,
         site_channels: list[int],
         support: int,
-        constant: bool = False,
     ) -> None:
-        most = max(needed.values(), default=0)
-        super().__init__(device, scale, dict.fromkeys(needed, most) if constant else needed)
-        self.constant = constant
+        super().__init__(device, scale, needed)
         grid = scale.grid
         self.outputs = outputs_of(grid, site_channels, scale.kernels.splines.shape[2])
         self.layout = layout = tap_layout(grid, support, self.outputs)
@@ -300,7 +293,6 @@ class Direct(NodeStore):
             HIGH=layout.high,
             LINES=layout.lines,
             GROUPS=layout.groups,
-            CONSTANT=constant,
         )
         self.aperture = aperture_um / scale.pitch_um  # sim samples
         self.half_size = support + MARGIN
@@ -314,19 +306,6 @@ class Direct(NodeStore):
         return packed_taps(
             spread[:, :, kept, kept], layout, self.grid.sites_across, self.outputs.of_site
         )
-
-    def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
-        """Return the PSF nodes around blocks; one PSF is that of the first."""
-        return {(0, 0) for _ in blocks} if self.constant else super().nodes_of(blocks)
-
-    def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
-        """Yield nodes with their taps; one PSF is the mean of all nodes'."""
-        if not self.constant:
-            yield from super().make(nodes)
-        elif nodes:
-            every = [(x, y) for y in range(self.grid.nodes[1]) for x in range(self.grid.nodes[0])]
-            total = sum(taps.astype(np.float64) for _, taps in super().make(every))
-            yield (0, 0), (total / len(every)).astype(np.float32)
 
     def scratch(self, rec: Recording, planes: int) -> Source:
         """Declare what one block needs on the device."""
@@ -355,9 +334,7 @@ class Direct(NodeStore):
         first = max(0, -origin[1])
         last = min((grid.block[1] + 2 * grid.half_size) // grid.stride, rows - origin[1])
         lines = max(last - first, 0)
-        x, y = (0, 0) if self.constant else grid.cell_of(block)
-        corners = ((0, 0),) * 4 if self.constant else ((0, 0), (1, 0), (0, 1), (1, 1))
-        names = ("taps_00", "taps_10", "taps_01", "taps_11")
+        x, y = grid.cell_of(block)
         self.kernel.record(
             rec,
             groups=self.kernel.cover(
@@ -375,9 +352,9 @@ class Direct(NodeStore):
                 "size": (cols, rows),
             },
             planes=scratch.planes,
-            **{
-                name: self.nodes[x + dx, y + dy]
-                for name, (dx, dy) in zip(names, corners, strict=True)
-            },
+            taps_00=self.nodes[x, y],
+            taps_10=self.nodes[x + 1, y],
+            taps_01=self.nodes[x, y + 1],
+            taps_11=self.nodes[x + 1, y + 1],
             rates=rates,
         )

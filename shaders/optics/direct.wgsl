@@ -35,7 +35,6 @@ override COLUMNS: u32 = 2u;       // places of an invocation: 2, or 1 where ther
 override HIGH: i32 = 7;           // last tap
 override LINES: u32 = 16u;        // taps along one axis
 override GROUPS: u32 = 5u;        // vec4f in a line of taps: a multiple of STRIDE / 4
-override CONSTANT: bool = false;  // one PSF for all sources: that of taps_00
 
 struct Params {
     first_s: f32,
@@ -70,9 +69,6 @@ fn source(line: u32, v: i32) -> vec4f {
 
 // e: of the first of the four taps
 fn taps(i: u32, t: f32, e: i32) -> Taps {
-    if (CONSTANT) {
-        return Taps(taps_00[i], vec4f(0.0));
-    }
     let left = mix(taps_00[i], taps_01[i], t);
     let slope = mix(taps_10[i], taps_11[i], t) - left;
     return Taps(left + slope * (params.step_s * (f32(e) + vec4f(0.0, 1.0, 2.0, 3.0))), slope);
@@ -80,9 +76,6 @@ fn taps(i: u32, t: f32, e: i32) -> Taps {
 
 // Sums of both places: own, own, slope, slope.
 fn gathered(a: vec4f, x: Taps, y: Taps) -> vec4f {
-    if (CONSTANT) {
-        return vec4f(dot(a, x.own), dot(a, y.own), 0.0, 0.0);
-    }
     return vec4f(dot(a, x.own), dot(a, y.own), dot(a, x.slope), dot(a, y.slope));
 }
 

@@ -14,9 +14,7 @@ from harness import assert_close, run_stage, unwritten
 from optics.made import DEFAULT_GRID, ULP
 from optics.whole_frame import (
     BLURRED,
-    FILL,
     LENS,
-    PITCH_UM,
     WEIGHTS,
     by_layer,
     camera,
@@ -38,17 +36,20 @@ F32 = np.float32
 NODES = ("taps_00", "taps_10", "taps_01", "taps_11")
 
 
-def stage_for(device: Device, grid: SimGrid, sites: list[int], support: int, constant=False):
+def stage_for(device: Device, grid: SimGrid, sites: list[int], support: int):
     """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
     places = Heights(np.array([0.0, 1.0]))
     nothing = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), places, 0.5)
-    return Direct(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, sites, support, constant)
+    return Direct(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, sites, support)
 
 
-def case(device, grid: SimGrid, support, planes, needed, origin, size, constant=False):
-    """Run the shader on noise and ones; return the added planes, the reference, the bound."""
+def case(device, grid: SimGrid, support, planes, needed, origin, size, weighted=True):
+    """Run the shader on noise and ones; return the added planes, the reference, the bound.
+
+    Not weighted, the reference is of the first node alone.
+    """
     sites = [site % 3 for site in range(grid.sites)]
-    stage = stage_for(device, grid, sites, support, constant)
+    stage = stage_for(device, grid, sites, support)
     outputs, layout = outputs_of(grid, sites, 3), stage.layout
     rng = np.random.default_rng(support + grid.stride)
     a = rng.uniform(-1, 1, (planes, grid.block[1], grid.block[0])).astype(F32)
@@ -94,7 +95,7 @@ def case(device, grid: SimGrid, support, planes, needed, origin, size, constant=
     reach = (max(layout.high, -layout.low) + max(layout.offsets)) * step[0]
     place = first[0] + step[0] * (grid.block[0] + grid.half_size)
     bound = (n + 12) * ULP * (1 + 2 * reach + 2 * place) * summed(np.abs(a), largest)
-    expected = summed(a, [taps[0]] * 4 if constant else taps)
+    expected = summed(a, taps if weighted else [taps[0]] * 4)
     y, x = (np.arange(side) - o for side, o in zip(size[::-1], origin[::-1], strict=True))
     inside = ((y >= 0) & (y < rows))[:, None] & ((x >= 0) & (x < cols))
     at = np.s_[:, np.clip(y, 0, rows - 1)[:, None], np.clip(x, 0, cols - 1)]
@@ -144,16 +145,10 @@ def test_sums_are_those_of_the_reference(device: Device, name: str):
     assert_close(found, expected, atol=bound)
 
 
-def test_a_constant_psf_needs_one_node(device: Device):
-    found, expected, bound = case(device, *CASES["two columns of sites"], constant=True)
-    assert_close(found, expected, atol=bound)
-
-
 def test_the_bound_is_far_below_a_wrong_weight(device: Device):
     """The same case with its nodes' weights left out is off by far more."""
-    found, _, bound = case(device, *CASES["two columns of sites"])
-    _, constant, _ = case(device, *CASES["two columns of sites"], constant=True)
-    assert np.abs(found - constant).max() > 100 * bound.max()
+    found, unweighted, bound = case(device, *CASES["two columns of sites"], weighted=False)
+    assert np.abs(found - unweighted).max() > 100 * bound.max()
 
 
 @pytest.mark.parametrize(
@@ -190,40 +185,19 @@ def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device):
     check_rectangles(device, lambda *a: Direct(*a, 6), scale, site_channels, rects)
 
 
-def test_a_constant_psf_is_the_mean_of_the_nodes(device: Device):
-    """A flat source far from the border: the sum of the taps of all nodes, over their number."""
-    grid = SimGrid(40, 40, 4, 2, 256, 16, (2, 2))
-    scale, site_channels = camera(grid, 0.0)
-    blocks = {b: np.ones((2, *grid.block[::-1]), F32) for b in np.ndindex(grid.blocks)}
-    needed = dict.fromkeys(blocks, 2)
-    stage = Direct(device, scale, needed, PITCH_UM * np.sqrt(FILL), site_channels[:4], 12)
-    stage.load(blocks)
-    sums = np.mean([device.read(node) for node in stage.nodes.values()], axis=0)
-    stage.release()
-    rect = (0, 0, 40, 40)
-    found = on_device(
-        device, lambda *a: Direct(*a, 12, True), scale, site_channels, blocks, needed, rect
-    )
-    columns = sums.sum(axis=(0, 2, 3, 4, 6))  # [site's row, its column]
-    expected = np.broadcast_to(columns.reshape(4, 1, 1), found.shape)
-    # 2 x 24 x 28 products.
-    assert_close(found, expected.copy(), atol=1344 * ULP * expected.max())
-
-
 def test_taps_take_the_memory_that_was_said(device: Device):
     grid = SimGrid(40, 40, 4, 2, 256, 16, (2, 2))
     scale, site_channels = camera(grid, 0.0)
     needed = {block: 1 + block[0] for block in np.ndindex(grid.blocks)}
-    for constant in (False, True):
-        stage = Direct(device, scale, needed, 1.4, site_channels[:4], 6, constant)
-        said = stage.load_bytes(needed)
-        stage.load(needed)
-        assert stage.held_bytes == said > 0 == stage.missing_bytes(needed)
-        assert stage.made == len(stage.nodes) == (1 if constant else 9)
-        # Of one block of two planes: four nodes, each as large as the largest here.
-        most = max(size_class(node.nbytes) for node in stage.nodes.values())
-        assert stage.block_bytes(2) == 4 * most
-        stage.release()
+    stage = Direct(device, scale, needed, 1.4, site_channels[:4], 6)
+    said = stage.load_bytes(needed)
+    stage.load(needed)
+    assert stage.held_bytes == said > 0 == stage.missing_bytes(needed)
+    assert stage.made == len(stage.nodes) == 9
+    # Of one block of two planes: four nodes, each as large as the largest here.
+    most = max(size_class(node.nbytes) for node in stage.nodes.values())
+    assert stage.block_bytes(2) == 4 * most
+    stage.release()
     rec = Recording(device)
     assert stage.scratch_bytes(2) == size_class(stage.scratch(rec, 2).planes.nbytes)
 
