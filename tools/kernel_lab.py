@@ -77,8 +77,8 @@ def parts_of(scale: Scale, rank: int, planes: int) -> Decomposition:
 def recorded(device: Device, stage, planes: int, noise: np.ndarray) -> tuple[Recording, str]:
     """Return what blurs a frame of noise, and the label of its rates."""
     grid = stage.grid
-    # The scene ends with the sensor: sources around it stay dark, however far kernels reach.
-    margin = grid.half_size
+    # The scene ends with the sensor: sources around it stay dark, however far the blocks reach.
+    margin = -min(grid.start)
     source = np.pad(noise.astype(np.float32), ((0, 0), (margin, 2 * margin), (margin, 2 * margin)))
     stage.load(grid.blocks_for(0, 0, grid.rows, grid.cols))
     rec = Recording(device)
