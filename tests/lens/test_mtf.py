@@ -1,11 +1,11 @@
 """The MTF-only lens: the table comes back out of the bank, and what is no MTF is refused."""
 
-import copy
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from changes import changed
 from scipy.special import j1
 
 from gpusim.errors import UserError
@@ -131,8 +131,7 @@ def test_between_frequencies_there_is_no_overshoot_and_beyond_them_a_straight_li
 
 
 def test_an_mtf_that_ends_abruptly_rings_and_is_kept():
-    data = copy.deepcopy(TABLE)
-    data["mtf"]["frequencies_cy_mm"] = [0, 100, 200, 300, 310]
+    data = changed(TABLE, (("mtf", "frequencies_cy_mm"), [0, 100, 200, 300, 310]))
     for field in data["mtf"]["fields"]:
         field["values"] = [[1, 0.95, 0.9, 0.85, 0]]
     bank = read_mtf(data, FILE)
@@ -142,29 +141,13 @@ def test_an_mtf_that_ends_abruptly_rings_and_is_kept():
 
 
 def test_a_fine_mtf_gets_a_fine_grid_and_a_wide_psf_a_wide_window():
-    fine = copy.deepcopy(TABLE)
-    fine["mtf"]["frequencies_cy_mm"] = [4 * f for f in FREQUENCIES]
+    fine = changed(TABLE, (("mtf", "frequencies_cy_mm"), [4 * f for f in FREQUENCIES]))
     # 1600 cycles/mm: 2.5 samples a period.
     assert read_mtf(fine, FILE).pitch_um == pytest.approx(0.25)
-    wide = copy.deepcopy(TABLE)
-    wide["mtf"]["frequencies_cy_mm"] = [f / 3 for f in FREQUENCIES]
+    wide = changed(TABLE, (("mtf", "frequencies_cy_mm"), [f / 3 for f in FREQUENCIES]))
     bank = read_mtf(wide, FILE)
     assert bank.psf.shape[-1] == 512
     assert np.abs(bank.outside_energy).max() < 0.05
-
-
-def changed(where, value):
-    """Return the table with one entry replaced, or taken out for None."""
-    data = copy.deepcopy(TABLE)
-    *path, last = where
-    part = data
-    for key in path:
-        part = part[key]
-    if value is None:
-        del part[last]
-    else:
-        part[last] = value
-    return data
 
 
 VALUES = ("mtf", "fields", 1, "values")
@@ -173,10 +156,10 @@ VALUES = ("mtf", "fields", 1, "values")
 @pytest.mark.parametrize(
     ("where", "value", "words"),
     [
-        (("efl_mm",), None, ["efl_mm", "missing", "must be given in this file"]),
-        (("transmission",), None, ["transmission", "missing"]),
-        (("working_f_number",), None, ["working_f_number", "missing"]),
-        (("mtf", "fields", 1, "relative_illumination"), None, ["mtf.fields.2", "missing"]),
+        (("efl_mm",), ..., ["efl_mm", "missing", "must be given in this file"]),
+        (("transmission",), ..., ["transmission", "missing"]),
+        (("working_f_number",), ..., ["working_f_number", "missing"]),
+        (("mtf", "fields", 1, "relative_illumination"), ..., ["mtf.fields.2", "missing"]),
         (("mtf", "frequencies_cy_mm"), [0, 50, 100, 100, 300, 400], ["must rise from 0"]),
         (("mtf", "frequencies_cy_mm"), [10, 50, 100, 200, 300, 400], ["must rise from 0"]),
         (("mtf", "frequencies_cy_mm"), [0, 50, 100, 200], ["6 values for 4 frequencies"]),
@@ -199,20 +182,20 @@ VALUES = ("mtf", "fields", 1, "values")
 )  # fmt: skip
 def test_what_is_no_table_is_refused_by_name(where, value, words):
     with pytest.raises(UserError) as caught:
-        read_mtf(changed(where, value), FILE)
+        read_mtf(changed(TABLE, (where, value)), FILE)
     for word in [*words, "table.yaml"]:
         assert word in caught.value.screen()
 
 
 def test_light_that_no_window_holds_is_refused():
     values = [[1, 0.5, 0.45, 0.4, 0.2, 0]]
-    data = changed(("mtf", "frequencies_cy_mm"), [0, 1, 100, 200, 300, 400])
+    data = changed(TABLE, (("mtf", "frequencies_cy_mm"), [0, 1, 100, 200, 300, 400]))
     for field in data["mtf"]["fields"]:
         field["values"] = values
     with pytest.raises(UserError, match="of the light lie") as caught:
         read_mtf(data, FILE)
     assert "veiling glare" in caught.value.screen()
-    data = changed(VALUES, [[1, 0.8, 0.6, 0.3, 0.3, 0.2999]])
+    data = changed(TABLE, (VALUES, [[1, 0.8, 0.6, 0.3, 0.3, 0.2999]]))
     with pytest.raises(UserError, match="light does not resolve"):
         read_mtf(data, FILE)
 

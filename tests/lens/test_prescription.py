@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from changes import changed
 from lens.made import lens, model
 
 from gpusim.errors import UserError
@@ -147,20 +148,6 @@ GOOD = {
 }
 
 
-def changed(path, value):
-    """GOOD with one field changed, or dropped where the value is ``...``."""
-    data = yaml.safe_load(yaml.safe_dump(GOOD))
-    *parents, last = path
-    place = data
-    for step in parents:
-        place = place[step]
-    if value is ...:
-        del place[last]
-    else:
-        place[last] = value
-    return data
-
-
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
@@ -214,7 +201,7 @@ def changed(path, value):
 )
 def test_a_wrong_field_is_named_with_its_value_and_what_is_allowed(tmp_path, path, value, words):
     file = tmp_path / "wrong.yaml"
-    file.write_text(yaml.safe_dump(changed(path, value)))
+    file.write_text(yaml.safe_dump(changed(GOOD, (path, value))))
     with pytest.raises(UserError) as caught:
         load_prescription(file)
     text = caught.value.screen()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from changes import changed
 from scipy.io import savemat
 
 from gpusim.sensor import isetcam
@@ -47,16 +47,8 @@ STRUCT = {
 
 
 def written(folder: Path, *changes: tuple[tuple[str, ...], object], kind: str = ".json") -> Path:
-    """Write the struct with some values replaced; None as the new value removes one."""
-    data = copy.deepcopy(STRUCT)
-    for path, value in changes:
-        place = data
-        for key in path[:-1]:
-            place = place[key]
-        if value is None:
-            del place[path[-1]]
-        else:
-            place[path[-1]] = value
+    """Write the struct with some values replaced: see `changed`."""
+    data = changed(STRUCT, *changes)
     file = folder / f"sensor{kind}"
     if kind == ".json":
         file.write_text(json.dumps({"sensor": data}))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 
 import yaml
+from changes import changed
 
 MONO = {
     "Properties": {
@@ -33,17 +33,8 @@ def spectrum(file: Path, values: dict[float, float], count: int | None = None) -
     file.write_text("\n".join(lines) + "\n")
 
 
-def written(folder: Path, *changes: tuple[tuple[str, ...], object], base: dict = MONO) -> Path:
-    """Write the file with some keys replaced; None as the new value of a key removes it."""
-    data = copy.deepcopy(base)
-    for path, value in changes:
-        place = data
-        for key in path[:-1]:
-            place = place[key]
-        if value is None:
-            del place[path[-1]]
-        else:
-            place[path[-1]] = value
+def written(folder: Path, *changes: tuple[tuple[str, ...], object]) -> Path:
+    """Write the file with some values replaced: see `changed`."""
     file = folder / "camera.yaml"
-    file.write_text(yaml.safe_dump(data))
+    file.write_text(yaml.safe_dump(changed(MONO, *changes)))
     return file

@@ -112,7 +112,7 @@ def test_what_has_no_counterpart_is_listed(tmp_path: Path):
 def test_a_monochrome_sensor_has_one_channel(tmp_path: Path):
     file = written(
         tmp_path,
-        (("cfa",), None),
+        (("cfa",), ...),
         (("color",), {"filterSpectra": [0.5, 0.6, 0.7, 0.8], "filterNames": "w"}),
     )
     sensor = read(file)
@@ -135,10 +135,10 @@ def test_filters_of_one_colour_are_channels_of_their_own(tmp_path: Path):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (("pixel", "voltageSwing"), None, ("missing", "voltage swing", "pixelvoltageswing")),
-        (("pixel", "conversionGain"), None, ("missing", "conversion gain")),
-        (("rows",), None, ("missing", "rows")),
-        (("spectrum",), None, ("missing", "wave")),
+        (("pixel", "voltageSwing"), ..., ("missing", "voltage swing", "pixelvoltageswing")),
+        (("pixel", "conversionGain"), ..., ("missing", "conversion gain")),
+        (("rows",), ..., ("missing", "rows")),
+        (("spectrum",), ..., ("missing", "wave")),
         (("analogGain",), 0, ("wrong", "analog gain", "above 0")),
         (("analogGain",), -2, ("wrong", "analog gain", "-2")),
         (("pixel", "readNoise"), "low", ("wrong", "read noise", "low")),

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from changes import changed
 from command_line import assert_refused, gpusim
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -28,12 +29,8 @@ def sensor() -> Sensor:
 def altered(tmp_path: Path, *path: str | int, value: object) -> Path:
     """Return a copy of the preset's file with one value replaced."""
     data = yaml.safe_load(IMX477.read_text())
-    place = data
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
     file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data))
+    file.write_text(yaml.safe_dump(changed(data, (path, value))))
     return file
 
 

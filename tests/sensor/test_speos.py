@@ -123,9 +123,9 @@ def test_a_constant_quantum_efficiency_does_not_warn(folder: Path, recwarn):
 def test_what_the_file_does_not_say_is_assumed_and_says_so(folder: Path):
     file = written(
         folder,
-        (("EMVA Data", "AST"), None),
-        (("EMVA Data", "Dark Current"), None),
-        (("EMVA Data", "Spatial Non Uniformity"), None),
+        (("EMVA Data", "AST"), ...),
+        (("EMVA Data", "Dark Current"), ...),
+        (("EMVA Data", "Spatial Non Uniformity"), ...),
     )
     made = speos.read_speos(file)
     sensor = made.sensor({})
@@ -155,9 +155,9 @@ def test_names_of_windows_are_found_beside_the_file(folder: Path):
     [
         (("EMVA Data", "Gain"), 3, ("unknown key", "gain", "system gain")),
         (("Noise",), {}, ("unknown key", "noise", "emva data")),
-        (("EMVA Data", "System Gain"), None, ("missing", "system gain")),
-        (("EMVA Data", "Quantum Efficiency"), None, ("missing", "quantum efficiency")),
-        (("Properties",), None, ("missing", "properties")),
+        (("EMVA Data", "System Gain"), ..., ("missing", "system gain")),
+        (("EMVA Data", "Quantum Efficiency"), ..., ("missing", "quantum efficiency")),
+        (("Properties",), ..., ("missing", "properties")),
         (("EMVA Data", "System Gain"), 0, ("not a gain", "above 0")),
         (("EMVA Data", "System Gain"), "high", ("not a number", "high")),
         (("EMVA Data", "System Gain"), {"Value": 1, "Unit": "e-"}, ("unknown unit", "DN/e-")),
