@@ -7,8 +7,9 @@ Tolerance of the stage, relative to the light: the gain 1 + PRNU z carries the e
 
 import numpy as np
 import pytest
-from harness import assert_close, run_stage, unwritten
+from harness import assert_close, run_stage
 from scipy.stats import chi2, kstest
+from sensor import tiles
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording
@@ -19,9 +20,8 @@ from gpusim.sensor.load import load_sensor
 F32 = np.float32
 SERIAL = (3 << 32) + 12345
 LEVEL = 1e-3  # of each statistical test; the seeds are fixed
-
-
-OFF = dict.fromkeys(("PRNU_LINES", "DCNU", "MASK"), False)
+# What few sensors have: off where a test does not ask for it.
+EXTRAS = ("PRNU_LINES", "DCNU", "MASK")
 
 
 def on_device(
@@ -57,9 +57,17 @@ def on_device(
         params,
         {"rate": rate, "mask": np.zeros(1, F32) if mask is None else mask},
         {"mean": (rows * cols + spare, F32)},
-        **(OFF | overrides),
+        **(dict.fromkeys(EXTRAS, False) | overrides),
     )
-    return result["mean"]
+    mean = result["mean"]
+    return mean if spare else mean.reshape(rate.shape)
+
+
+def reference(rate: np.ndarray, exposure_s=0.02, prnu=0.01, dark_e=0.3, **more) -> np.ndarray:
+    """Return what `on_device` should: float64, from the same random words and rounded figures."""
+    time, response, dark = (float(F32(value)) for value in (exposure_s, prnu, dark_e))
+    keys = {"dark_current_e_per_s": dark / time, "serial_number": SERIAL}
+    return exposure(rate.astype(float), time, prnu=response, **keys, **more)
 
 
 def rates(shape: tuple[int, int]) -> np.ndarray:
@@ -69,27 +77,15 @@ def rates(shape: tuple[int, int]) -> np.ndarray:
 def test_means_are_those_of_the_reference():
     rate = rates((150, 411))
     for prnu in (0.0, 0.007, 0.1):
-        expected = exposure(
-            rate.astype(float),
-            float(F32(0.02)),
-            prnu=float(F32(prnu)),
-            dark_current_e_per_s=float(F32(0.3)) / float(F32(0.02)),
-            serial_number=SERIAL,
-            origin=(17, 5),
-        )
-        found = on_device(rate, (17, 5), prnu=prnu).reshape(rate.shape)
+        expected = reference(rate, prnu=prnu, origin=(17, 5))
+        found = on_device(rate, (17, 5), prnu=prnu)
         assert_close(found, expected, rtol=6 * 2.0**-24 + 5e-6 * prnu)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 125), (5, 129), (3, 256)])
-@pytest.mark.parametrize("col0", [0, 1, 2, 3, 127])
+@tiles.shapes
+@tiles.columns
 def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: int):
-    whole = on_device(rates((12, 400))).reshape(12, 400)
-    part = np.s_[7 : 7 + shape[0], col0 : col0 + shape[1]]
-    rate = np.ascontiguousarray(rates((12, 400))[part])
-    found = on_device(rate, (7, col0), spare=300)
-    assert unwritten(found[rate.size :]).all()
-    assert_close(found[: rate.size].reshape(shape), whole[part].copy(), atol=0)
+    tiles.check_tile(on_device, rates(tiles.WHOLE), shape, col0)
 
 
 def test_without_prnu_nothing_is_drawn_and_nothing_changes():
@@ -107,36 +103,27 @@ def test_rows_columns_dark_currents_and_mask_are_those_of_the_reference():
     rate = rates((150, 411))
     mask = np.random.default_rng(52).uniform(0, 2, rate.shape).astype(F32)
     dcnu = 0.8
-    expected = exposure(
-        rate.astype(float),
-        float(F32(0.02)),
-        prnu=float(F32(0.01)),
-        dark_current_e_per_s=float(F32(50)) / float(F32(0.02)),
-        serial_number=SERIAL,
-        prnu_row=float(F32(0.02)),
-        prnu_column=float(F32(0.03)),
-        dcnu=dcnu,
-        mask=mask.astype(float),
-        origin=(17, 5),
+    lined = {name: float(F32(sigma)) for name, sigma in LINED.items()}
+    expected = reference(
+        rate, dark_e=50, dcnu=dcnu, mask=mask.astype(float), origin=(17, 5), **lined
     )
     figures = LINED | {"log_dcnu": np.sqrt(np.log1p(dcnu**2))}
-    drawn = {"PRNU_LINES": True, "DCNU": True, "MASK": True}
-    found = on_device(rate, (17, 5), dark_e=50, mask=mask, figures=figures, **drawn)
+    given = {"dark_e": 50, "mask": mask, "figures": figures}
+    drawn = dict.fromkeys(EXTRAS, True)
+    found = on_device(rate, (17, 5), **given, **drawn)
     # Of the light nine roundings and 1e-6 of the deviates' shares, 5 sigmas of 6 % together. Of the
     # dark signal exp, 3 + 2 * 3 ULP of 2^-23, and its argument to 0.7 * 1e-6 * 5.
     light = 9 * 2.0**-24 + 5e-6 * 0.06
-    assert_close(found.reshape(rate.shape), expected, rtol=light + 18 * 2.0**-24 + 4e-6)
-    for name in drawn:  # the control
-        without = on_device(
-            rate, (17, 5), dark_e=50, mask=mask, figures=figures, **(drawn | {name: False})
-        )
-        assert np.abs(without / expected.ravel() - 1).max() > 0.01
+    assert_close(found, expected, rtol=light + 18 * 2.0**-24 + 4e-6)
+    for name in EXTRAS:  # the control
+        without = on_device(rate, (17, 5), **given, **(drawn | {name: False}))
+        assert np.abs(without / expected - 1).max() > 0.01
 
 
 def test_lines_do_not_depend_on_the_tile():
     drawn = {"figures": LINED, "PRNU_LINES": True, "PRNU": False}
-    whole = on_device(np.ones((40, 130), F32), **drawn).reshape(40, 130)
-    part = on_device(np.ones((9, 21), F32), (13, 50), **drawn).reshape(9, 21)
+    whole = on_device(np.ones((40, 130), F32), **drawn)
+    part = on_device(np.ones((9, 21), F32), (13, 50), **drawn)
     assert_close(part, whole[13:22, 50:71].copy(), atol=0)
     response = whole - whole.mean()
     assert np.linalg.matrix_rank(response.astype(float), tol=1e-6) == 2  # rows and columns alone
@@ -146,7 +133,7 @@ def test_rows_and_columns_have_their_variances():
     shape, sigma = (512, 512), 0.01
     for name, axis in (("prnu_row", 1), ("prnu_column", 0)):
         drawn = {"figures": {name: sigma}, "PRNU_LINES": True, "PRNU": False}
-        z = on_device(np.ones(shape, F32), exposure_s=1, dark_e=0, **drawn).reshape(shape)
+        z = on_device(np.ones(shape, F32), exposure_s=1, dark_e=0, **drawn)
         line = (z[:, 0] if axis else z[0]).astype(float)
         assert np.array_equal(z, np.broadcast_to(np.expand_dims(line, axis), shape))
         line = (line - 1) / sigma
@@ -170,7 +157,7 @@ def test_dark_currents_have_the_mean_and_the_spread_that_they_should():
     spread = np.sqrt((w**4 + 2 * w**3 + 3 * w**2 - 4) / n)
     assert abs((found / 10).var() / dcnu**2 - 1) < bound * spread
     z = np.log(found / 10) / figures["log_dcnu"] + figures["log_dcnu"] / 2
-    assert kstest(z, "norm").pvalue > LEVEL
+    assert kstest(z.ravel(), "norm").pvalue > LEVEL
 
 
 def test_fixed_patterns_are_unrelated():
@@ -184,10 +171,10 @@ def test_fixed_patterns_are_unrelated():
     ]
     for place, one in enumerate(fields):
         for other in fields[:place]:
-            for transposed in (other, other.reshape(256, 256).T.ravel()):
+            for transposed in (other, other.T):
                 # Of lines there are 256 only.
                 bound = 4.5 / 16 if place > 1 else 4.5 / 256
-                assert abs(np.corrcoef(one, transposed)[0, 1]) < bound
+                assert abs(np.corrcoef(one.ravel(), transposed.ravel())[0, 1]) < bound
 
 
 def test_the_mean_is_clipped_where_nothing_is_drawn_after_it():
@@ -195,29 +182,22 @@ def test_the_mean_is_clipped_where_nothing_is_drawn_after_it():
     clipped, whole = on_device(rate, limit_e=700.0), on_device(rate)
     assert_close(clipped, np.minimum(whole, F32(700.0)), atol=0)
     assert np.any(clipped < whole)
-    expected = exposure(
-        rate.astype(float),
-        0.02,
-        prnu=0.01,
-        dark_current_e_per_s=15.0,
-        serial_number=SERIAL,
-        limit_e=700.0,
-    )
+    expected = reference(rate, limit_e=700.0)
     assert expected.max() == 700.0
-    assert_close(clipped.reshape(rate.shape), expected, rtol=6 * 2.0**-24 + 5e-8)
+    assert_close(clipped, expected, rtol=6 * 2.0**-24 + 5e-8)
 
 
 def test_light_is_never_negative_but_dark_signal_stays():
     found = on_device(np.full((64, 64), 100, F32), exposure_s=1, prnu=1, dark_e=0.25)
     assert found.min() == 0.25
     assert 0.1 < (found == 0.25).mean() < 0.2  # Phi(-1) = 0.159
-    assert_close(on_device(np.zeros((4, 4), F32), dark_e=0.25), np.full(16, 0.25), atol=0)
+    assert_close(on_device(np.zeros((4, 4), F32), dark_e=0.25), np.full((4, 4), 0.25), atol=0)
 
 
 def pattern(serial: int = SERIAL, shape=(256, 256)) -> np.ndarray:
     """Return the deviates z of the fixed pattern."""
     found = on_device(np.ones(shape, F32), exposure_s=1, prnu=0.01, dark_e=0, serial=serial)
-    return (found.reshape(shape).astype(float) - 1) / 0.01
+    return (found.astype(float) - 1) / 0.01
 
 
 def test_the_pattern_is_normal_and_without_structure():

@@ -5,8 +5,9 @@ The law of the Poisson counts is tested in test_poisson, that of the deviates in
 
 import numpy as np
 import pytest
-from harness import assert_close, run_stage, unwritten
+from harness import assert_close, run_stage
 from scipy.stats import chi2, kstest, norm
+from sensor import tiles
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.reference.noise import noise, poisson, softened
@@ -17,9 +18,8 @@ F32 = np.float32
 SEED, SERIAL = (9 << 32) + 77, (5 << 32) + 88
 LEVEL = 1e-3  # of each statistical test; the seeds are fixed
 QUIET = {"full_well_e": 1e9, "temporal_dark_noise_e": 0.0, "dsnu_e": 0.0}
-
-
-OFF = dict.fromkeys(("DSNU_LINES", "MASK", "RESET", "LINES"), False)
+# What few sensors have: off where a test does not ask for it.
+EXTRAS = ("DSNU_LINES", "MASK", "RESET", "LINES", "READ_TABLE")
 
 
 def on_device(
@@ -64,10 +64,19 @@ def on_device(
             "quantiles": nothing if quantiles is None else quantiles,
         },
         {"electrons": (rows * cols + spare, F32)},
-        **(OFF | overrides),
+        **(dict.fromkeys(EXTRAS, False) | overrides),
     )
     electrons = result["electrons"]
     return electrons if spare else electrons.reshape(mean.shape)
+
+
+def reference(
+    mean: np.ndarray, full_well_e=8180.0, temporal_dark_noise_e=3.0, dsnu_e=1.5, **more
+) -> np.ndarray:
+    """Return what `on_device` should: float64, from the same random words."""
+    figures = {"temporal_dark_noise_e": temporal_dark_noise_e, "dsnu_e": dsnu_e}
+    keys = {"seed": SEED, "frame": 4, "serial_number": SERIAL}
+    return noise(mean.astype(float), full_well_e=full_well_e, **figures, **keys, **more)
 
 
 def means(shape: tuple[int, int]) -> np.ndarray:
@@ -80,16 +89,7 @@ def means(shape: tuple[int, int]) -> np.ndarray:
 @pytest.mark.parametrize(("read", "dsnu"), [(3.0, 1.5), (0.0, 1.5), (3.0, 0.0)])
 def test_electrons_are_those_of_the_reference(read: float, dsnu: float):
     mean = means((150, 411))
-    expected = noise(
-        mean.astype(float),
-        full_well_e=8180.5,
-        temporal_dark_noise_e=read,
-        dsnu_e=dsnu,
-        seed=SEED,
-        frame=4,
-        serial_number=SERIAL,
-        origin=(17, 5),
-    )
+    expected = reference(mean, 8180.5, read, dsnu, origin=(17, 5))
     found = on_device(mean, (17, 5), 8180.5, read, dsnu)
     # Two additions of up to 8200: 2^-24 * 8200 * 2 = 1e-3; the deviates 1e-6. A Poisson uniform on
     # a step is rare (test_poisson): at most 5 of 61 650 may differ, by no more than the noise.
@@ -97,15 +97,10 @@ def test_electrons_are_those_of_the_reference(read: float, dsnu: float):
     assert (mean > 8300).sum() > 1000  # some are full
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (1, 130), (3, 1), (2, 125), (5, 129), (3, 256)])
-@pytest.mark.parametrize("col0", [0, 1, 2, 3, 127])
+@tiles.shapes
+@tiles.columns
 def test_tiles_are_parts_of_the_whole_bit_for_bit(shape: tuple[int, int], col0: int):
-    whole = on_device(means((12, 400)))
-    part = np.s_[7 : 7 + shape[0], col0 : col0 + shape[1]]
-    mean = np.ascontiguousarray(means((12, 400))[part])
-    found = on_device(mean, (7, col0), spare=300)
-    assert unwritten(found[mean.size :]).all()
-    assert_close(found[: mean.size].reshape(shape), whole[part].copy(), atol=0)
+    tiles.check_tile(on_device, means(tiles.WHOLE), shape, col0)
 
 
 def test_a_full_well_stays_full():
@@ -255,17 +250,7 @@ def test_what_is_zero_is_not_drawn_and_nothing_changes(what: str, override: str)
 def test_a_half_is_that_of_the_reference(half: str):
     charge = means((37, 131))
     halves = {"shot": half == "shot", "read_out": half == "read_out"}
-    expected = noise(
-        charge.astype(float),
-        full_well_e=8180.0,
-        temporal_dark_noise_e=3.0,
-        dsnu_e=1.5,
-        seed=SEED,
-        frame=4,
-        serial_number=SERIAL,
-        origin=(3, 2),
-        **halves,
-    )
+    expected = reference(charge, origin=(3, 2), **halves)
     drawn = dict.fromkeys(("DSNU", "READ_NOISE"), halves["read_out"])
     found = on_device(charge, (3, 2), SHOT=halves["shot"], **drawn)
     if half == "shot":
@@ -300,47 +285,27 @@ TABLE = heavy(np.linspace(-6.5, 6.5, 1025)).astype(F32)
 def test_everything_that_is_read_with_the_charge_is_that_of_the_reference():
     charge = means((60, 411))
     mask = np.random.default_rng(62).uniform(-50, 50, charge.shape).astype(F32)
-    expected = noise(
-        charge.astype(float),
-        full_well_e=8180.0,
-        temporal_dark_noise_e=3.0,
-        dsnu_e=1.5,
-        seed=SEED,
-        frame=4,
-        serial_number=SERIAL,
-        origin=(17, 5),
-        shot=False,
-        mask=mask.astype(float),
-        law=heavy,
-        **ALL,
+    expected = reference(
+        charge, shot=False, mask=mask.astype(float), law=heavy, origin=(17, 5), **ALL
     )
-    drawn = {"SHOT": False, "MASK": True, "RESET": True, "READ_TABLE": True}
-    drawn |= {"DSNU_LINES": True, "LINES": True}
-    found = on_device(charge, (17, 5), mask=mask, quantiles=TABLE, figures=ALL, **drawn)
+    given = {"mask": mask, "quantiles": TABLE, "figures": ALL, "SHOT": False}
+    drawn = dict.fromkeys(EXTRAS, True)
+    found = on_device(charge, (17, 5), **given, **drawn)
     # Seven additions to 22 000. The table's cells: 3 h^2 / 8 of the second derivative, 0.3 z.
     tolerance = 7 * 2.0**-24 * 22_500 + 3 * (13 / 1024) ** 2 / 8 * 0.3 * 5 + 1e-5 * 12
     assert_close(found, expected, atol=tolerance)
-    for name in ("MASK", "RESET", "READ_TABLE", "DSNU_LINES", "LINES"):  # the control
-        off = drawn | {name: False}
-        without = on_device(charge, (17, 5), mask=mask, quantiles=TABLE, figures=ALL, **off)
+    for name in EXTRAS:  # the control
+        without = on_device(charge, (17, 5), **given, **(drawn | {name: False}))
         assert np.abs(without - expected).max() > 1
+
+
+TWO_NUMBERS = {"GAUSSIAN": True, "DSNU": False, "READ_NOISE": False}
 
 
 def test_two_numbers_are_those_of_the_reference():
     mean = means((60, 411))
-    expected = noise(
-        mean.astype(float),
-        full_well_e=8180.0,
-        temporal_dark_noise_e=3.0,
-        dsnu_e=0.0,
-        seed=SEED,
-        frame=4,
-        serial_number=SERIAL,
-        variance_per_e=float(F32(1.3)),
-    )
-    figures = {"variance_per_e": 1.3}
-    drawn = {"GAUSSIAN": True, "DSNU": False, "READ_NOISE": False}
-    found = on_device(mean, figures=figures, **drawn)
+    expected = reference(mean, dsnu_e=0.0, variance_per_e=float(F32(1.3)))
+    found = on_device(mean, figures={"variance_per_e": 1.3}, **TWO_NUMBERS)
     # sigma up to 170, deviates to 1e-6 of 5 sigmas, and four roundings of either
     assert_close(found, expected, atol=170 * 5 * 1.5e-6, rtol=4 * 2.0**-24)
     assert found.min() < 0 < (found == 8180).sum()
@@ -349,11 +314,9 @@ def test_two_numbers_are_those_of_the_reference():
 def test_two_numbers_have_their_variance_on_a_line():
     """The variance is a + b mean: by chi-square at five means."""
     a, b, n = 3.0**2, 0.7, SIDE**2
-    drawn = {"GAUSSIAN": True, "DSNU": False, "READ_NOISE": False, "full_well_e": 1e6}
+    settings = {**TWO_NUMBERS, "figures": {"variance_per_e": b}, "full_well_e": 1e6}
     for mean in (0.0, 10.0, 100.0, 1e3, 1e4):
-        field = on_device(
-            np.full((SIDE, SIDE), mean, F32), figures={"variance_per_e": b}, **drawn
-        ).astype(float)
+        field = on_device(np.full((SIDE, SIDE), mean, F32), **settings).astype(float)
         sigma = np.sqrt(a + b * mean)
         assert abs(field.mean() - mean) < norm.isf(LEVEL / 20) * sigma / SIDE
         low, high = chi2.interval(1 - LEVEL / 10, n - 1)
@@ -363,20 +326,9 @@ def test_two_numbers_have_their_variance_on_a_line():
 @pytest.mark.parametrize("knee", [0.5, 0.9])
 def test_a_soft_well_is_that_of_the_reference(knee: float):
     mean = np.geomspace(10, 1e6, 256 * 64).astype(F32).reshape(256, 64)
-    expected = noise(
-        mean.astype(float),
-        full_well_e=8180.0,
-        temporal_dark_noise_e=0.0,
-        dsnu_e=0.0,
-        seed=SEED,
-        frame=4,
-        serial_number=SERIAL,
-        knee_e=knee * 8180,
-        read_out=False,
-    )
     figures = {"knee_e": knee * 8180}
-    drawn = {"KNEE": True, "DSNU": False, "READ_NOISE": False}
-    found = on_device(mean, figures=figures, **drawn)
+    expected = reference(mean, read_out=False, **figures)
+    found = on_device(mean, figures=figures, KNEE=True, DSNU=False, READ_NOISE=False)
     # exp to 3 + 2 * 10 ULP of what is at most 1, times 4090; a count now and then (test_poisson)
     tolerance = 4090 * 23 * 2.0**-23 + 2.0**-24 * 8180
     assert_close(found, expected, atol=tolerance, outliers=5 / mean.size, outlier_atol=1.1)
