@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from pathlib import Path
 
-Keys = Sequence[str | int]
+import yaml
+
+from gpusim.sensor.load import PRESETS
+
+Change = tuple[Sequence[str | int], object]
 
 
-def changed(data: dict, *changes: tuple[Keys, object]) -> dict:
+def changed(data: dict, *changes: Change) -> dict:
     """Return a copy of nested data with the value at each path replaced; ``...`` removes it."""
     found = copy.deepcopy(data)
     for (*parents, last), value in changes:
@@ -20,3 +25,12 @@ def changed(data: dict, *changes: tuple[Keys, object]) -> dict:
         else:
             place[last] = value
     return found
+
+
+def sensor_file(folder: Path, *changes: Change, preset: str = "imx477", **fields: object) -> Path:
+    """Write ``sensor.yaml``: a preset with whole fields, and then values at paths, replaced."""
+    data = yaml.safe_load((PRESETS / f"{preset}.yaml").read_text(encoding="utf-8"))
+    file = folder / "sensor.yaml"
+    whole = (((name,), value) for name, value in fields.items())
+    file.write_text(yaml.safe_dump(changed(data, *whole, *changes)))
+    return file

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import yaml
+from changes import sensor_file
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, shapes
 
@@ -12,7 +12,7 @@ from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
 from gpusim.sensor.aperture import Aperture, Part, Response, transfer_along
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 
 LENS = bank(coma_um=0.6, falloff=0.1, halo=0.1)
@@ -115,9 +115,6 @@ def test_a_square_given_as_a_rectangle_is_the_square():
     ],
 )
 def test_wrong_apertures_are_named(tmp_path, changes, said):
-    content = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(content | changes))
     with pytest.raises(UserError, match=said) as caught:
-        load_sensor(file)
+        load_sensor(sensor_file(tmp_path, **changes))
     assert caught.value.allowed and caught.value.field.startswith(("aperture", "fill", "scan"))

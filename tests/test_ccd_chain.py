@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rawpy
-import yaml
+from changes import sensor_file
 from fake_capture import fake_capture
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
@@ -30,7 +30,7 @@ from gpusim.reference.traps import traps
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.frame import Border, Overscan
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.smear_model import Smear
 
 LENS = bank(coma_um=0.0, falloff=0.1)
@@ -291,11 +291,9 @@ def test_the_file_holds_the_overscan_and_the_picture_does_not(whole: Capture, tm
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path: Path, changes: dict, field: str, allowed: str):
-    data = yaml.safe_load((PRESETS / "kodak-vga.yaml").read_text())
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data | {"serial_cti": {"inefficiency": 1e-5}}))
-    assert load_sensor(file).serial_cti.inefficiency == 1e-5  # the control
-    file.write_text(yaml.safe_dump(data | changes))
+    right = sensor_file(tmp_path, preset="kodak-vga", serial_cti={"inefficiency": 1e-5})
+    assert load_sensor(right).serial_cti.inefficiency == 1e-5  # the control
+    file = sensor_file(tmp_path, preset="kodak-vga", **changes)
     with pytest.raises(UserError) as caught:
         load_sensor(file)
     assert (caught.value.file, caught.value.field) == (file, field)

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from changes import sensor_file
 from command_line import assert_refused, gpusim
 from sensor import isetcam_files, speos_files
 
-from gpusim.sensor.load import PRESETS, load_sensor, presets
+from gpusim.sensor.load import load_sensor, presets
 
 
 def test_without_a_name_it_lists_the_sensors():
@@ -47,16 +48,14 @@ def test_a_sensor_that_is_written_is_the_one_that_was_read(tmp_path: Path, name:
 
 
 def test_a_copy_elsewhere_finds_the_files_of_the_original(tmp_path: Path, monkeypatch):
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    data |= {"rows": 6, "cols": 8, "masks": {"gain": "gain.npy"}}
+    masked = sensor_file(tmp_path, rows=6, cols=8, masks={"gain": "gain.npy"})
     np.save(tmp_path / "gain.npy", np.full((6, 8), 0.9, np.float32))
-    (tmp_path / "masked.yaml").write_text(yaml.safe_dump(data))
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path)
-    ran = gpusim("sensor", "masked.yaml", "--out", "elsewhere/copy.yaml")
+    ran = gpusim("sensor", masked.name, "--out", "elsewhere/copy.yaml")
     assert ran.code == 0, ran.err
     copied = load_sensor(tmp_path / "elsewhere" / "copy.yaml")
-    assert copied == load_sensor(tmp_path / "masked.yaml")
+    assert copied == load_sensor(masked)
 
 
 def test_a_sensor_of_the_exporter_is_converted(tmp_path: Path):
@@ -106,10 +105,7 @@ def test_a_mistake_is_one_screen(arguments: tuple[str, ...], words: tuple[str, .
 
 
 def test_a_warning_is_one_line(tmp_path: Path):
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    data["quantum_efficiency"]["channels"]["G"][3] = 1.2
-    file = tmp_path / "bright.yaml"
-    file.write_text(yaml.safe_dump(data))
-    ran = gpusim("sensor", file)
+    green_at_415_nm = ("quantum_efficiency", "channels", "G", 3)
+    ran = gpusim("sensor", sensor_file(tmp_path, (green_at_415_nm, 1.2)))
     assert ran.code == 0
     assert ran.err == "warning: the quantum efficiency of G exceeds 1: 1.2 at 415 nm\n"

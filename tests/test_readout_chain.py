@@ -9,7 +9,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import rawpy
-import yaml
+from changes import sensor_file
 from fake_capture import fake_capture
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
@@ -22,7 +22,7 @@ from gpusim.isp.dng import write_dng
 from gpusim.plan import Accuracy
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.frame import MAX_BORDER, Border
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 
 LENS = bank(coma_um=0.0, falloff=0.1)
 BLACK = Border(top=8, bottom=3, left=12, right=5)
@@ -232,13 +232,9 @@ def test_a_sensor_of_two_gains_sees_more_and_tiles_change_not_one_bit(tmp_path: 
     ],
 )
 def test_a_border_that_is_none_is_refused(tmp_path: Path, black: dict, field, allowed: str):
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    data["optical_black"] = {"top": 8, "left": 12}
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data))
-    assert load_sensor(file).frame.read == (-8, -12, 3048, 4068)  # the control
-    data["optical_black"] = black
-    file.write_text(yaml.safe_dump(data))
+    right = sensor_file(tmp_path, optical_black={"top": 8, "left": 12})
+    assert load_sensor(right).frame.read == (-8, -12, 3048, 4068)  # the control
+    file = sensor_file(tmp_path, optical_black=black)
     with pytest.raises(UserError) as caught:
         load_sensor(file)
     assert (caught.value.file, caught.value.field) == (file, field)

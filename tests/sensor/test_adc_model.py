@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from changes import sensor_file
 
 from gpusim.errors import UserError
 from gpusim.sensor.adc_model import LEVELS, ColumnOffset, DualGain, GainStep, Linearity
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 
 CURVE = {"electrons": [0, 4000, 8180], "read_e": [0, 4100, 8100]}
@@ -26,10 +26,7 @@ def changed(**changes) -> Sensor:
 
 def loaded(folder: Path, **fields) -> Sensor:
     """Return the preset with some fields set, through a file."""
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text()) | fields
-    file = folder / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data))
-    return load_sensor(file)
+    return load_sensor(sensor_file(folder, **fields))
 
 
 # --- linearity ---

@@ -7,7 +7,7 @@ these kernels sum to 1 at most, so (K^2 + 1) 2^-24 of the largest signal.
 
 import numpy as np
 import pytest
-import yaml
+from changes import sensor_file
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.stats import norm
@@ -21,7 +21,7 @@ from gpusim.reference.crosstalk import autocorrelation, crosstalk
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.crosstalk import ROWS, grown, reach, record_crosstalk
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.readout import Shot, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
@@ -305,9 +305,7 @@ def test_a_sensor_without_cross_talk_does_not_run_it():
     ],
 )
 def test_wrong_kernels_are_named_with_what_is_allowed(tmp_path, optical, said, allowed):
-    content = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(content | {"crosstalk": {"optical": optical}}))
+    file = sensor_file(tmp_path, crosstalk={"optical": optical})
     with pytest.raises(UserError) as caught:
         load_sensor(file)
     assert caught.value.file == file
@@ -315,14 +313,10 @@ def test_wrong_kernels_are_named_with_what_is_allowed(tmp_path, optical, said, a
 
 
 def test_cross_talk_without_kernels_and_unknown_fields_are_refused(tmp_path):
-    content = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(content | {"crosstalk": {}}))
     with pytest.raises(UserError, match="no kernels"):
-        load_sensor(file)
-    file.write_text(yaml.safe_dump(content | {"crosstalk": {"optic": {"*": [[1.0]]}}}))
+        load_sensor(sensor_file(tmp_path, crosstalk={}))
     with pytest.raises(UserError, match="unknown field") as caught:
-        load_sensor(file)
+        load_sensor(sensor_file(tmp_path, crosstalk={"optic": {"*": [[1.0]]}}))
     assert caught.value.allowed == "optical, electrical"
 
 

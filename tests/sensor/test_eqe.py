@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
+from changes import sensor_file
 from optics.angled import sample
 
 from gpusim.errors import UserError
@@ -32,11 +32,8 @@ def content(**changes: object) -> dict:
 def written(tmp_path: Path, data: object, **fields: object) -> Path:
     """Write a sensor whose quantum efficiency is a file of this content."""
     (tmp_path / "eqe.json").write_text(data if isinstance(data, str) else json.dumps(data))
-    sensor = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    del sensor["quantum_efficiency"], sensor["sources"]["quantum_efficiency"]
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(sensor | {"eqe_map": {"file": "eqe.json"}} | fields))
-    return file
+    given = {"quantum_efficiency": ..., "eqe_map": {"file": "eqe.json"}} | fields
+    return sensor_file(tmp_path, (("sources", "quantum_efficiency"), ...), **given)
 
 
 def test_a_map_is_read_and_gives_the_quantum_efficiency_at_normal_incidence(tmp_path):
@@ -163,10 +160,7 @@ def test_fields_that_do_not_go_together_are_refused(tmp_path, fields, field):
 
 
 def test_micro_lenses_need_a_map(tmp_path):
-    sensor = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    sensor["micro_lens"] = {"heights_mm": [0, 1], "chief_ray_deg": [0, 10]}
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(sensor))
+    file = sensor_file(tmp_path, micro_lens={"heights_mm": [0, 1], "chief_ray_deg": [0, 10]})
     with pytest.raises(UserError, match="no eqe_map") as error:
         load_sensor(file)
     assert error.value.field == "micro_lens"

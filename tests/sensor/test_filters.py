@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from changes import sensor_file
 from optics.made import bank, sensor
 
 from gpusim.camera import load_camera
@@ -22,10 +23,7 @@ CUT = [1.0, 1.0, 0.0, 0.0]
 
 def written(tmp_path: Path, *filters: dict) -> Path:
     """Write the preset with filters."""
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data | {"filters": list(filters)}))
-    return file
+    return sensor_file(tmp_path, filters=list(filters))
 
 
 def csv(tmp_path: Path, text: str) -> Path:

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-import yaml
+from changes import sensor_file
 
 from gpusim.errors import UserError
 from gpusim.sensor.cfa import PATTERNS
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.misregistration import mixed_pattern, shares_along
 
 BAYER = [["R", "G"], ["G", "B"]]
+SHIFT = ("cfa", "shift_px")
 
 
 @pytest.mark.parametrize(
@@ -28,6 +29,9 @@ BAYER = [["R", "G"], ["G", "B"]]
 def test_filters_share_the_aperture_by_area(shift: float, side: float, expected: dict):
     found = dict(shares_along(shift, -side / 2, side / 2))
     assert found == pytest.approx(expected, abs=1e-12)
+
+
+SHIFT = ("cfa", "shift_px")
 
 
 def test_a_bayer_pattern_gets_two_greens():
@@ -58,17 +62,9 @@ def test_a_whole_pixel_moves_the_pattern():
     assert seen == [[{"G": 1}, {"R": 1}], [{"B": 1}, {"G": 1}]]
 
 
-def changed(tmp_path, **changes: object):
-    content = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
-    content["cfa"] = {**content["cfa"], **changes.pop("cfa", {})}
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(content | changes))
-    return file
-
-
 def test_a_file_is_loaded_with_its_mixtures(tmp_path):
     plain = load_sensor("imx477")
-    file = changed(tmp_path, cfa={"shift_px": [0.1, 0.0]})
+    file = sensor_file(tmp_path, (SHIFT, [0.1, 0.0]))
     found = load_sensor(file)
     assert found.cfa.shift_px == (0, 0)  # it is in the channels now
     assert sorted(found.channels) == ["B", "G", "G2", "R"]
@@ -90,7 +86,7 @@ def test_names_of_patterns_say_clear_where_they_say_c(tmp_path):
         "wavelengths_nm": curves.wavelengths_nm,
         "channels": {"R": curves.channels["R"], "W": curves.channels["G"]},
     }
-    file = changed(tmp_path, cfa={"pattern": "RCCC"}, quantum_efficiency=measured)
+    file = sensor_file(tmp_path, (("cfa", "pattern"), "RCCC"), quantum_efficiency=measured)
     assert load_sensor(file).cfa.pattern == [["R", "W"], ["W", "W"]]
     assert {len(row) for rows in PATTERNS.values() for row in rows} == {1, 2, 4, 6}
 
@@ -98,13 +94,10 @@ def test_names_of_patterns_say_clear_where_they_say_c(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "field", "allowed"),
     [
-        ({"cfa": {"shift_px": [1.5, 0]}}, "cfa.shift_px", "-1 to 1"),
-        ({"cfa": {"pattern": "RCCG"}}, "cfa.pattern", "RCCB"),
+        ([(SHIFT, [1.5, 0])], "cfa.shift_px", "-1 to 1"),
+        ([(("cfa", "pattern"), "RCCG")], "cfa.pattern", "RCCB"),
         (
-            {
-                "cfa": {"shift_px": [0.1, 0]},
-                "crosstalk": {"optical": {"R>G": [[0, 0, 0]]}},
-            },
+            [(SHIFT, [0.1, 0]), (("crosstalk",), {"optical": {"R>G": [[0, 0, 0]]}})],
             "crosstalk",
             "no shift",
         ),
@@ -112,5 +105,5 @@ def test_names_of_patterns_say_clear_where_they_say_c(tmp_path):
 )
 def test_mistakes_are_told_with_what_is_allowed(tmp_path, changes, field, allowed):
     with pytest.raises(UserError) as caught:
-        load_sensor(changed(tmp_path, **changes))
+        load_sensor(sensor_file(tmp_path, *changes))
     assert caught.value.field == field and allowed in caught.value.allowed

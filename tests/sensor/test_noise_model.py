@@ -6,7 +6,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import tifffile
-import yaml
+from changes import sensor_file
 from harness import assert_close
 from pydantic import ValidationError
 from scipy.stats import norm, t
@@ -14,7 +14,7 @@ from scipy.stats import norm, t
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
 from gpusim.sensor.exposure import record_exposure
-from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise import QUANTILES, REACH, record_noise
 from gpusim.sensor.noise_model import DefectPixel, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.sensor import Sensor
@@ -24,11 +24,8 @@ F32 = np.float32
 
 def written(tmp_path: Path, **changes: object) -> Path:
     """Return the file of a small sensor with some fields changed."""
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
-    data |= {"rows": 24, "cols": 36, "first_row": 2, "first_col": 4, **changes}
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data))
-    return file
+    small = {"rows": 24, "cols": 36, "first_row": 2, "first_col": 4}
+    return sensor_file(tmp_path, **(small | changes))
 
 
 # --- reset noise ---

@@ -5,33 +5,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from changes import changed
+from changes import sensor_file
 from command_line import assert_refused, gpusim
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gpusim.cli import app
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
-from gpusim.sensor.load import PRESETS, load_sensor, presets
+from gpusim.sensor.load import load_sensor, presets
 from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.words import quads, words
-
-IMX477 = PRESETS / "imx477.yaml"
 
 
 @pytest.fixture
 def sensor() -> Sensor:
     return load_sensor("imx477")
-
-
-def altered(tmp_path: Path, *path: str | int, value: object) -> Path:
-    """Return a copy of the preset's file with one value replaced."""
-    data = yaml.safe_load(IMX477.read_text())
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(changed(data, (path, value))))
-    return file
 
 
 # --- presets ---
@@ -88,9 +77,7 @@ def test_the_curves_are_the_measured_ones_per_photon(sensor: Sensor):
 def test_quantum_efficiency_is_interpolated_onto_the_grid(tmp_path: Path):
     grid = [390.0, 500.0, 710.0]
     channels = {"R": [0.0, 0.5, 0.29], "G": [0.1, 0.1, 0.1], "B": [0.2, 0.0, 0.0]}
-    file = altered(
-        tmp_path, "quantum_efficiency", value={"wavelengths_nm": grid, "channels": channels}
-    )
+    file = sensor_file(tmp_path, quantum_efficiency={"wavelengths_nm": grid, "channels": channels})
     qe = load_sensor(file).qe
     assert qe["R"].shape == WAVELENGTHS_NM.shape
     assert qe["R"][WAVELENGTHS_NM == 445.0] == pytest.approx(0.25, abs=1e-15)
@@ -110,26 +97,20 @@ def test_a_copy_with_other_curves_works_its_own_out():
 
 
 def test_a_monochrome_sensor_has_one_site(tmp_path: Path):
-    data = yaml.safe_load(IMX477.read_text())
-    data["cfa"] = {"pattern": [["W"]]}
-    data["quantum_efficiency"] = {"wavelengths_nm": [400, 700], "channels": {"W": [0.5, 0.5]}}
-    file = tmp_path / "mono.yaml"
-    file.write_text(yaml.safe_dump(data))
+    curves = {"wavelengths_nm": [400, 700], "channels": {"W": [0.5, 0.5]}}
+    file = sensor_file(tmp_path, cfa={"pattern": [["W"]]}, quantum_efficiency=curves)
     sensor = load_sensor(file)
     assert (sensor.period, sensor.site_channels(), sensor.channels) == ((1, 1), ("W",), ("W",))
 
 
 def test_unlike_photosites_of_one_colour_are_channels_of_their_own(tmp_path: Path):
-    data = yaml.safe_load(IMX477.read_text())
-    data["cfa"] = {"pattern": [["B", "Gb"], ["Gr", "R"]]}
-    curves = {"R": 0.3, "Gr": 0.5, "Gb": 0.4, "B": 0.2}
-    data["quantum_efficiency"] = {
+    flat = {"R": 0.3, "Gr": 0.5, "Gb": 0.4, "B": 0.2}
+    curves = {
         "wavelengths_nm": [400, 700],
-        "channels": {name: [value, value] for name, value in curves.items()},
+        "channels": {name: [value, value] for name, value in flat.items()},
     }
-    file = tmp_path / "unlike.yaml"
-    file.write_text(yaml.safe_dump(data))
-    sensor = load_sensor(file)
+    pattern = {"pattern": [["B", "Gb"], ["Gr", "R"]]}
+    sensor = load_sensor(sensor_file(tmp_path, cfa=pattern, quantum_efficiency=curves))
     assert sensor.channels == ("R", "Gb", "Gr", "B")
     assert sensor.site_channels() == ("B", "Gb", "Gr", "R")
     assert sensor.cfa.letters == [["B", "G"], ["G", "R"]]
@@ -182,6 +163,9 @@ def test_quads_touched(col0: int, cols: int, count: int):
 
 
 # --- wrong files ---
+
+
+GREEN_AT_415_NM = ("quantum_efficiency", "channels", "G", 3)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +222,7 @@ def test_quads_touched(col0: int, cols: int, count: int):
     ],
 )
 def test_a_wrong_field_is_named_with_what_is_allowed(tmp_path: Path, path, value, field, allowed):
-    file = altered(tmp_path, *path, value=value)
+    file = sensor_file(tmp_path, (path, value))
     with pytest.raises(UserError) as caught:
         load_sensor(file)
     assert (caught.value.file, caught.value.field) == (file, field)
@@ -248,18 +232,18 @@ def test_a_wrong_field_is_named_with_what_is_allowed(tmp_path: Path, path, value
 
 def test_the_value_is_shown(tmp_path: Path):
     with pytest.raises(UserError) as caught:
-        load_sensor(altered(tmp_path, "bit_depth", value=40))
+        load_sensor(sensor_file(tmp_path, bit_depth=40))
     assert caught.value.value == 40
 
 
 def test_a_quantum_efficiency_over_one_warns_by_name(tmp_path: Path):
-    file = altered(tmp_path, "quantum_efficiency", "channels", "G", 3, value=1.2)
+    file = sensor_file(tmp_path, (GREEN_AT_415_NM, 1.2))
     with pytest.warns(UserWarning, match="of G exceeds 1: 1.2 at 415 nm"):
         assert load_sensor(file).qe["G"].max() == 1.2
 
 
 def test_a_quantum_efficiency_of_one_does_not_warn(tmp_path: Path):
-    file = altered(tmp_path, "quantum_efficiency", "channels", "G", 3, value=1.0)
+    file = sensor_file(tmp_path, (GREEN_AT_415_NM, 1.0))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         load_sensor(file)
@@ -276,12 +260,12 @@ def test_a_quantum_efficiency_of_one_does_not_warn(tmp_path: Path):
 )
 def test_an_unknown_field_is_told_the_nearest_name(tmp_path: Path, path, near: str):
     with pytest.raises(UserError, match=f"perhaps {near} is meant"):
-        load_sensor(altered(tmp_path, *path, value=3))
+        load_sensor(sensor_file(tmp_path, (path, 3)))
 
 
 def test_a_name_like_no_other_is_told_nothing(tmp_path: Path):
     with pytest.raises(UserError) as caught:
-        load_sensor(altered(tmp_path, "xyzzy", value=3))
+        load_sensor(sensor_file(tmp_path, xyzzy=3))
     assert caught.value.problem == "unknown field"
 
 
@@ -319,11 +303,10 @@ def test_fields_of_parts_are_named_like_others(data, field: str, words: str):
 
 def test_a_mistake_in_a_sensor_file_is_one_screen(tmp_path: Path):
     """What the command line prints: problem, file, field, value, allowed."""
-    altered(tmp_path, "reference_temperature_c", value=-300)
+    file = sensor_file(tmp_path, reference_temperature_c=-300)
     camera = tmp_path / "camera.yaml"
     camera.write_text("title: a\nlens: {mtf: diffraction-limited}\nsensor: {preset: sensor.yaml}\n")
     ran = gpusim("render", camera, "grey", "--out", tmp_path / "out", "--dry-run")
-    file = tmp_path / "sensor.yaml"
     assert_refused(ran, file, "reference_temperature_c", "-300", "absolute zero is -273.15")
 
 
@@ -333,12 +316,8 @@ def test_a_warning_of_the_command_line_is_one_line(tmp_path: Path, capsys):
 
 
 def test_a_missing_field_is_named(tmp_path: Path):
-    data = yaml.safe_load(IMX477.read_text())
-    del data["rows"]
-    file = tmp_path / "sensor.yaml"
-    file.write_text(yaml.safe_dump(data))
     with pytest.raises(UserError, match="a field is missing") as caught:
-        load_sensor(file)
+        load_sensor(sensor_file(tmp_path, rows=...))
     assert caught.value.field == "rows"
     assert "full_well_e" in caught.value.allowed and "sources" not in caught.value.allowed
 
