@@ -15,7 +15,6 @@ from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
 from gpusim.sensor.load import load_sensor, presets
 from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.sensor import Sensor
-from gpusim.sensor.words import quads, words
 
 
 @pytest.fixture
@@ -149,17 +148,6 @@ def test_a_region_that_does_not_fit_is_refused(sensor: Sensor, rows: int, cols: 
     with pytest.raises(UserError, match="does not fit") as caught:
         sensor.roi(rows, cols)
     assert caught.value.field == field
-
-
-def test_keys_are_split_into_words():
-    assert words(0x123456789ABCDEF0) == (0x9ABCDEF0, 0x12345678)
-
-
-@pytest.mark.parametrize(
-    ("col0", "cols", "count"), [(0, 1, 1), (0, 4, 1), (0, 5, 2), (3, 1, 1), (3, 2, 2), (6, 6, 2)]
-)
-def test_quads_touched(col0: int, cols: int, count: int):
-    assert quads(col0, cols) == count
 
 
 # --- wrong files ---
