@@ -226,13 +226,12 @@ def direct_work(
     support: int,
     needed: dict[tuple[int, int], int],
     site_channels: list[int],
-    constant: bool,
 ) -> int:
     """Return the multiply-adds of a frame, those that meet zeros included."""
     layout = tap_layout(grid, support, outputs_of(grid, site_channels, max(site_channels) + 1))
     across = layout.eights * 8 * layout.stride // grid.stride
     down = grid.block[1] * layout.lines // grid.stride
-    each = grid.sites * across * down * 4 * layout.groups * (1 if constant else 2)
+    each = grid.sites * across * down * 4 * layout.groups * 2
     return each * sum(needed.values())
 
 

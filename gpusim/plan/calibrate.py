@@ -290,7 +290,7 @@ def _others(device: Device) -> dict[str | int, float]:
     for one in (modes, direct):
         one.load([(0, 0)])
     times = [_blocks_time(device, one, 1) for one in (modes, direct)]
-    madds = direct_work(grid, SUPPORT, {(0, 0): 1}, sites, False)
+    madds = direct_work(grid, SUPPORT, {(0, 0): 1}, sites)
     samples = grid.block[1] * grid.length * np.log2(grid.length)
     return {"modes": 1e9 * times[0]["modes"] / samples, "direct": 1e9 * times[1]["direct"] / madds}
 

@@ -351,7 +351,7 @@ class _Problem:
         def work(grid: SimGrid, needed: Needed) -> dict[str, float]:
             lit = np.array([count for count in needed.values() if count], int)
             if method == "direct":
-                madds = direct_work(grid, support, needed, self.sites, False)
+                madds = direct_work(grid, support, needed, self.sites)
                 seconds = {"direct": self.costs.seconds("direct", madds)}
             else:
                 of_modes = rank if method == "modes" else None

@@ -232,11 +232,10 @@ def test_what_is_out_of_reach_is_said(device: Device):
 def test_work_counts_the_taps_of_all_photosites():
     grid = SimGrid(248, 248, 4, 2, 512, 88, (2, 2))
     needed = {block: 1 + block[0] for block in np.ndindex(grid.blocks)}
-    work = direct_work(grid, 8, needed, [0, 1, 1, 2], False)
+    work = direct_work(grid, 8, needed, [0, 1, 1, 2])
     # Each line of a block meets 16 / 4 lines of photosites of 2 rows of sites; 128 photosites of
     # 2 columns of sites across, eight by eight; 5 vec4f of taps; 2 for the nodes.
     assert work == 336 * 4 * 2 * 128 * 2 * 20 * 2 * sum(needed.values())
-    assert direct_work(grid, 8, needed, [0, 1, 1, 2], True) == work // 2
 
 
 def test_the_defaults_are_of_one_grid(device: Device):
