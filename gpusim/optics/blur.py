@@ -17,8 +17,6 @@ LENGTH = 160  # of the transforms of shaders/common/line_160
 HALF = LENGTH // 2 + 1
 SMALLEST = LENGTH // 2  # side of a block: its window overlaps the next one's, and no further
 WIDEST = LENGTH - SMALLEST + 1  # PSF that fits a window beside the smallest block
-# Where the frequency that shaders/common/line_160 leaves in a slot belongs: a + 10 m at 16 a + m.
-ORDER = np.array([a + 10 * m for a in range(10) for m in range(16)])
 
 
 class Blur:
@@ -84,26 +82,28 @@ class Blur:
         self.per_cell = spacing // self.side
         down, across = (count * self.per_cell for count in (nodes[0] - 1, nodes[1] - 1))
         self.blocks = (down, across)
-        self.spread, self.mix, self.gather = (
-            Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "mix", "gather")
+        self.rows = 2 * -(-(self.margin + size // 2 + 1) // 2)
+        self.spread, self.gather = (
+            Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "gather")
         )
-        self.kernels = [
-            self.device.resident(f"psfs {channel}", self._spectra(psfs[:, :, channel]))
+        self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows)
+        self.psfs = [
+            self.device.resident(f"psfs {channel}", self._transformed(psfs[:, :, channel]))
             for channel in range(self.channels)
         ]
 
-    def _spectra(self, psfs: np.ndarray) -> np.ndarray:
-        """Return what `mix` multiplies with, (GY, GX, 81, 160) complex64, as pairs of float32."""
+    def _transformed(self, psfs: np.ndarray) -> np.ndarray:
+        """Return PSFs (GY, GX, 81, ROWS) transformed along x, complex64 as pairs of float32."""
         size = psfs.shape[-1]
-        placed = np.zeros((*psfs.shape[:2], LENGTH, LENGTH))
         first = self.margin - size // 2
+        placed = np.zeros((*psfs.shape[:2], self.rows, LENGTH))
         placed[..., first : first + size, first : first + size] = psfs
-        spectra = scipy.fft.rfft2(placed, workers=2).swapaxes(-1, -2)[..., ORDER] / LENGTH**2
-        return np.ascontiguousarray(spectra, np.complex64).reshape(-1).view(np.float32)
+        lines = scipy.fft.rfft(placed, workers=2).swapaxes(-1, -2) / LENGTH**2
+        return np.ascontiguousarray(lines, np.complex64).reshape(-1).view(np.float32)
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in self.kernels:
+        for resident in self.psfs:
             resident.destroy()
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
@@ -141,7 +141,7 @@ class Blur:
         spectra = rec.buffer("spectra", (count, self.side, HALF, 4), np.float32)
         columns = rec.buffer("columns", (count, HALF, LENGTH, 2), np.float32)
         labels = []
-        for channel, kernels in enumerate(self.kernels):
+        for channel, transformed in enumerate(self.psfs):
             rec.upload(source, padded[channel])
             lines = count * self.side
             self.spread.record(
@@ -157,7 +157,7 @@ class Blur:
                 self.mix.cover(lines),
                 {"lines": lines, "cells": across // self.per_cell, "per_cell": self.per_cell},
                 spectra=spectra,
-                kernels=kernels,
+                psfs=transformed,
                 columns=columns,
             )
             blurred = rec.buffer(f"blurred {channel}", frame, np.float32)

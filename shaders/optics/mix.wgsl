@@ -2,13 +2,17 @@
 // transform in y with the weights of the upper and lower PSF nodes, product with the PSFs of the four nodes, inverse in y.
 //
 //   X[ky] = sum_n H_n[kx, ky] sum_y A_nx[y] r_ny(y) exp(-2 pi i ky y / 160),   r_0 = 1 - s(y), r_1 = s(y)
+//   H_n[kx, ky] = sum_y h_n[kx, y] exp(-2 pi i ky y / 160)
 //   columns[block, kx, y] = sum_ky X[ky] exp(2 pi i ky y / 160)
-// A_nx = spectra (blocks, SIDE, 81, 2), unit of the image; kernels (nodes down, nodes across, 81, 160), ky = a + 10 m at place
-// 16 a + m, divided by 160^2 -> columns (blocks, 81, 160), unit of the image.
+// The PSFs come transformed along x alone: their few rows are loaded faster than 160 frequencies, which lavapipe brings number
+// by number, and the transforms hide behind what else is loaded.
+// A_nx = spectra (blocks, SIDE, 81, 2), unit of the image; h_n = psfs (nodes down, nodes across, 81, ROWS), divided by 160^2
+// -> columns (blocks, 81, 160), unit of the image.
 // Dispatch: ceil(lines / 64) workgroups of 64 invocations.
 #include "line_160"
 
 override SIDE: u32 = 128u;  // of a block, samples; a multiple of 4, from 80 to 160
+override ROWS: u32 = 32u;   // of a PSF, from the first to the last that is not dark; even
 
 struct Params {
     lines: u32,       // blocks * 81
@@ -18,7 +22,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> spectra: array<vec2f>;  // for the left and the right node in turns
-@group(0) @binding(2) var<storage, read> kernels: array<vec4f>;
+@group(0) @binding(2) var<storage, read> psfs: array<vec4f>;     // two rows at a time
 @group(0) @binding(3) var<storage, read_write> columns: array<vec4f>;  // two rows at a time
 
 // Row y of the column at `a`: of one side.
@@ -36,11 +40,20 @@ fn weigh(v: ptr<function, Line>, column: ptr<function, Line>, y: u32, w: f32, st
     (*v)[y + 3u] = (w + f32(y + 3u) * step) * (*column)[y + 3u];
 }
 
-// Two frequencies times the PSF of one node; real and imaginary parts exchanged for the inverse transform.
-fn add(sum: ptr<function, Line>, v: ptr<function, Line>, i: u32, h: u32) {
-    let psf = kernels[h + i / 2u];
-    (*sum)[i] += cmul((*v)[i], psf.xy).yx;
-    (*sum)[i + 1u] += cmul((*v)[i + 1u], psf.zw).yx;
+// Rows y and y + 1 of a node's PSF, transformed along x.
+fn load_psf(psf: ptr<function, Line>, y: u32, at: u32) {
+    var both = vec4f(0.0);
+    if (y < ROWS) {
+        both = psfs[at + y / 2u];
+    }
+    (*psf)[y] = both.xy;
+    (*psf)[y + 1u] = both.zw;
+}
+
+// Two frequencies times the PSF's; real and imaginary parts exchanged for the inverse transform.
+fn add(sum: ptr<function, Line>, v: ptr<function, Line>, psf: ptr<function, Line>, i: u32) {
+    (*sum)[i] += cmul((*v)[i], (*psf)[i]).yx;
+    (*sum)[i + 1u] += cmul((*v)[i + 1u], (*psf)[i + 1u]).yx;
 }
 
 fn store(sum: ptr<function, Line>, y: u32, at: u32) {
@@ -61,6 +74,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let s = (f32(row % params.per_cell * SIDE) + 0.5) * step;
     let a = 2u * (block * SIDE * 81u + kx);
     var column: Line;  // rows from SIDE on stay zero
+    var psf: Line;
     var v: Line;
     var sum: Line;
     for (var right = 0u; right < 2u; right++) {
@@ -121,7 +135,29 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         for (var lower = 0u; lower < 2u; lower++) {
             let w = select(1.0 - s, s, lower == 1u);
             let by = select(-step, step, lower == 1u);
-            let h = (((row / params.per_cell + lower) * (params.cells + 1u) + cell + right) * 81u + kx) * 80u;
+            let node = (row / params.per_cell + lower) * (params.cells + 1u) + cell + right;
+            let h = (node * 81u + kx) * (ROWS / 2u);
+            load_psf(&psf, 0u, h); load_psf(&psf, 2u, h); load_psf(&psf, 4u, h); load_psf(&psf, 6u, h);
+            load_psf(&psf, 8u, h); load_psf(&psf, 10u, h); load_psf(&psf, 12u, h); load_psf(&psf, 14u, h);
+            load_psf(&psf, 16u, h); load_psf(&psf, 18u, h); load_psf(&psf, 20u, h); load_psf(&psf, 22u, h);
+            load_psf(&psf, 24u, h); load_psf(&psf, 26u, h); load_psf(&psf, 28u, h); load_psf(&psf, 30u, h);
+            load_psf(&psf, 32u, h); load_psf(&psf, 34u, h); load_psf(&psf, 36u, h); load_psf(&psf, 38u, h);
+            load_psf(&psf, 40u, h); load_psf(&psf, 42u, h); load_psf(&psf, 44u, h); load_psf(&psf, 46u, h);
+            load_psf(&psf, 48u, h); load_psf(&psf, 50u, h); load_psf(&psf, 52u, h); load_psf(&psf, 54u, h);
+            load_psf(&psf, 56u, h); load_psf(&psf, 58u, h); load_psf(&psf, 60u, h); load_psf(&psf, 62u, h);
+            load_psf(&psf, 64u, h); load_psf(&psf, 66u, h); load_psf(&psf, 68u, h); load_psf(&psf, 70u, h);
+            load_psf(&psf, 72u, h); load_psf(&psf, 74u, h); load_psf(&psf, 76u, h); load_psf(&psf, 78u, h);
+            load_psf(&psf, 80u, h); load_psf(&psf, 82u, h); load_psf(&psf, 84u, h); load_psf(&psf, 86u, h);
+            load_psf(&psf, 88u, h); load_psf(&psf, 90u, h); load_psf(&psf, 92u, h); load_psf(&psf, 94u, h);
+            load_psf(&psf, 96u, h); load_psf(&psf, 98u, h); load_psf(&psf, 100u, h); load_psf(&psf, 102u, h);
+            load_psf(&psf, 104u, h); load_psf(&psf, 106u, h); load_psf(&psf, 108u, h); load_psf(&psf, 110u, h);
+            load_psf(&psf, 112u, h); load_psf(&psf, 114u, h); load_psf(&psf, 116u, h); load_psf(&psf, 118u, h);
+            load_psf(&psf, 120u, h); load_psf(&psf, 122u, h); load_psf(&psf, 124u, h); load_psf(&psf, 126u, h);
+            load_psf(&psf, 128u, h); load_psf(&psf, 130u, h); load_psf(&psf, 132u, h); load_psf(&psf, 134u, h);
+            load_psf(&psf, 136u, h); load_psf(&psf, 138u, h); load_psf(&psf, 140u, h); load_psf(&psf, 142u, h);
+            load_psf(&psf, 144u, h); load_psf(&psf, 146u, h); load_psf(&psf, 148u, h); load_psf(&psf, 150u, h);
+            load_psf(&psf, 152u, h); load_psf(&psf, 154u, h); load_psf(&psf, 156u, h); load_psf(&psf, 158u, h);
+            line_160(&psf);
             weigh(&v, &column, 0u, w, by); weigh(&v, &column, 4u, w, by); weigh(&v, &column, 8u, w, by);
             weigh(&v, &column, 12u, w, by); weigh(&v, &column, 16u, w, by); weigh(&v, &column, 20u, w, by);
             weigh(&v, &column, 24u, w, by); weigh(&v, &column, 28u, w, by); weigh(&v, &column, 32u, w, by);
@@ -137,26 +173,29 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             weigh(&v, &column, 144u, w, by); weigh(&v, &column, 148u, w, by); weigh(&v, &column, 152u, w, by);
             weigh(&v, &column, 156u, w, by);
             line_160(&v);
-            add(&sum, &v, 0u, h); add(&sum, &v, 2u, h); add(&sum, &v, 4u, h); add(&sum, &v, 6u, h);
-            add(&sum, &v, 8u, h); add(&sum, &v, 10u, h); add(&sum, &v, 12u, h); add(&sum, &v, 14u, h);
-            add(&sum, &v, 16u, h); add(&sum, &v, 18u, h); add(&sum, &v, 20u, h); add(&sum, &v, 22u, h);
-            add(&sum, &v, 24u, h); add(&sum, &v, 26u, h); add(&sum, &v, 28u, h); add(&sum, &v, 30u, h);
-            add(&sum, &v, 32u, h); add(&sum, &v, 34u, h); add(&sum, &v, 36u, h); add(&sum, &v, 38u, h);
-            add(&sum, &v, 40u, h); add(&sum, &v, 42u, h); add(&sum, &v, 44u, h); add(&sum, &v, 46u, h);
-            add(&sum, &v, 48u, h); add(&sum, &v, 50u, h); add(&sum, &v, 52u, h); add(&sum, &v, 54u, h);
-            add(&sum, &v, 56u, h); add(&sum, &v, 58u, h); add(&sum, &v, 60u, h); add(&sum, &v, 62u, h);
-            add(&sum, &v, 64u, h); add(&sum, &v, 66u, h); add(&sum, &v, 68u, h); add(&sum, &v, 70u, h);
-            add(&sum, &v, 72u, h); add(&sum, &v, 74u, h); add(&sum, &v, 76u, h); add(&sum, &v, 78u, h);
-            add(&sum, &v, 80u, h); add(&sum, &v, 82u, h); add(&sum, &v, 84u, h); add(&sum, &v, 86u, h);
-            add(&sum, &v, 88u, h); add(&sum, &v, 90u, h); add(&sum, &v, 92u, h); add(&sum, &v, 94u, h);
-            add(&sum, &v, 96u, h); add(&sum, &v, 98u, h); add(&sum, &v, 100u, h); add(&sum, &v, 102u, h);
-            add(&sum, &v, 104u, h); add(&sum, &v, 106u, h); add(&sum, &v, 108u, h); add(&sum, &v, 110u, h);
-            add(&sum, &v, 112u, h); add(&sum, &v, 114u, h); add(&sum, &v, 116u, h); add(&sum, &v, 118u, h);
-            add(&sum, &v, 120u, h); add(&sum, &v, 122u, h); add(&sum, &v, 124u, h); add(&sum, &v, 126u, h);
-            add(&sum, &v, 128u, h); add(&sum, &v, 130u, h); add(&sum, &v, 132u, h); add(&sum, &v, 134u, h);
-            add(&sum, &v, 136u, h); add(&sum, &v, 138u, h); add(&sum, &v, 140u, h); add(&sum, &v, 142u, h);
-            add(&sum, &v, 144u, h); add(&sum, &v, 146u, h); add(&sum, &v, 148u, h); add(&sum, &v, 150u, h);
-            add(&sum, &v, 152u, h); add(&sum, &v, 154u, h); add(&sum, &v, 156u, h); add(&sum, &v, 158u, h);
+            add(&sum, &v, &psf, 0u); add(&sum, &v, &psf, 2u); add(&sum, &v, &psf, 4u); add(&sum, &v, &psf, 6u);
+            add(&sum, &v, &psf, 8u); add(&sum, &v, &psf, 10u); add(&sum, &v, &psf, 12u); add(&sum, &v, &psf, 14u);
+            add(&sum, &v, &psf, 16u); add(&sum, &v, &psf, 18u); add(&sum, &v, &psf, 20u); add(&sum, &v, &psf, 22u);
+            add(&sum, &v, &psf, 24u); add(&sum, &v, &psf, 26u); add(&sum, &v, &psf, 28u); add(&sum, &v, &psf, 30u);
+            add(&sum, &v, &psf, 32u); add(&sum, &v, &psf, 34u); add(&sum, &v, &psf, 36u); add(&sum, &v, &psf, 38u);
+            add(&sum, &v, &psf, 40u); add(&sum, &v, &psf, 42u); add(&sum, &v, &psf, 44u); add(&sum, &v, &psf, 46u);
+            add(&sum, &v, &psf, 48u); add(&sum, &v, &psf, 50u); add(&sum, &v, &psf, 52u); add(&sum, &v, &psf, 54u);
+            add(&sum, &v, &psf, 56u); add(&sum, &v, &psf, 58u); add(&sum, &v, &psf, 60u); add(&sum, &v, &psf, 62u);
+            add(&sum, &v, &psf, 64u); add(&sum, &v, &psf, 66u); add(&sum, &v, &psf, 68u); add(&sum, &v, &psf, 70u);
+            add(&sum, &v, &psf, 72u); add(&sum, &v, &psf, 74u); add(&sum, &v, &psf, 76u); add(&sum, &v, &psf, 78u);
+            add(&sum, &v, &psf, 80u); add(&sum, &v, &psf, 82u); add(&sum, &v, &psf, 84u); add(&sum, &v, &psf, 86u);
+            add(&sum, &v, &psf, 88u); add(&sum, &v, &psf, 90u); add(&sum, &v, &psf, 92u); add(&sum, &v, &psf, 94u);
+            add(&sum, &v, &psf, 96u); add(&sum, &v, &psf, 98u); add(&sum, &v, &psf, 100u); add(&sum, &v, &psf, 102u);
+            add(&sum, &v, &psf, 104u); add(&sum, &v, &psf, 106u); add(&sum, &v, &psf, 108u);
+            add(&sum, &v, &psf, 110u); add(&sum, &v, &psf, 112u); add(&sum, &v, &psf, 114u);
+            add(&sum, &v, &psf, 116u); add(&sum, &v, &psf, 118u); add(&sum, &v, &psf, 120u);
+            add(&sum, &v, &psf, 122u); add(&sum, &v, &psf, 124u); add(&sum, &v, &psf, 126u);
+            add(&sum, &v, &psf, 128u); add(&sum, &v, &psf, 130u); add(&sum, &v, &psf, 132u);
+            add(&sum, &v, &psf, 134u); add(&sum, &v, &psf, 136u); add(&sum, &v, &psf, 138u);
+            add(&sum, &v, &psf, 140u); add(&sum, &v, &psf, 142u); add(&sum, &v, &psf, 144u);
+            add(&sum, &v, &psf, 146u); add(&sum, &v, &psf, 148u); add(&sum, &v, &psf, 150u);
+            add(&sum, &v, &psf, 152u); add(&sum, &v, &psf, 154u); add(&sum, &v, &psf, 156u);
+            add(&sum, &v, &psf, 158u);
         }
     }
     line_160_back(&sum);
