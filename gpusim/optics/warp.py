@@ -14,15 +14,21 @@ from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.scene.raster import PlacedRaster
 
-# Raster samples around what a block's outline sees: the spline's reach (2), rounding to f32, and
+# Raster samples around what a block's outline sees: the patch's reach (3), rounding to f32, and
 # what the map bulges between the points of the outline.
-MARGIN = 4
+MARGIN = 5
 # Raster samples per sim sample from which detail comes back where pixels see it: a raster's highest
 # frequency is then 3/4 of a cycle per sim sample, that of the pixels 1/4 with two samples a pixel.
 SQUEEZED = 1.5
 # Reach of the low-pass, sim samples, and what its passband counts more than its stopband: within
 # 2e-3 of 1 up to 1/4 of a cycle per sim sample, below 0.065 from 3/4.
 REACH, PASSBAND = 2.5, 5000
+# Planes and points each way that share what one invocation of the shader loads and works out.
+PLANES, SIDE = 3, 4
+# Raster samples that points may lie apart to share the shader's patch: in x and in y it holds 2.
+# Points of a square that the map stretches by these along some direction, and across it by none,
+# lie (1 + sqrt 2) / 2 of them apart in x or y at most.
+SPREAD = 1.65
 MISS = 1e-4  # of a sample: what an identity may be off
 TRIED = 17  # points along each side at which a map is tried
 
@@ -77,6 +83,14 @@ def low_pass(points: int) -> np.ndarray:
     bands = (0, 0.25, 0.75, points / 2)
     weights = firls(taps, bands, (1, 1, 0, 0), weight=(PASSBAND, 1), fs=points)
     return weights / weights.sum()
+
+
+def sharing(apart: float) -> int:
+    """Return how many points each way share a patch, `apart` raster samples from each to the next.
+
+    Along the direction in which they lie farthest apart.
+    """
+    return min(1 + int(SPREAD / apart), SIDE)
 
 
 # Raster samples by which a sample's spline reaches on: 0.27^24 = 2e-14 of it is left there.
@@ -169,8 +183,9 @@ class Warp:
         self.scale = scale.pitch_um / raster.pitch_um
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)
         self.terms = device.resident("warp terms", chief_ray.terms(scale.pitch_um))
+        self.side = sharing(min(self.scale * chief_ray.stretch, SQUEEZED))
         self.kernels = {
-            squeezed: Kernel(
+            (planes, squeezed): Kernel(
                 "optics/warp",
                 BX=self.grid.block[0],
                 BY=self.grid.block[1],
@@ -178,12 +193,17 @@ class Warp:
                 DISTORTION=chief_ray.distortion,
                 SPLINE=not self.identity,
                 SQUEEZED=squeezed,
+                SIDE=2 if squeezed else self.side,
+                PLANES=planes,
             )
+            for planes in range(1, PLANES + 1)
             for squeezed in (False, True)
         }
         self.points = {block: self._points(block) for block in self.needed}
         self.weights = {
-            points: device.resident(f"warp {points}", low_pass(points).astype(np.float32))
+            points: device.resident(
+                f"warp {points}", np.append(low_pass(points), 0).astype(np.float32)
+            )
             for points in set(self.points.values())
         }
         self.planes: list[Resident] = []
@@ -200,15 +220,18 @@ class Warp:
         corner = np.array(self.grid.block_origin(block)) - np.array(self.grid.centre)
         real_um = self.pitch_um * _lattice(corner, np.array(self.grid.block))
         squeezed = self.scale * float(stretch(self.chief_ray, real_um, self.pitch_um / 2).max())
-        return 1 if squeezed <= SQUEEZED else int(np.ceil(0.75 + squeezed / 2))
+        if squeezed <= SQUEEZED:
+            return 1
+        # Two by two share a patch, and may not lie further apart than that allows.
+        return int(np.ceil(max(0.75 + squeezed / 2, squeezed / SPREAD)))
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:
         """Do nothing: a raster has no lists by block."""
 
     def seen(self, blocks: Sequence[tuple[int, int]]) -> tuple[range, range]:
         """Return the columns and rows of the raster that blocks see."""
-        # Around a block that is squeezed, the low-pass reaches.
-        around = REACH if any(self.points[block] > 1 for block in blocks) else 0.0
+        # Around a block that is squeezed, the low-pass reaches, and a point of weight 0 after it.
+        around = REACH + 0.5 if any(self.points[block] > 1 for block in blocks) else 0.0
         corners = [np.array(self.grid.block_origin(block)) - self.grid.centre for block in blocks]
         size = np.array(self.grid.block) + 2 * around
         outlines = [
@@ -255,10 +278,12 @@ class Warp:
         corner = np.array(grid.block_origin(block)) + 0.5
         points = self.points[block]
         weights = self.weights[points]
-        for number, coefficients in enumerate(self.planes):
-            self.kernels[points > 1].record(
+        across = 8 if points > 1 else 8 * self.side
+        for first in range(0, len(self.planes), PLANES):
+            coefficients = self.planes[first : first + PLANES]
+            self.kernels[len(coefficients), points > 1].record(
                 rec,
-                groups=(-(-grid.block[0] // 16), -(-grid.block[1] // 16), 1),
+                groups=(-(-grid.block[0] // across), -(-grid.block[1] // across), 1),
                 params={
                     **self.chief_ray.params(self.pitch_um),
                     "origin": corner - grid.centre,
@@ -267,11 +292,13 @@ class Warp:
                     "first": (cols.start, rows.start),
                     "cols": len(cols),
                     "scale": self.scale,
-                    "plane": number,
-                    "reach": weights.shape[0] // 2,
+                    "plane": first,
+                    "reach": (weights.shape[0] - 1) // 2,
                     "step": 1 / points,
                 },
-                coefficients=coefficients,
+                coefficients=coefficients[0],
+                coefficients_1=coefficients[1 % len(coefficients)],
+                coefficients_2=coefficients[2 % len(coefficients)],
                 terms=self.terms,
                 weights=weights,
                 planes=planes,

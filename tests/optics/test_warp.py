@@ -20,7 +20,7 @@ from gpusim.optics.chief_ray import FIT_ERROR_UM, RadialMap, chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
-from gpusim.optics.warp import Warp, is_identity, low_pass, stretch
+from gpusim.optics.warp import PLANES, SIDE, Warp, is_identity, low_pass, sharing, stretch
 from gpusim.reference.chief_ray import chief_ray
 from gpusim.reference.warp import warp
 from gpusim.scene.raster import Raster
@@ -40,9 +40,14 @@ def raster(rows: int, cols: int) -> np.ndarray:
 
 def on_device(
     samples, origin, shape, centre, scale, distortion, radius, circle=(0.0, 0.0), plane=0, count=1,
-    weights=ONE_POINT, step=1.0,
+    weights=ONE_POINT, step=1.0, side=2, others=(),
 ):  # fmt: skip
+    """Run the stage; `others` are rasters of further planes. What is not to be read is NaN."""
     general = distortion.ndim == 3
+    squeezed = len(weights) > 1
+    each = [spline_filter(one, order=3, mode="mirror").astype(F32) for one in (samples, *others)]
+    each += [np.full(samples.shape, np.nan, F32)] * (3 - len(each))
+    across = 8 if squeezed else 8 * side
     params = {
         "g_low": np.full(4, 9.0) if general else distortion[:4],
         "g_high": np.full(4, 9.0) if general else distortion[4:],
@@ -60,18 +65,22 @@ def on_device(
     }
     result = run_stage(
         "optics/warp",
-        (-(-shape[1] // 16), -(-shape[0] // 16), 1),
+        (-(-shape[1] // across), -(-shape[0] // across), 1),
         params,
         {
-            "coefficients": spline_filter(samples, order=3, mode="mirror").astype(F32),
+            "coefficients": each[0],
+            "coefficients_1": each[1],
+            "coefficients_2": each[2],
             "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
-            "weights": weights.astype(F32),
+            "weights": np.append(weights, 0).astype(F32),
         },
         {"planes": ((count, *shape), F32)},
         BX=shape[1],
         BY=shape[0],
         DEGREE=len(distortion) - 1 if general else 0,
-        SQUEEZED=len(weights) > 1,
+        SQUEEZED=squeezed,
+        SIDE=2 if squeezed else side,
+        PLANES=1 + len(others),
     )
     return result["planes"]
 
@@ -87,17 +96,54 @@ def bound(samples, origin, shape, centre, scale, distortion) -> float:
 @pytest.mark.parametrize(
     "case",
     [
-        ((23, 31), (-20.5, -13.5), (37, 45), (14.3, 10.6), 0.37, BENT, 40.0),
-        ((23, 31), (3.5, -30.5), (16, 17), (14.3, 10.6), 0.9, BENT, 40.0),
-        ((9, 14), (-21.5, -14.5), (30, 43), (6.5, 4.0), 1.0, IDENTITY, 1000.0),
+        (4, (23, 31), (-20.5, -13.5), (37, 45), (14.3, 10.6), 0.37, BENT, 40.0),
+        (3, (23, 31), (-20.5, -13.5), (37, 45), (14.3, 10.6), 0.7, BENT, 40.0),
+        (2, (23, 31), (3.5, -30.5), (16, 17), (14.3, 10.6), 0.9, BENT, 40.0),
+        (2, (9, 14), (-21.5, -14.5), (30, 43), (6.5, 4.0), 1.0, IDENTITY, 1000.0),
+        (1, (23, 31), (-3.5, -3.5), (7, 9), (14.3, 10.6), 2.9, BENT, 40.0),
     ],
-    ids=["bent", "beyond the rim", "beyond the raster"],
+    ids=["bent", "bent more", "beyond the rim", "beyond the raster", "one a patch"],
 )
 def test_samples_are_those_of_the_reference(case):
-    size, *place = case
+    side, size, *place = case
     samples = raster(*size)
-    found = on_device(samples, *place)[0]
-    assert_close(found, warp(samples, *place), atol=bound(samples, *place[:5]))
+    found = on_device(samples, *place, side=side)[0]
+    expected = warp(samples, *place)
+    assert_close(found, expected, atol=bound(samples, *place[:5]))
+    # Control: where twice as many share a patch, they do not all find in it what they read.
+    crowded = on_device(samples, *place, side=2 * side)[0]
+    assert np.abs(crowded - expected).max() > 0.01
+
+
+@pytest.mark.parametrize("scale", [0.2, 0.41, 0.54, 0.56, 0.8, 1.0, 1.5])
+@pytest.mark.parametrize("squash", [0.0, 0.4, 1.0])
+def test_points_that_share_a_patch_lie_within_one_of_their_middle(scale: float, squash: float):
+    """Of maps that stretch by `scale` along a direction, and by a share of it across."""
+    side = sharing(scale)
+    assert side == (4 if scale <= 0.55 else 3 if scale <= 0.825 else 2)
+    at = np.stack(np.meshgrid(*2 * [np.arange(side) - (side - 1) / 2]), axis=-1)
+    angle = np.linspace(0, np.pi, 181)
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    stretched = np.einsum("ak,al->akl", along, along) * (1 - squash) + squash * np.eye(2)
+    farthest = np.abs(scale * np.einsum("akl,yxl->ayxk", stretched, at)).max()
+    assert farthest <= 1
+    assert side == SIDE or farthest * side / (side - 1) > 0.75  # few more would fit
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_planes_that_are_made_at_once_are_apart(count: int):
+    """They share places and weights, also those of a sum over points, and nothing else."""
+    each = np.random.default_rng(count).uniform(0, 1, (count, 23, 31))
+    place = ((-20.5, -13.5), (19, 22), (14.3, 10.6), 0.37, BENT, 40.0)
+    for weights, step in ((ONE_POINT, 1.0), (np.array([-0.25, 0.5, 0.75]), 0.5)):
+        given = {"weights": weights, "step": step}
+        found = on_device(each[0], *place, **given, plane=1, count=count + 2, others=each[1:])
+        assert unwritten(found[[0, -1]]).all()
+        for one, samples in zip(found[1:-1], each, strict=True):
+            expected = warp(samples, *place, **given)
+            # As below: a step of 4 roundings each way, and nine weighted sums.
+            allowed = 1.3 * bound(samples, *place[:5]) * np.abs(weights).sum() ** 2
+            assert_close(one, expected, atol=allowed + 9 * ULP * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("degree", [1, 2, 5, 11])
@@ -157,15 +203,16 @@ def test_the_host_places_the_raster(device: Device):
     grid = SimGrid(24, 32, 4, 2, 256, 20, (1, 2))
     pitch_um = 0.775
     placed = Raster(planes).placed(32 * 0.775, 24 * 0.775, pitch_um)
-    coefficients = np.array([[1.0, 0.5], [0.25, -1.0]])
+    # More planes than are made at once.
+    coefficients = np.array([[1.0, 0.5, -2.0, 0.0], [0.25, -1.0, 0.3, 1.5]])
     stage = Warp(
         device, placed, coefficients, Scale("test", grid, pitch_um, 0.0, NO_KERNELS), chief_ray
     )
-    assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), 2)
+    assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), 4)
     block = (0, 1)
     stage.load([block])
     rec = Recording(device)
-    out = rec.buffer("planes", (2, grid.block[1], grid.block[0]), F32)
+    out = rec.buffer("planes", (4, grid.block[1], grid.block[0]), F32)
     rec.clear(out)
     stage.record(rec, block, out)
     label = rec.download(out)
@@ -270,7 +317,8 @@ def squeezed_wave(cycles: float, weights: np.ndarray, points: int) -> tuple[np.n
     wave = 1 + 0.5 * np.cos(2 * np.pi * cycles * k + 0.4)
     samples = np.broadcast_to(wave, (9, 1261)).copy()
     place = ((x[0], -1.0), (3, len(x)), (630.0, 4.0), 1.0, BARREL_MAP.coefficients, 400.0)
-    found = on_device(samples, *place, weights=weights, step=1 / points)[0, 1]
+    side = 2 if points > 1 else 1
+    found = on_device(samples, *place, weights=weights, step=1 / points, side=side)[0, 1]
     u = 400 * np.tan(x / 400)
     return found - 1, 0.5 * np.cos(2 * np.pi * cycles * u + 0.4)
 
@@ -372,12 +420,15 @@ def test_coordinates_are_good_to_a_thousandth_of_a_pixel():
             },
             {
                 "coefficients": ramp.astype(F32),
+                "coefficients_1": np.full((1, 1), np.nan, F32),
+                "coefficients_2": np.full((1, 1), np.nan, F32),
                 "terms": np.full((1, 2), np.nan, F32),
-                "weights": np.ones(1, F32),
+                "weights": np.array([1, 0], F32),
             },
             {"planes": ((1, *shape), F32)},
             BX=16,
             BY=16,
+            SIDE=2,
         )["planes"][0]
         off_samples = np.abs(found.astype(float) - (u - near))[lit]
         assert lit.sum() > 100
@@ -387,7 +438,7 @@ def test_coordinates_are_good_to_a_thousandth_of_a_pixel():
 
 
 def test_an_identity_is_exact_and_has_no_spline(device: Device):
-    grid = SimGrid(24, 32, 4, 2, 256, 20, (1, 2))
+    grid = SimGrid(24, 32, 4, 2, 256, 20, (2, 2))
     # Calm enough that the spline through the samples is nowhere negative.
     planes = np.random.default_rng(8).uniform(0.9, 1.1, (1, 48, 64)).astype(F32)
     placed = Raster(planes).placed(32 * 0.775, 24 * 0.775, 0.775)
@@ -397,21 +448,23 @@ def test_an_identity_is_exact_and_has_no_spline(device: Device):
         near = replace(placed, x0_um=placed.x0_um + off * 0.775)
         stage = Warp(device, near, np.ones((1, 1)), scale, straight)
         assert stage.identity
-        stage.load([(0, 0)])
-        rec = Recording(device)
-        out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
-        rec.clear(out)
-        stage.record(rec, (0, 0), out)
-        label = rec.download(out)
-        found = rec.run()[label][0]
+        for block in ((0, 0), (1, 1)):
+            stage.load([block])
+            rec = Recording(device)
+            out = rec.buffer("planes", (1, grid.block[1], grid.block[0]), F32)
+            rec.clear(out)
+            stage.record(rec, block, out)
+            label = rec.download(out)
+            # Around the sensor the raster's border goes on.
+            cols, rows = (
+                np.clip(int(first) + np.arange(count), 0, size - 1)
+                for first, count, size in zip(
+                    grid.block_origin(block), grid.block, (64, 48), strict=True
+                )
+            )
+            np.testing.assert_array_equal(rec.run()[label][0], planes[0][np.ix_(rows, cols)])
+        assert min(part.start for part in stage.loaded) > 0
         stage.release()
-        # The sensor lies `origin` inside the block; around it the raster's border goes on.
-        left, top = (-int(a) for a in grid.block_origin((0, 0)))
-        rows, cols = min(48, found.shape[0] - top), min(64, found.shape[1] - left)
-        np.testing.assert_array_equal(
-            found[top : top + rows, left : left + cols], planes[0, :rows, :cols]
-        )
-        assert rows > 20 and cols > 30
     # Half a sample off, another pitch, or any distortion to speak of is none.
     shifted = replace(placed, x0_um=placed.x0_um + 0.39)
     bent = RadialMap(np.array([1.00001, 0, 0, 0, 0, 0, 0, 0]), 1000.0)
@@ -462,8 +515,8 @@ def test_the_defaults_are_of_the_default_grid(device: Device):
     scale = Scale("test", DEFAULT_GRID, 1.0, 0.0, NO_KERNELS)
     stage = Warp(device, placed, np.ones((1, 1)), scale, chief_ray_map(bank()))
     stage.release()
-    assert Kernel("optics/warp").overrides == stage.kernels[False].overrides
-    assert stage.kernels[True].workgroup_size == (16, 16, 1)
+    assert Kernel("optics/warp").overrides == stage.kernels[1, False].overrides | {"SIDE": SIDE}
+    assert stage.kernels[PLANES, True].workgroup_size == (8, 8, 1)
 
 
 def test_black_and_unlit_blocks_need_no_plane(device: Device):
