@@ -173,7 +173,9 @@ class Warp:
         if self.identity:
             of_spectra = raster.values(of_spectra)
         shape = (coefficients.shape[1], *of_spectra.shape[1:])
-        self.splines = np.empty(shape, np.float32)
+        # In place where that is possible: pages touched for the first time take 3 s a GiB.
+        same = shape == of_spectra.shape
+        self.splines = of_spectra if same else np.empty(shape, np.float32)
         for row in range(shape[1]):  # in float64 all together are twice as large as the rest
             np.matmul(
                 coefficients.T, of_spectra[:, row], out=self.splines[:, row], casting="same_kind"
@@ -183,6 +185,7 @@ class Warp:
         self.scale = scale.pitch_um / raster.pitch_um
         self.centre = (-raster.x0_um / raster.pitch_um - 0.5, -raster.y0_um / raster.pitch_um - 0.5)
         self.terms = device.resident("warp terms", chief_ray.terms(scale.pitch_um))
+        # Two where any block is squeezed, and as many points of the low-pass.
         self.side = sharing(min(self.scale * chief_ray.stretch, SQUEEZED))
         self.kernels = {
             (planes, squeezed): Kernel(
@@ -193,7 +196,7 @@ class Warp:
                 DISTORTION=chief_ray.distortion,
                 SPLINE=not self.identity,
                 SQUEEZED=squeezed,
-                SIDE=2 if squeezed else self.side,
+                SIDE=self.side,
                 PLANES=planes,
             )
             for planes in range(1, PLANES + 1)
@@ -222,7 +225,7 @@ class Warp:
         squeezed = self.scale * float(stretch(self.chief_ray, real_um, self.pitch_um / 2).max())
         if squeezed <= SQUEEZED:
             return 1
-        # Two by two share a patch, and may not lie further apart than that allows.
+        # Two by two share a patch.
         return int(np.ceil(max(0.75 + squeezed / 2, squeezed / SPREAD)))
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:

@@ -195,7 +195,8 @@ def test_one_plane_of_several_is_written():
     assert_close(found[1], warp(samples, *place, 1000.0), atol=bound(samples, *place))
 
 
-def test_the_host_places_the_raster(device: Device):
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_host_places_the_raster(device: Device, count: int):
     """Warp against the spline of its own coefficients, sampled through the bank's map, in um."""
     lens = bank()
     chief_ray = chief_ray_map(lens)
@@ -203,16 +204,16 @@ def test_the_host_places_the_raster(device: Device):
     grid = SimGrid(24, 32, 4, 2, 256, 20, (1, 2))
     pitch_um = 0.775
     placed = Raster(planes).placed(32 * 0.775, 24 * 0.775, pitch_um)
-    # More planes than are made at once.
-    coefficients = np.array([[1.0, 0.5, -2.0, 0.0], [0.25, -1.0, 0.3, 1.5]])
+    # Four are more than are made at once.
+    coefficients = np.array([[1.0, 0.5, -2.0, 0.0], [0.25, -1.0, 0.3, 1.5]])[:, :count]
     stage = Warp(
         device, placed, coefficients, Scale("test", grid, pitch_um, 0.0, NO_KERNELS), chief_ray
     )
-    assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), 4)
+    assert stage.needed == dict.fromkeys(np.ndindex(grid.blocks), count)
     block = (0, 1)
     stage.load([block])
     rec = Recording(device)
-    out = rec.buffer("planes", (4, grid.block[1], grid.block[0]), F32)
+    out = rec.buffer("planes", (count, grid.block[1], grid.block[0]), F32)
     rec.clear(out)
     stage.record(rec, block, out)
     label = rec.download(out)
@@ -374,6 +375,19 @@ def test_only_blocks_that_are_squeezed_have_a_low_pass(device: Device):
         stage.release()
 
 
+def test_points_of_the_low_pass_lie_close_enough_to_share_a_patch(device: Device):
+    grid = SimGrid(192, 256, 4, 2, 128, 20, (1, 2))
+    placed = Raster(np.ones((1, 384, 512), F32)).placed(256.0, 192.0, 1.0)
+    scale = Scale("test", grid, 1.0, 0.0, NO_KERNELS)
+    # 276 off, where the blocks end, a step along the radius is 1 + 21 (276 / 280)^2 = 21.4.
+    steep = Warp(
+        device, placed, np.ones((1, 1)), scale, RadialMap(np.array([1.0, 7, *[0] * 6]), 280.0)
+    )
+    steep.release()
+    assert steep.side == 2
+    assert sharing(21.4 / steep.points[grid.blocks[0] - 1, grid.blocks[1] // 2]) == 2
+
+
 def test_stretch_is_the_maps_derivative():
     at = np.array([[3.0, -8.0], [25.0, 20.0], [0.0, 0.0], [40.0, 1.0]])
     found = stretch(RadialMap(BENT, 40.0), at, 1e-3)
@@ -475,11 +489,13 @@ def test_an_identity_is_exact_and_has_no_spline(device: Device):
 
 def test_what_a_squeezed_block_sees_is_all_there(device: Device):
     """To the bit, whatever else is loaded: the low-pass reaches beyond the block."""
-    planes = np.random.default_rng(9).uniform(0.4, 1, (1, 384, 512)).astype(F32)
+    # Larger than the image, so that it ends beyond what the blocks see.
+    planes = np.random.default_rng(9).uniform(0.4, 1, (1, 800, 1000)).astype(F32)
     grid = SimGrid(192, 256, 4, 2, 128, 20, (1, 2))
-    placed = Raster(planes).placed(256.0, 192.0, 1.0)
+    placed = Raster(planes).placed(500.0, 400.0, 1.0)
     scale = Scale("test", grid, 1.0, 0.0, NO_KERNELS)
-    stage = Warp(device, placed, np.ones((1, 1)), scale, BARREL_MAP)
+    barrel = RadialMap(BARREL.coef, 300.0)
+    stage = Warp(device, placed, np.ones((1, 1)), scale, barrel)
     blocks = [(0, grid.blocks[1] // 2), (1, 1), (0, 0)]
     found = []
     for loaded in (list(np.ndindex(grid.blocks)), None):

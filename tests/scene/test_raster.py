@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 from harness import assert_close
 from scipy.interpolate import BSpline
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import correlate1d, map_coordinates
 
 from gpusim.scene import PlacedRaster, Raster, highlights
-from gpusim.scene.raster import BAND_ROWS, _fitted
+from gpusim.scene.raster import (
+    BAND_ROWS,
+    FIT_STEPS,
+    FLOOR,
+    INTEGRALS,
+    REST,
+    STRIP_ROWS,
+    VALUES,
+)
 
 RNG = np.random.default_rng(5)
 
@@ -219,13 +227,39 @@ def test_small_rasters_have_a_spline(shape):
     assert coefficients.min() >= 0
 
 
+def non_negative(samples: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the coefficients of `spline_coefficients`, by matrices and over the whole plane."""
+    down, across = (
+        correlate1d(np.eye(size), weights, axis=0, mode="mirror") for size in samples.shape
+    )
+    linear = np.linalg.solve(across, np.linalg.solve(down, samples).T).T
+    fit = np.maximum(linear, FLOOR * samples)
+    for _ in range(FIT_STEPS):
+        value = down @ fit @ across.T
+        ratio = np.divide(samples, value, out=np.zeros_like(value), where=value > 0)
+        # By the filter, not by its transpose: the same but for what is mirrored.
+        fit = fit * (down @ ratio @ across.T)
+    return fit
+
+
 @pytest.mark.parametrize("integrals", [False, True])
-def test_bands_do_not_show(integrals: bool):
-    """Rows are fitted in bands: they are those of one band, to the rounding of f32."""
+@pytest.mark.parametrize("kind", ["rings everywhere", "rings at one place", "black but for it"])
+def test_the_fit_is_that_of_the_whole_plane(integrals: bool, kind: str):
+    """Rows are fitted in bands, and strips of them where need be: to the rounding of f32."""
     rng = np.random.default_rng(4)
-    rows = 2 * BAND_ROWS + 3
-    planes = (rng.uniform(0, 1, (2, rows, 9)) ** 8).astype(np.float32)  # it would ring below zero
+    rows, cols = 2 * BAND_ROWS + 3, 9
+    if kind == "rings everywhere":
+        planes = rng.uniform(0, 1, (2, rows, cols)) ** 8
+    else:
+        planes = rng.uniform(0.9, 1.1, (2, rows, cols)) * (kind != "black but for it")
+        # Above where strips meet, and below: what the one changes reaches into its neighbour.
+        off = 10 if integrals else 4
+        for plane, row in zip(planes, (2 * STRIP_ROWS - off, STRIP_ROWS + off), strict=True):
+            plane[row, 4] = 3.0
+    planes = planes.astype(np.float32)
     found = PlacedRaster(planes, 1.0, 0, 0, "", integrals).spline_coefficients()
-    expected = np.stack([_fitted(plane.astype(float), integrals) for plane in planes])
     assert found.min() >= 0
-    assert_close(found, expected, rtol=2**-23, atol=1e-18)
+    weights = INTEGRALS if integrals else VALUES
+    expected = np.stack([non_negative(plane.astype(float), weights) for plane in planes])
+    # What is cut off above a band and below it.
+    assert_close(found, expected, rtol=2**-23, atol=2 * REST * planes.max())
