@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -281,12 +282,13 @@ class Warp:
         corner = np.array(grid.block_origin(block)) + 0.5
         points = self.points[block]
         weights = self.weights[points]
-        across = 8 if points > 1 else 8 * self.side
+        each = 1 if points > 1 else self.side
+        invocations = math.prod(-(-side // each) for side in grid.block)
         for first in range(0, len(self.planes), PLANES):
             coefficients = self.planes[first : first + PLANES]
             self.kernels[len(coefficients), points > 1].record(
                 rec,
-                groups=(-(-grid.block[0] // across), -(-grid.block[1] // across), 1),
+                groups=(-(-invocations // 64), 1, 1),
                 params={
                     **self.chief_ray.params(self.pitch_um),
                     "origin": corner - grid.centre,

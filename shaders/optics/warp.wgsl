@@ -12,7 +12,8 @@
 // Beyond the image circle the planes are black.
 // Radiance is preserved: the value is carried, not spread.
 // Units: x in sim samples from the optical axis; u in raster samples; output planes (J, BY, BX), from plane `plane` on.
-// Dispatch: ceil(BX / (8 n)) x ceil(BY / (8 n)) workgroups of 8 x 8, n x n samples each: n = SIDE, or 1 if SQUEEZED.
+// Dispatch: ceil(a b / 64) workgroups of 64 invocations, n x n samples each, by lines of a = ceil(BX / n); b = ceil(BY / n) lines.
+// n = SIDE, or 1 if SQUEEZED.
 #include "b_spline"
 #include "chief_ray"
 
@@ -186,9 +187,11 @@ fn store(at: vec2u, found: vec3f) {
     }
 }
 
-@compute @workgroup_size(8, 8, 1)
+@compute @workgroup_size(64, 1, 1)
 fn main(@builtin(global_invocation_id) id: vec3u) {
-    let corner = select(SIDE, 1u, SQUEEZED) * id.xy;
+    let n = select(SIDE, 1u, SQUEEZED);
+    let across = (BX + n - 1u) / n;
+    let corner = n * vec2u(id.x % across, id.x / across);
     let x = params.origin + vec2f(corner);
     if (SQUEEZED) {
         store(corner, low_passed(x));

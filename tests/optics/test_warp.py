@@ -6,6 +6,7 @@ spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| 
 1.5). Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,9 +46,10 @@ def on_device(
     """Run the stage; `others` are rasters of further planes. What is not to be read is NaN."""
     general = distortion.ndim == 3
     squeezed = len(weights) > 1
-    each = [spline_filter(one, order=3, mode="mirror").astype(F32) for one in (samples, *others)]
-    each += [np.full(samples.shape, np.nan, F32)] * (3 - len(each))
-    across = 8 if squeezed else 8 * side
+    given = [spline_filter(one, order=3, mode="mirror").astype(F32) for one in (samples, *others)]
+    given += [np.full(samples.shape, np.nan, F32)] * (3 - len(given))
+    each = 1 if squeezed else side
+    invocations = math.prod(-(-size // each) for size in shape)
     params = {
         "g_low": np.full(4, 9.0) if general else distortion[:4],
         "g_high": np.full(4, 9.0) if general else distortion[4:],
@@ -65,12 +67,12 @@ def on_device(
     }
     result = run_stage(
         "optics/warp",
-        (-(-shape[1] // across), -(-shape[0] // across), 1),
+        (-(-invocations // 64), 1, 1),
         params,
         {
-            "coefficients": each[0],
-            "coefficients_1": each[1],
-            "coefficients_2": each[2],
+            "coefficients": given[0],
+            "coefficients_1": given[1],
+            "coefficients_2": given[2],
             "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
             "weights": np.append(weights, 0).astype(F32),
         },
@@ -532,7 +534,7 @@ def test_the_defaults_are_of_the_default_grid(device: Device):
     stage = Warp(device, placed, np.ones((1, 1)), scale, chief_ray_map(bank()))
     stage.release()
     assert Kernel("optics/warp").overrides == stage.kernels[1, False].overrides | {"SIDE": SIDE}
-    assert stage.kernels[PLANES, True].workgroup_size == (8, 8, 1)
+    assert stage.kernels[PLANES, True].workgroup_size == (64, 1, 1)
 
 
 def test_black_and_unlit_blocks_need_no_plane(device: Device):
