@@ -4,7 +4,7 @@
 //   image[y, x] = sum over windows of sum_kx columns[kx, y] exp(2 pi i kx x / 160),  columns[160-kx] = conj columns[kx]
 // What a window shares with the next in its row stays at hand. Windows of neighbouring rows share image rows: the even rows of
 // blocks go first and store, then the odd ones add.
-// columns (blocks, 81, 160), unit of the image -> image (SIDE * rows of blocks + 160, 4 stride), same unit.
+// columns (blocks, 81, 160), unit of the image -> image (SIDE * rows of blocks + 160, 4 stride) of a channel, same unit.
 // Dispatch: ceil(lines / 8) workgroups of 8 invocations.
 #include "line_160"
 
@@ -16,6 +16,7 @@ struct Params {
     down: u32,        // rows of blocks
     stride: u32,      // of the image, in fours of samples
     parity: u32,      // of the rows of blocks
+    first: u32,       // of the image's channel, in fours of samples
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -78,7 +79,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let shared_ = params.parity == 1u
         && (2u * pair < 160u - SIDE || (2u * pair >= SIDE && row + 1u < params.down));
     var from_ = row * params.across * 81u * 80u + pair;
-    var at = (row * SIDE + 2u * pair) * params.stride;
+    var at = params.first + (row * SIDE + 2u * pair) * params.stride;
     var v: Line;
     var rest: Line;
     for (var column = 0u; column < params.across; column++) {
