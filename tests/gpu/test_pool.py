@@ -71,6 +71,15 @@ def test_kept_buffers_give_way_to_a_new_size(pool: Pool):
     pool.release(wide)
 
 
+def test_no_more_gives_way_than_must(pool: Pool):
+    held = [pool.acquire("a", MIB) for _ in range(3)]
+    for one in held:
+        pool.release(one)
+    wide = pool.acquire("b", 2 * MIB)
+    assert (pool.in_use, pool.idle) == (2 * MIB, 2 * MIB)
+    pool.release(wide)
+
+
 def test_a_buffer_larger_than_any_binding_is_refused(device: Device):
     with pytest.raises(OutOfMemoryError, match="larger than one binding") as caught:
         device.pool.acquire("frame", MAX_BINDING_BYTES + 4)
