@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
+from gpusim.optics.convolve import Scratch
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
 from gpusim.optics.grid import SimGrid
@@ -384,8 +386,9 @@ class _Problem:
             most = max(needed.values(), default=0)
             if method == "modes":
                 pairs = -(-most * rank // 2)
-                lines = pairs * grid.block[1] * grid.length * 8
-                return Memory(2 * pairs * half, max(pairs * half, lines))
+                scratch = Scratch.shapes(grid, most, pairs).values()
+                largest = max(4 * math.prod(shape) for shape in scratch)
+                return Memory(2 * pairs * half, max(pairs * half, largest))
             if method == "direct":
                 half = len(self.planes.channels) * (2 * support + 12) ** 2 * 8
             return Memory(4 * most * half, most * half)
