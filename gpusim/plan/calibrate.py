@@ -9,13 +9,12 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
-from gpusim.gpu import Device, Kernel, Recording, Resident
+from gpusim.gpu import Device, Kernel, Recording
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import RadialMap
@@ -52,7 +51,7 @@ from gpusim.sensor.traps import record_traps
 # Numbers that shaders/optics/columns loads and stores for a sample of a transform, of a product,
 # and of the inverse; and how much they weigh against a measured time.
 LOADS, HELD = np.array([9.0, 2.0, 6.0]), 0.2
-NODES = 64  # 150 MB of kernels: more than an allocator keeps of memory that was freed
+NODES = 16  # of which kernels are timed
 BLOCKS = 3  # that one run convolves: a pass of one dispatch is mostly its beginning and end
 TURNS = 2  # in which everything is timed; the first also compiles
 RUNS = 3  # in each turn, of which the fastest counts
@@ -139,9 +138,7 @@ def measure(device: Device, progress: Progress | None = None) -> Costs:
     them against one another, and a machine with other work runs now faster and now slower.
     """
     tell = progress or (lambda done, total: None)
-    held: list[Resident] = []
-    host = partial(_host, held=held)
-    parts = (host, _source, _transforms, _others, _sensor, _ccd, _dispatch)
+    parts = (_host, _source, _transforms, _others, _sensor, _ccd, _dispatch)
     best: dict[Callable, tuple[float, dict[str | int, float]]] = {}
     for number, part in enumerate(TURNS * parts):
         tell(number, TURNS * len(parts))
@@ -151,9 +148,6 @@ def measure(device: Device, progress: Progress | None = None) -> Costs:
         if part not in best or spent < best[part][0]:
             best[part] = (spent, rates)
     tell(TURNS * len(parts), TURNS * len(parts))
-    for node in held:
-        node.destroy()
-    device.pool.clear()
     ns: dict[str, float] = {}
     lengths: dict[int, float] = {}
     for _, rates in best.values():
@@ -183,11 +177,11 @@ def _scale(grid: SimGrid, channels: int = 1) -> Scale:
     return Scale("calibration", grid, 1.0, SIGMA, nothing)
 
 
-def _host(device: Device, held: list[Resident]) -> dict[str | int, float]:
+def _host(device: Device) -> dict[str | int, float]:
     """Time the making of kernels, on all cores, and their way to the device.
 
-    Of three planes and channels each. They stay there until all is measured: those of a frame are
-    mostly written to memory that was never touched, which takes the host three times as long.
+    Of three planes and channels each, into memory that the second turn finds in use, as further
+    frames do: a first frame's takes up to three times as long.
     """
     half_size, length = 32, 256
     kernels = _scale(_grid(length, 2)).kernels
@@ -205,10 +199,13 @@ def _host(device: Device, held: list[Resident]) -> dict[str | int, float]:
         times = [time.perf_counter()]
         sampled = list(pool.map(sample, range(NODES)))
         times.append(time.perf_counter())
-        for one in pool.map(spectra, sampled):
-            held.append(device.resident("node", one.view(np.float32)))
+        nodes = [
+            device.resident("node", one.view(np.float32)) for one in pool.map(spectra, sampled)
+        ]
         device.wait()
         times.append(time.perf_counter())
+    for node in nodes:
+        node.destroy()
     of_kernels, of_spectra = np.diff(times) / (9 * NODES)
     return {
         "kernels": 1e9 * of_kernels / (2 * half_size) ** 2,
