@@ -263,6 +263,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             }
         }
         for (var p = 0u; p < 16u; p++) {
+            // Sum(): without it, wgpu 0.32 leaves variables as the last turn of the loop left them.
             var sum_0 = Sum();
             var sum_1 = Sum();
             var sum_2 = Sum();
