@@ -3,7 +3,7 @@
 from .device import Array, Device, DeviceLostError, Resident, default_device, devices
 from .kernel import Kernel
 from .layout import ShaderError
-from .pool import OutOfMemoryError
+from .pool import OutOfMemoryError, Use
 from .recording import Recording, Result
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Resident",
     "Result",
     "ShaderError",
+    "Use",
     "default_device",
     "devices",
 ]

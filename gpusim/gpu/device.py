@@ -15,13 +15,23 @@ from wgpu.backends.wgpu_native import lib
 from gpusim.errors import UserError
 
 from .layout import ShaderError
-from .pool import MAX_BINDING_BYTES, MAX_BUFFER_BYTES, Pool, Use
+from .pool import (
+    MAX_BINDING_BYTES,
+    MAX_BUFFER_BYTES,
+    TEXEL_BYTES,
+    TEXEL_ROW_BYTES,
+    Memory,
+    Pool,
+    Use,
+)
 
 # Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
 # not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.
 PORTABLE_LIMITS = {
     "max-bind-groups": 4,
     "max-storage-buffers-per-shader-stage": 8,
+    "max-sampled-textures-per-shader-stage": 16,
+    "max-texture-dimension-2d": 8192,
     "max-uniform-buffers-per-shader-stage": 12,
     "max-uniform-buffer-binding-size": 65536,
     "max-storage-buffer-binding-size": MAX_BINDING_BYTES,
@@ -80,7 +90,7 @@ class DeviceLostError(UserError):
 
 
 class Array:
-    """A GPU buffer seen as an array: what a kernel binds.
+    """A GPU buffer, or texture, seen as an array: what a kernel binds.
 
     Attributes
     ----------
@@ -89,10 +99,18 @@ class Array:
     dtype : numpy.dtype
         float32, complex64 (as vec2f), uint32 or int32.
     nbytes : int
+    use : Use
+        DATA; or TEXELS, which has whole texels of float32.
     """
 
-    def __init__(self, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> None:
-        self.label = label
+    def __init__(
+        self,
+        label: str,
+        shape: tuple[int, ...] | int,
+        dtype: np.dtype | type,
+        use: Use = Use.DATA,
+    ) -> None:
+        self.label, self.use = label, use
         self.shape = (shape,) if isinstance(shape, int) else tuple(int(n) for n in shape)
         self.dtype = np.dtype(dtype)
         if self.dtype not in DTYPES:
@@ -101,6 +119,8 @@ class Array:
         if min(self.shape, default=1) < 0:
             raise ShaderError(f"buffer {label!r}: shape {self.shape}")
         self.nbytes = int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
+        if use is Use.TEXELS and (DTYPES[self.dtype] != "f32" or self.nbytes % TEXEL_BYTES):
+            raise ShaderError(f"{self}: texels are four float32 each")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.label!r}, {self.shape}, {self.dtype})"
@@ -125,15 +145,20 @@ class Resident(Array):
     """An array that stays on the device until :meth:`destroy`; it counts against the budget."""
 
     def __init__(
-        self, device: Device, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type
+        self,
+        device: Device,
+        label: str,
+        shape: tuple[int, ...] | int,
+        dtype: np.dtype | type,
+        use: Use = Use.DATA,
     ) -> None:
-        super().__init__(label, shape, dtype)
+        super().__init__(label, shape, dtype, use)
         self._pool = device.pool
-        self._buffer: wgpu.GPUBuffer | None = device.pool.acquire(label, self.nbytes)
+        self._buffer: Memory | None = device.pool.acquire(label, self.nbytes, use)
 
     @property
-    def buffer(self) -> wgpu.GPUBuffer:
-        """The GPU buffer.
+    def buffer(self) -> Memory:
+        """The GPU buffer, or the view of the texture.
 
         Raises
         ------
@@ -234,10 +259,10 @@ class Device:
             "limits": {name: self.gpu.limits[name] for name in PORTABLE_LIMITS},
         }
 
-    def resident(self, label: str, array: np.ndarray) -> Resident:
+    def resident(self, label: str, array: np.ndarray, use: Use = Use.DATA) -> Resident:
         """Upload an array that stays on the device until ``.destroy()``."""
         with self.telling_of_loss():
-            result = Resident(self, label, array.shape, array.dtype)
+            result = Resident(self, label, array.shape, array.dtype, use)
             self.write(result, array)
         return result
 
@@ -274,11 +299,21 @@ class Device:
         """Replace the content of a resident array."""
         data = resident.checked(array)
         if data.nbytes:
-            self.gpu.queue.write_buffer(resident.buffer, 0, data)
+            self.fill(resident.buffer, data)
             self._on_the_way += data.nbytes
         if self._on_the_way > ON_THE_WAY_BYTES:
             self.wait()
             self._on_the_way = 0
+
+    def fill(self, memory: Memory, data: np.ndarray) -> None:
+        """Write a contiguous array into a buffer or texture, from its beginning."""
+        if isinstance(memory, wgpu.GPUBuffer):
+            self.gpu.queue.write_buffer(memory, 0, data)
+            return
+        data = data.reshape(-1).view(np.uint8)
+        for origin, in_data, size in texel_rows(data.nbytes):
+            target = {"texture": memory.texture, "origin": origin}
+            self.gpu.queue.write_texture(target, data, in_data, size)
 
     def read(self, resident: Resident) -> np.ndarray:
         """Return a copy of a resident array."""
@@ -288,7 +323,12 @@ class Device:
         with self.telling_of_loss():
             staging = self.pool.acquire("read", result.nbytes, Use.READBACK)
             encoder = self.gpu.create_command_encoder(label="read")
-            encoder.copy_buffer_to_buffer(resident.buffer, 0, staging, 0, result.nbytes)
+            if resident.use is Use.TEXELS:
+                for origin, in_buffer, size in texel_rows(result.nbytes):
+                    source = {"texture": resident.buffer.texture, "origin": origin}
+                    encoder.copy_texture_to_buffer(source, {"buffer": staging, **in_buffer}, size)
+            else:
+                encoder.copy_buffer_to_buffer(resident.buffer, 0, staging, 0, result.nbytes)
             self.gpu.queue.submit([encoder.finish()])
             self.fetch(staging, result)
             self.pool.release(staging)
@@ -318,6 +358,27 @@ class Device:
                 label="ticks", type="timestamp", count=MAX_TICKS
             )
         return self._ticks
+
+
+Triple = tuple[int, int, int]
+
+
+def texel_rows(nbytes: int) -> list[tuple[Triple, dict[str, int], Triple]]:
+    """Return the rectangles of a texture that so many bytes fill: whole rows, part of a last one.
+
+    Of each its origin and its size in texels, and between them where its bytes lie.
+    """
+    rows, rest = divmod(nbytes, TEXEL_ROW_BYTES)
+    parts = (0, TEXEL_ROW_BYTES // TEXEL_BYTES, rows), (rows, rest // TEXEL_BYTES, 1)
+    return [
+        (
+            (0, first, 0),
+            {"offset": first * TEXEL_ROW_BYTES, "bytes_per_row": TEXEL_ROW_BYTES},
+            (width, height, 1),
+        )
+        for first, width, height in parts
+        if width and height
+    ]
 
 
 _default: Device | None = None

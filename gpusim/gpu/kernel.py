@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ import wgpu
 from . import wgsl
 from .device import DTYPES, PORTABLE_LIMITS, Array, Device
 from .layout import SCALARS, ShaderError
+from .pool import Use
 from .recording import Recording
 
 
@@ -48,7 +50,7 @@ class Kernel:
     ------
     ShaderError
         No such shader; an unknown override or a value of the wrong type; more workgroup storage,
-        invocations or storage buffers than every adapter has.
+        invocations, storage buffers or textures than every adapter has.
     """
 
     def __init__(self, path: str, **overrides: bool | int | float) -> None:
@@ -79,7 +81,10 @@ class Kernel:
             self.workgroup_size = module.workgroup_size(names)
             self.workgroup_bytes = module.workgroup_bytes(names)
             rules = module.layouts(names)
-            self._types = {one.name: rules.of(one.type) for one in module.bindings}
+            self._types = {
+                one.name: rules.of("array<vec4f>" if one.kind == "texels" else one.type)
+                for one in module.bindings
+            }
         except ShaderError as error:
             raise ShaderError(f"{self.path}: {error}") from error
         self.params = module.params
@@ -91,11 +96,12 @@ class Kernel:
         """Refuse what wgpu lets pass and adapters then get wrong (gfx-rs/wgpu #8946, #7429)."""
         x, y, z = self.workgroup_size
         sides = [PORTABLE_LIMITS[f"max-compute-workgroup-size-{axis}"] for axis in "xyz"]
-        count = sum(one.kind != "uniform" for one in self.module.bindings)
+        kinds = Counter(one.kind for one in self.module.bindings)
         for what, found, limit in (
             ("bytes of workgroup storage", self.workgroup_bytes, 16384),
             ("invocations per workgroup", x * y * z, 256),
-            ("storage buffers", count, 8),
+            ("storage buffers", kinds["storage"] + kinds["read-only-storage"], 8),
+            ("textures", kinds["texels"], 16),
             *zip(
                 ("workgroup width", "workgroup height", "workgroup depth"),
                 (x, y, z),
@@ -157,6 +163,8 @@ class Kernel:
             raise ShaderError(f"buffers missing {sorted(missing)}, unknown {sorted(extra)}")
         for name, array in buffers.items():
             kind = self._types[name]
+            if (array.use is Use.TEXELS) != (self.buffers[name].kind == "texels"):
+                raise ShaderError(f"{name}: {self.buffers[name].kind} is declared, got {array.use}")
             if kind.scalar is not None and DTYPES[array.dtype] != kind.scalar:
                 declared = self.buffers[name].type
                 raise ShaderError(f"{name}: array<{declared}> is declared, got {array}")
@@ -196,7 +204,7 @@ class Kernel:
                 {
                     "binding": one.index,
                     "visibility": wgpu.ShaderStage.COMPUTE,
-                    "buffer": {"type": one.kind, "has_dynamic_offset": one.index == 0},
+                    **_resource(one),
                 }
                 for one in self.module.bindings
             ],
@@ -219,6 +227,13 @@ class Kernel:
         found = re.search(r"wgsl:(\d+):\d+", message)
         shown = self.source.numbered(int(found[1]) if found else None)
         return f"{self.path} does not compile\n{message}\n{shown}"
+
+
+def _resource(binding: wgsl.Binding) -> dict[str, object]:
+    """Return a bind group layout's entry for a binding."""
+    if binding.kind == "texels":
+        return {"texture": {"sample_type": wgpu.TextureSampleType.unfilterable_float}}
+    return {"buffer": {"type": binding.kind, "has_dynamic_offset": binding.index == 0}}
 
 
 def _override(declared: wgsl.Override, value: object) -> bool | int | float:

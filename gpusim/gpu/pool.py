@@ -1,4 +1,4 @@
-"""A pool of GPU buffers in size classes, with a budget and counters."""
+"""A pool of GPU buffers and textures in size classes, with a budget and counters."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from gpusim.errors import UserError
 MAX_BUFFER_BYTES = 256 << 20
 MAX_BINDING_BYTES = 128 << 20
 MIN_CLASS_BYTES = 256  # WebGPU's alignment of uniform offsets: the smallest useful buffer
+TEXEL_BYTES = 16  # rgba32float
+# As shaders/common/texels has it: 128 MiB are 4096 rows, of 8192 that every adapter has.
+TEXEL_ROW_BYTES = 2048 * TEXEL_BYTES
 
 
 class OutOfMemoryError(UserError):
@@ -22,7 +25,10 @@ class OutOfMemoryError(UserError):
 
 
 class Use(Enum):
-    """What a buffer is for; buffers of different uses are never exchanged."""
+    """What memory is for; that of different uses is never exchanged.
+
+    TEXELS is a texture, of which shaders only read: see shaders/common/texels.
+    """
 
     DATA = (
         wgpu.BufferUsage.STORAGE
@@ -32,14 +38,22 @@ class Use(Enum):
     )
     READBACK = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
     TICKS = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
+    TEXELS = (
+        wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_SRC | wgpu.TextureUsage.COPY_DST
+    )
 
 
-def size_class(nbytes: int) -> int:
+# Of a texture, its view: that is what a shader is given; `texture` is what is copied to.
+Memory = wgpu.GPUBuffer | wgpu.GPUTextureView
+
+
+def size_class(nbytes: int, use: Use = Use.DATA) -> int:
     """Return the smallest 2^n or 1.5 * 2^n bytes that holds ``nbytes``.
 
     At most a third of a buffer is unused, a sixth on average, and a few classes serve all tiles.
+    Textures have whole rows.
     """
-    power = MIN_CLASS_BYTES
+    power = 2 * TEXEL_ROW_BYTES if use is Use.TEXELS else MIN_CLASS_BYTES
     while power < nbytes:
         if power * 3 // 2 >= nbytes:
             return power * 3 // 2
@@ -53,7 +67,7 @@ def mebibytes(nbytes: float) -> str:
 
 
 class Pool:
-    """Hands out GPU buffers and keeps the returned ones for reuse.
+    """Hands out GPU buffers and textures, and keeps the returned ones for reuse.
 
     Parameters
     ----------
@@ -71,12 +85,15 @@ class Pool:
 
     def __init__(self, device: wgpu.GPUDevice, budget: int) -> None:
         self._device = device
-        self._free: defaultdict[tuple[int, Use], list[wgpu.GPUBuffer]] = defaultdict(list)
+        self._free: defaultdict[tuple[int, Use], list[Memory]] = defaultdict(list)
+        self._lent: dict[Memory, tuple[int, Use]] = {}
         self.budget = budget
         self.in_use = self.idle = self.peak = self.hits = self.misses = 0
 
-    def acquire(self, label: str, nbytes: int, use: Use = Use.DATA) -> wgpu.GPUBuffer:
-        """Return a buffer of at least ``nbytes``; what it holds is undefined.
+    def acquire(self, label: str, nbytes: int, use: Use = Use.DATA) -> Memory:
+        """Return a buffer, or the view of a texture, of at least ``nbytes``.
+
+        What it holds is undefined.
 
         Raises
         ------
@@ -91,7 +108,7 @@ class Pool:
                 value=mebibytes(nbytes),
                 allowed=f"at most {mebibytes(MAX_BINDING_BYTES)} on any adapter: work in tiles",
             )
-        size = size_class(nbytes)
+        size = size_class(nbytes, use)
         kept = self._free[size, use]
         if kept:
             self.hits += 1
@@ -101,6 +118,7 @@ class Pool:
             self._make_room(label, size)
             self.misses += 1
             buffer = self._create(label, size, use)
+        self._lent[buffer] = size, use
         self.in_use += size
         self.peak = max(self.peak, self.in_use + self.idle)
         return buffer
@@ -117,17 +135,18 @@ class Pool:
         finally:
             self.budget = before
 
-    def release(self, buffer: wgpu.GPUBuffer) -> None:
-        """Take back a buffer; the GPU must have finished with it."""
-        self._free[buffer.size, Use(buffer.usage)].append(buffer)
-        self.in_use -= buffer.size
-        self.idle += buffer.size
+    def release(self, buffer: Memory) -> None:
+        """Take back what was lent; the GPU must have finished with it."""
+        size, use = self._lent.pop(buffer)
+        self._free[size, use].append(buffer)
+        self.in_use -= size
+        self.idle += size
 
     def clear(self) -> None:
         """Destroy the buffers kept for reuse."""
         for buffers in self._free.values():
             for buffer in buffers:
-                buffer.destroy()
+                _destroy(buffer)
         self._free.clear()
         self.idle = 0
 
@@ -136,26 +155,36 @@ class Pool:
 
         New memory is dear: lavapipe takes 3 to 5 s for a GiB that it has not touched before.
         """
-        for _, buffers in sorted(self._free.items(), key=lambda kept: -kept[0][0]):
+        for (size, _), buffers in sorted(self._free.items(), key=lambda kept: -kept[0][0]):
             while buffers and nbytes > 0:
-                buffer = buffers.pop()
-                self.idle -= buffer.size
-                nbytes -= buffer.size
-                buffer.destroy()
+                _destroy(buffers.pop())
+                self.idle -= size
+                nbytes -= size
 
-    def _create(self, label: str, size: int, use: Use) -> wgpu.GPUBuffer:
+    def _create(self, label: str, size: int, use: Use) -> Memory:
         try:
-            return self._device.create_buffer(label=label, size=size, usage=use.value)
+            return self._made(label, size, use)
         except wgpu.GPUOutOfMemoryError:
             self.clear()  # what is kept for reuse may be what is lacking
         try:
-            return self._device.create_buffer(label=label, size=size, usage=use.value)
+            return self._made(label, size, use)
         except wgpu.GPUOutOfMemoryError as error:
             raise OutOfMemoryError(
                 f"The adapter has no memory left for the buffer {label!r}",
                 value=f"{mebibytes(size)} beside {mebibytes(self.in_use)} in use",
                 allowed="a smaller tile or a smaller frame",
             ) from error
+
+    def _made(self, label: str, size: int, use: Use) -> Memory:
+        if use is not Use.TEXELS:
+            return self._device.create_buffer(label=label, size=size, usage=use.value)
+        texture = self._device.create_texture(
+            label=label,
+            size=(TEXEL_ROW_BYTES // TEXEL_BYTES, size // TEXEL_ROW_BYTES, 1),
+            format=wgpu.TextureFormat.rgba32float,
+            usage=use.value,
+        )
+        return texture.create_view(label=label)
 
     def _make_room(self, label: str, size: int) -> None:
         self._drop(self.in_use + self.idle + size - self.budget)
@@ -166,3 +195,7 @@ class Pool:
                 value=f"{mebibytes(self.budget)}, {mebibytes(self.in_use)} of it in use",
                 allowed=f"at least {mebibytes(self.in_use + size)}",
             )
+
+
+def _destroy(memory: Memory) -> None:
+    (memory.texture if isinstance(memory, wgpu.GPUTextureView) else memory).destroy()

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import wgpu
 
-from .device import MAX_TICKS, Array, Device, Resident
+from .device import MAX_TICKS, Array, Device, Resident, texel_rows
 from .layout import ShaderError
-from .pool import Use
+from .pool import Memory, Use
 
 if TYPE_CHECKING:
     from .kernel import Kernel
@@ -32,6 +32,14 @@ class Upload:
 
     target: Array
     array: np.ndarray
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Copy a buffer into a texture of as many bytes."""
+
+    source: Array
+    target: Array
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,7 @@ class Dispatch:
     buffers: Mapping[str, Array]
 
 
-Command = Upload | Clear | Download | Dispatch
+Command = Upload | Copy | Clear | Download | Dispatch
 
 
 @dataclass
@@ -102,7 +110,13 @@ class Recording:
         self._offsets: dict[bytes, int] = {}
         self._downloads: set[str] = set()
 
-    def buffer(self, label: str, shape: tuple[int, ...] | int, dtype: np.dtype | type) -> Proxy:
+    def buffer(
+        self,
+        label: str,
+        shape: tuple[int, ...] | int,
+        dtype: np.dtype | type,
+        use: Use = Use.DATA,
+    ) -> Proxy:
         """Declare a transient array; its content is undefined until something writes it.
 
         Raises
@@ -112,7 +126,7 @@ class Recording:
         """
         if label in self._proxies:
             raise ShaderError(f"this recording already has a buffer {label!r}")
-        proxy = self._proxies[label] = Proxy(label, shape, dtype)
+        proxy = self._proxies[label] = Proxy(label, shape, dtype, use)
         return proxy
 
     def upload(self, target: Array, array: np.ndarray) -> None:
@@ -121,13 +135,34 @@ class Recording:
         self._check((), (target,))
         self._segments[-1].append(command)
 
+    def copy(self, source: Array, target: Array) -> None:
+        """Copy a buffer into texels of as many bytes.
+
+        Raises
+        ------
+        ShaderError
+            Of other uses, or of another size.
+        """
+        uses = (source.use, target.use)
+        if uses != (Use.DATA, Use.TEXELS) or source.nbytes != target.nbytes:
+            raise ShaderError(f"{source} cannot be copied into {target}")
+        self._check((source,), (target,))
+        self._segments[-1].append(Copy(source, target))
+
     def clear(self, target: Array) -> None:
-        """Fill a buffer with zeros."""
+        """Fill a buffer with zeros; texels are not cleared."""
+        if target.use is Use.TEXELS:
+            raise ShaderError(f"{target} is filled by upload and copy alone")
         self._check((), (target,))
         self._segments[-1].append(Clear(target))
 
     def download(self, source: Array) -> str:
-        """Copy a buffer to the host; return its label, the key in the result."""
+        """Copy a buffer to the host; return its label, the key in the result.
+
+        Texels are not downloaded.
+        """
+        if source.use is Use.TEXELS:
+            raise ShaderError(f"{source} is what a buffer was copied into: download that")
         if source.label in self._downloads:
             raise ShaderError(f"buffer {source.label!r} is downloaded twice")
         self._check((source,), ())
@@ -214,8 +249,8 @@ class _Run:
         self.times_s: defaultdict[str, float] = defaultdict(float)
         self.clock = "gpu" if device.timestamps else "wall"
         self._device = device
-        self._held: list[wgpu.GPUBuffer] = []
-        self._memory: dict[str, wgpu.GPUBuffer] = {}
+        self._held: list[Memory] = []
+        self._memory: dict[str, Memory] = {}
         self._groups: dict[tuple[int, ...], wgpu.GPUBindGroup] = {}
         self._encoder: wgpu.GPUCommandEncoder | None = None
         self._pass: wgpu.GPUComputePassEncoder | None = None
@@ -226,12 +261,12 @@ class _Run:
         """Take memory for the transient arrays and the params from the pool."""
         for label, proxy in proxies.items():
             if proxy.nbytes:
-                self._memory[label] = self._acquire(label, proxy.nbytes)
+                self._memory[label] = self._acquire(label, proxy.nbytes, proxy.use)
         if params:
             self._uniform = self._acquire("params", len(params))
             self._device.gpu.queue.write_buffer(self._uniform, 0, params)
 
-    def _acquire(self, label: str, nbytes: int, use: Use = Use.DATA) -> wgpu.GPUBuffer:
+    def _acquire(self, label: str, nbytes: int, use: Use = Use.DATA) -> Memory:
         buffer = self._device.pool.acquire(label, nbytes, use)
         self._held.append(buffer)
         return buffer
@@ -259,11 +294,19 @@ class _Run:
                             self._buffer(source), 0, staging, 0, source.nbytes
                         )
                         fetches.append((staging, self.arrays[source.label]))
+                case Copy(source, target):
+                    buffer, texture = self._buffer(source), self._buffer(target).texture
+                    for origin, in_buffer, size in texel_rows(source.nbytes):
+                        self._copying().copy_buffer_to_texture(
+                            {"buffer": buffer, **in_buffer},
+                            {"texture": texture, "origin": origin},
+                            size,
+                        )
                 case Clear(target) if target.nbytes:
                     self._copying().clear_buffer(self._buffer(target), 0, target.nbytes)
                 case Upload(target, array) if target.nbytes:
                     self._submit()  # a queue write comes before whatever is submitted after it
-                    self._device.gpu.queue.write_buffer(self._buffer(target), 0, array)
+                    self._device.fill(self._buffer(target), array)
         self._submit()
         self._device.wait()
         self._account(time.perf_counter() - started)
@@ -271,7 +314,7 @@ class _Run:
             self._device.fetch(staging, array)
         self.release(held)
 
-    def _buffer(self, array: Array) -> wgpu.GPUBuffer:
+    def _buffer(self, array: Array) -> Memory:
         return array.buffer if isinstance(array, Resident) else self._memory[array.label]
 
     def _open(self) -> wgpu.GPUCommandEncoder:
@@ -293,15 +336,14 @@ class _Run:
         key = (id(compiled), *map(id, memory))
         if key not in self._groups:
             sizes = [command.buffers[name].nbytes for name in kernel.buffers]
-            entries = [(0, self._uniform, kernel.params.size)]
             indices = [one.index for one in kernel.buffers.values()]
-            entries += zip(indices, memory, sizes, strict=True)
+            bound = [(0, self._uniform, kernel.params.size)]
+            bound += zip(indices, memory, sizes, strict=True)
             self._groups[key] = self._device.gpu.create_bind_group(
                 label=kernel.path,
                 layout=compiled.layout,
                 entries=[
-                    {"binding": index, "resource": {"buffer": buffer, "offset": 0, "size": size}}
-                    for index, buffer, size in entries
+                    {"binding": index, "resource": _bound(one, size)} for index, one, size in bound
                 ],
             )
         self._pass.set_pipeline(compiled.pipeline)
@@ -373,6 +415,13 @@ class _Run:
             spans = [(stage, elapsed_s / len(spans)) for stage, _ in spans]
         for stage, span in spans:
             self.times_s[stage] += span
+
+
+def _bound(memory: Memory, nbytes: int) -> Memory | dict[str, object]:
+    """Return a bind group's resource: the first bytes of a buffer, or a whole texture."""
+    if isinstance(memory, wgpu.GPUTextureView):
+        return memory
+    return {"buffer": memory, "offset": 0, "size": nbytes}
 
 
 def spans_s(ticks: np.ndarray, tick_s: float) -> list[float]:

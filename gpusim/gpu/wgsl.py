@@ -123,11 +123,11 @@ def compose(name: str, text: str) -> Source:
 
 @dataclass(frozen=True)
 class Binding:
-    """One ``@group(0) @binding(index)`` buffer: ``kind`` as wgpu names it."""
+    """One ``@group(0) @binding(index)`` buffer, or texture read as one."""
 
     index: int
     name: str
-    kind: str  # "uniform", "read-only-storage" or "storage"
+    kind: str  # "uniform", "read-only-storage", "storage" as wgpu names them, or "texels"
     type: str
 
 
@@ -205,6 +205,7 @@ _WORKGROUP_VAR = re.compile(r"\bvar\s*<\s*workgroup\s*>\s*(\w+)\s*:\s*([^;]+);")
 _ALIAS = re.compile(r"\balias\s+(\w+)\s*=\s*([^;]+);")
 _STRUCT = re.compile(r"\bstruct\s+(\w+)\s*\{([^}]*)\}")
 _ENTRY = re.compile(r"((?:@\w+\s*(?:\([^)]*\))?\s*)+)fn\s+main\s*\(")
+TEXELS = "texture_2d<f32>"  # the one type of texture: see shaders/common/texels
 _KINDS = {
     ("uniform", None): "uniform",
     ("storage", None): "read-only-storage",
@@ -220,8 +221,8 @@ def reflect(text: str) -> Module:
     Raises
     ------
     ShaderError
-        A declaration outside the rules of this project: another bind group, a binding that is no
-        buffer, ``params`` missing or not at binding 0, no ``main``.
+        A declaration outside the rules of this project: another bind group, a binding that is
+        neither a buffer nor texels, ``params`` missing or not at binding 0, no ``main``.
     """
     flat = _module_scope(strip_comments(text))
     bindings = []
@@ -229,8 +230,12 @@ def reflect(text: str) -> Module:
         if int(group) != 0:
             raise ShaderError(f"binding {name!r} is in group {group}: only group 0 is used")
         usage = _KINDS.get((space, access or None))
+        if (space, kind.strip()) == ("", TEXELS):
+            usage = "texels"
         if usage is None:
-            raise ShaderError(f"binding {name!r}: var<{space}{', ' * bool(access)}{access}>")
+            raise ShaderError(
+                f"binding {name!r}: var<{space}{', ' * bool(access)}{access}> {name}: {kind}"
+            )
         bindings.append(Binding(int(index), name, usage, kind.strip()))
     bindings.sort(key=lambda binding: binding.index)
     if len(bindings) != len(re.findall(r"@binding\b", flat)):

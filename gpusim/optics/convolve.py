@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Array, Device, Kernel, Recording, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import kernel_spectra
@@ -93,6 +93,8 @@ class Transforms:
         Four PSF nodes, or one or two lines of modes: see shaders/optics/columns.
     """
 
+    use = Use.TEXELS  # of kernels, of which there are most numbers to load
+
     def __init__(self, device: Device, scale: Scale, outputs: Outputs, nodes: int) -> None:
         self.grid = grid = scale.grid
         lattice = {"T": grid.length, "D": grid.stride, "M": grid.window}
@@ -157,7 +159,7 @@ class Transforms:
         )
 
 
-class Convolve(NodeStore, Transforms):
+class Convolve(Transforms, NodeStore):
     """Channel kernels of one scale, and the passes that use them: see `KernelStore`.
 
     Parameters

@@ -225,7 +225,7 @@ def modes_work(
     )
 
 
-class Modes(KernelStore, Transforms):
+class Modes(Transforms, KernelStore):
     """Modes of one scale, and the passes that use them: see `KernelStore`.
 
     All blocks use all modes: they come onto the device together, even lines and odd lines apart.
@@ -285,7 +285,7 @@ class Modes(KernelStore, Transforms):
         return min(self.lines, 2) * self._bytes(self.lines)
 
     def _bytes(self, lines: int) -> int:
-        return size_class(-(-lines // 2) * spectra_bytes(self.grid, self.outputs))
+        return size_class(-(-lines // 2) * spectra_bytes(self.grid, self.outputs), self.use)
 
     def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
         """Yield even or odd lines with their spectra, the last line of zeros if one lacks."""

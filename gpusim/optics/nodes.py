@@ -12,7 +12,7 @@ from itertools import groupby, product
 
 import numpy as np
 
-from gpusim.gpu import Device, Resident
+from gpusim.gpu import Device, Resident, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, node_kernels, sampled_kernels
@@ -116,7 +116,11 @@ class KernelStore:
         Kernels on the device by node, the last used last.
     made : int
         Kernels of how many nodes were made so far.
+    use : Use
+        As what the shaders read kernels.
     """
+
+    use = Use.DATA
 
     def __init__(self, device: Device) -> None:
         self.device = device
@@ -150,7 +154,7 @@ class KernelStore:
     @property
     def held_bytes(self) -> int:
         """Device memory that kernels take now."""
-        return sum(size_class(kernels.nbytes) for kernels in self.nodes.values())
+        return sum(size_class(kernels.nbytes, self.use) for kernels in self.nodes.values())
 
     def load(
         self,
@@ -169,7 +173,7 @@ class KernelStore:
         wanted = sorted(self.nodes_of(blocks), key=lambda node: node[::-1])
         for node, kernels in self.make([node for node in wanted if node not in self.nodes]):
             label = f"node {node[0]},{node[1]}"
-            self.nodes[node] = self.device.resident(label, kernels.view(np.float32))
+            self.nodes[node] = self.device.resident(label, kernels.view(np.float32), self.use)
             self.made += 1
             if progress is not None:
                 progress()
@@ -228,11 +232,11 @@ class NodeStore(KernelStore):
 
     def node_bytes(self, node: Node) -> int:
         """Return the device memory that the kernels of a node take."""
-        return size_class(self.grid.planes_at(node, self.needed) * self.plane_bytes)
+        return size_class(self.grid.planes_at(node, self.needed) * self.plane_bytes, self.use)
 
     def block_bytes(self, planes: int) -> int:
         """Return the device memory that the kernels of one block of so many planes take."""
-        return 4 * size_class(planes * self.plane_bytes)
+        return 4 * size_class(planes * self.plane_bytes, self.use)
 
     def make(self, nodes: list[Node]) -> Iterator[tuple[Node, np.ndarray]]:
         """Yield nodes, given row by row, with their kernels as the shaders read them."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu import Device, Kernel, Recording, Use
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import RadialMap
@@ -200,7 +200,8 @@ def _host(device: Device) -> dict[str | int, float]:
         sampled = list(pool.map(sample, range(NODES)))
         times.append(time.perf_counter())
         nodes = [
-            device.resident("node", one.view(np.float32)) for one in pool.map(spectra, sampled)
+            device.resident("node", one.view(np.float32), Use.TEXELS)
+            for one in pool.map(spectra, sampled)
         ]
         device.wait()
         times.append(time.perf_counter())
@@ -316,7 +317,9 @@ def _convolved(device: Device, length: int, channels: int, planes: int) -> dict[
     convolution = Convolve(device, _scale(grid, channels), {}, 1.0, sites)
     size = planes * length // 2 * length * channels * 2
     for node in np.ndindex(grid.nodes):
-        convolution.nodes[node] = device.resident("node", np.zeros(size, np.float32))
+        convolution.nodes[node] = device.resident(
+            "node", np.zeros(size, np.float32), convolution.use
+        )
     return _blocks_time(device, convolution, planes)
 
 

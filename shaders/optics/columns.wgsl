@@ -20,6 +20,7 @@
 // Dispatch: (T/16, 1, 1) workgroups of 8 invocations; of more than four channels once for each four of them, from `first`
 // on. Then each site has a kernel of its own, and a dispatch makes the sites of its kernels.
 #include "sixteen"
+#include "texels"
 
 override T: u32 = 512u;           // transform length, samples
 override E: u32 = 2u;             // T/256: 1, 2 or 4
@@ -43,10 +44,10 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> twiddle: array<vec2f>;
 @group(0) @binding(2) var<storage, read> spectra: array<vec2f>;
-@group(0) @binding(3) var<storage, read> kernels_00: array<vec4f>;  // left, upper node
-@group(0) @binding(4) var<storage, read> kernels_10: array<vec4f>;  // right, upper
-@group(0) @binding(5) var<storage, read> kernels_01: array<vec4f>;  // left, lower
-@group(0) @binding(6) var<storage, read> kernels_11: array<vec4f>;  // right, lower
+@group(0) @binding(3) var kernels_00: texture_2d<f32>;  // left, upper node
+@group(0) @binding(4) var kernels_10: texture_2d<f32>;  // right, upper
+@group(0) @binding(5) var kernels_01: texture_2d<f32>;  // left, lower
+@group(0) @binding(6) var kernels_11: texture_2d<f32>;  // right, lower
 @group(0) @binding(7) var<storage, read_write> lines: array<vec4f>;   // [kx/8, slot, kx%8]
 @group(0) @binding(8) var<storage, read_write> folded: array<vec4f>;
 
@@ -132,29 +133,29 @@ fn right_upper(i: u32) -> vec4f {
     if (NODES == 1u) {
         return vec4f(0.0);
     }
-    return kernels_10[i];
+    return texel(kernels_10, i);
 }
 
 fn add_upper(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
-    add(sum, x, 0u, kernels_00[i + 0u * 8u], right_upper(i + 0u * 8u));
-    add(sum, x, 2u, kernels_00[i + 1u * 8u], right_upper(i + 1u * 8u));
-    add(sum, x, 4u, kernels_00[i + 2u * 8u], right_upper(i + 2u * 8u));
-    add(sum, x, 6u, kernels_00[i + 3u * 8u], right_upper(i + 3u * 8u));
-    add(sum, x, 8u, kernels_00[i + 4u * 8u], right_upper(i + 4u * 8u));
-    add(sum, x, 10u, kernels_00[i + 5u * 8u], right_upper(i + 5u * 8u));
-    add(sum, x, 12u, kernels_00[i + 6u * 8u], right_upper(i + 6u * 8u));
-    add(sum, x, 14u, kernels_00[i + 7u * 8u], right_upper(i + 7u * 8u));
+    add(sum, x, 0u, texel(kernels_00, i + 0u * 8u), right_upper(i + 0u * 8u));
+    add(sum, x, 2u, texel(kernels_00, i + 1u * 8u), right_upper(i + 1u * 8u));
+    add(sum, x, 4u, texel(kernels_00, i + 2u * 8u), right_upper(i + 2u * 8u));
+    add(sum, x, 6u, texel(kernels_00, i + 3u * 8u), right_upper(i + 3u * 8u));
+    add(sum, x, 8u, texel(kernels_00, i + 4u * 8u), right_upper(i + 4u * 8u));
+    add(sum, x, 10u, texel(kernels_00, i + 5u * 8u), right_upper(i + 5u * 8u));
+    add(sum, x, 12u, texel(kernels_00, i + 6u * 8u), right_upper(i + 6u * 8u));
+    add(sum, x, 14u, texel(kernels_00, i + 7u * 8u), right_upper(i + 7u * 8u));
 }
 
 fn add_lower(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
-    add(sum, x, 0u, kernels_01[i + 0u * 8u], kernels_11[i + 0u * 8u]);
-    add(sum, x, 2u, kernels_01[i + 1u * 8u], kernels_11[i + 1u * 8u]);
-    add(sum, x, 4u, kernels_01[i + 2u * 8u], kernels_11[i + 2u * 8u]);
-    add(sum, x, 6u, kernels_01[i + 3u * 8u], kernels_11[i + 3u * 8u]);
-    add(sum, x, 8u, kernels_01[i + 4u * 8u], kernels_11[i + 4u * 8u]);
-    add(sum, x, 10u, kernels_01[i + 5u * 8u], kernels_11[i + 5u * 8u]);
-    add(sum, x, 12u, kernels_01[i + 6u * 8u], kernels_11[i + 6u * 8u]);
-    add(sum, x, 14u, kernels_01[i + 7u * 8u], kernels_11[i + 7u * 8u]);
+    add(sum, x, 0u, texel(kernels_01, i + 0u * 8u), texel(kernels_11, i + 0u * 8u));
+    add(sum, x, 2u, texel(kernels_01, i + 1u * 8u), texel(kernels_11, i + 1u * 8u));
+    add(sum, x, 4u, texel(kernels_01, i + 2u * 8u), texel(kernels_11, i + 2u * 8u));
+    add(sum, x, 6u, texel(kernels_01, i + 3u * 8u), texel(kernels_11, i + 3u * 8u));
+    add(sum, x, 8u, texel(kernels_01, i + 4u * 8u), texel(kernels_11, i + 4u * 8u));
+    add(sum, x, 10u, texel(kernels_01, i + 5u * 8u), texel(kernels_11, i + 5u * 8u));
+    add(sum, x, 12u, texel(kernels_01, i + 6u * 8u), texel(kernels_11, i + 6u * 8u));
+    add(sum, x, 14u, texel(kernels_01, i + 7u * 8u), texel(kernels_11, i + 7u * 8u));
 }
 
 // Two channels side by side.

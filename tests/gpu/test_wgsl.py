@@ -132,7 +132,7 @@ def test_reflection_reads_the_declarations():
     ("old", "new", "problem"),
     [
         ("@group(0) @binding(1)", "@group(1) @binding(1)", "group 1"),
-        ("var<storage, read_write> out: array<f32>", "var out: texture_2d<f32>", "binding 'out'"),
+        ("var<storage, read_write> out: array<f32>", "var out: texture_2d<u32>", "binding 'out'"),
         ("@group(0) @binding(1)", "@binding(1) @group(0)", "could not be read"),
         ("@binding(1)", "@binding(0)", "used twice"),
         ("params: Params", "settings: Params", "binding 0 must be"),

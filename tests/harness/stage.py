@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gpusim.gpu import Kernel, Recording, default_device
+from gpusim.gpu import Kernel, Recording, Use, default_device
 
 # What outputs hold before a shader runs: "not written" then differs from zero. The payload of the
 # NaN is ours, so that a NaN that a shader computes is not taken for it.
@@ -77,7 +77,8 @@ def run_stage(
     buffers = {}
     for name, array in start.items():
         data = np.concatenate([array.reshape(-1), filled(MARGIN, array.dtype)])
-        buffers[name] = rec.buffer(name, data.shape, data.dtype)
+        use = Use.TEXELS if kernel.buffers[name].kind == "texels" else Use.DATA
+        buffers[name] = rec.buffer(name, data.shape, data.dtype, use)
         rec.upload(buffers[name], data)
     kernel.record(rec, groups, params, **buffers)
     for name in outputs:
