@@ -11,7 +11,7 @@ import numpy as np
 import scipy.fft
 
 from gpusim.errors import UserError
-from gpusim.gpu import Device, Kernel, Recording, default_device
+from gpusim.gpu import Array, Device, Kernel, Recording, Use, default_device
 
 LENGTH = 160  # of the transforms of shaders/common/line_160
 HALF = LENGTH // 2 + 1
@@ -88,18 +88,29 @@ class Blur:
         )
         self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows)
         self.psfs = [
-            self.device.resident(f"psfs {channel}", self._transformed(psfs[:, :, channel]))
+            self.device.resident(
+                f"psfs {channel}", self._transformed(psfs[:, :, channel]), Use.TEXELS
+            )
             for channel in range(self.channels)
         ]
 
     def _transformed(self, psfs: np.ndarray) -> np.ndarray:
-        """Return PSFs (GY, GX, 81, ROWS) transformed along x, complex64 as pairs of float32."""
+        """Return PSFs (GY, GX, ROWS/2, 81, 2) transformed along x, as float32 (..., 2)."""
         size = psfs.shape[-1]
         first = self.margin - size // 2
         placed = np.zeros((*psfs.shape[:2], self.rows, LENGTH))
         placed[..., first : first + size, first : first + size] = psfs
-        lines = scipy.fft.rfft(placed, workers=2).swapaxes(-1, -2) / LENGTH**2
-        return np.ascontiguousarray(lines, np.complex64).reshape(-1).view(np.float32)
+        lines = scipy.fft.rfft(placed, workers=2) / LENGTH**2
+        pairs = lines.reshape(*psfs.shape[:2], self.rows // 2, 2, HALF).swapaxes(-1, -2)
+        return np.ascontiguousarray(pairs, np.complex64).view(np.float32)
+
+    @staticmethod
+    def _to_texels(rec: Recording, label: str, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """Declare what one step writes, and the texels that the next one reads."""
+        return (
+            rec.buffer(label, shape, np.float32),
+            rec.buffer(f"{label} texels", shape, np.float32, Use.TEXELS),
+        )
 
     def release(self) -> None:
         """Give the device's memory back."""
@@ -132,17 +143,16 @@ class Blur:
         _check("image", "NaN or infinity", bool(finite), "finite numbers")
         down, across = self.blocks
         count = down * across
-        # Windows reach beyond the last block.
-        frame = (down * self.side + LENGTH, across * self.side + LENGTH)
         covered = (down * self.side, across * self.side)
+        frame = tuple(side + LENGTH - self.side for side in covered)  # windows overlap
         missing = [(0, side - given) for side, given in zip(covered, self.shape, strict=True)]
         padded = np.pad(image, [(0, 0), *missing]) if covered != self.shape else image
-        blocks = {"across": across, "per_cell": self.per_cell}
         rec = Recording(self.device)
-        source = rec.buffer("source", covered, np.float32)
-        spectra = rec.buffer("spectra", (count, self.side, HALF, 4), np.float32)
-        columns = rec.buffer("columns", (count, HALF, LENGTH, 2), np.float32)
+        source = rec.buffer("source", covered, np.float32, Use.TEXELS)
+        spectra, rows = self._to_texels(rec, "spectra", (count, 2, self.side // 2, HALF, 2, 2))
+        columns, mixed = self._to_texels(rec, "columns", (across, frame[0] // 2, HALF, 2, 2))
         blurred = rec.buffer("blurred", (self.channels, *frame), np.float32)
+        blocks = {"across": across, "per_cell": self.per_cell}
         for channel, transformed in enumerate(self.psfs):
             rec.upload(source, padded[channel])
             lines = count * self.side
@@ -153,31 +163,25 @@ class Blur:
                 image=source,
                 spectra=spectra,
             )
-            lines = count * HALF
+            rec.copy(spectra, rows)
+            lines = across * HALF
             self.mix.record(
                 rec,
                 self.mix.cover(lines),
-                {"lines": lines, "cells": across // self.per_cell, "per_cell": self.per_cell},
-                spectra=spectra,
+                {"lines": lines, "down": down, **blocks},
+                spectra=rows,
                 psfs=transformed,
                 columns=columns,
             )
-            for parity in (0, 1):
-                lines = (down - parity + 1) // 2 * LENGTH // 2
-                self.gather.record(
-                    rec,
-                    self.gather.cover(lines),
-                    {
-                        "lines": lines,
-                        "across": across,
-                        "down": down,
-                        "stride": frame[1] // 4,
-                        "parity": parity,
-                        "first": channel * (frame[0] * frame[1] // 4),
-                    },
-                    columns=columns,
-                    image=blurred,
-                )
+            rec.copy(columns, mixed)
+            lines = frame[0] // 2
+            self.gather.record(
+                rec,
+                self.gather.cover(lines),
+                {"lines": lines, "across": across, "first": channel * (frame[0] * frame[1] // 4)},
+                columns=mixed,
+                image=blurred,
+            )
         label = rec.download(blurred)
         result = rec.run()[label]
         rows, cols = (slice(self.margin, self.margin + side) for side in self.shape)

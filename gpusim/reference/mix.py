@@ -1,4 +1,7 @@
-"""Columns of the blocks of an image, convolved with the PSFs of four nodes, by the definition."""
+"""Columns of the blocks of an image, convolved with the PSFs of four nodes, by the definition.
+
+Windows of blocks below one another overlap, and are added.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 def mix(
     spectra: np.ndarray, psfs: np.ndarray, across: int, per_cell: int, length: int
 ) -> np.ndarray:
-    """Convolve every column of the blocks' row spectra.
+    """Convolve every column of the blocks' row spectra, and add the windows downwards.
 
     Parameters
     ----------
@@ -25,15 +28,17 @@ def mix(
 
     Returns
     -------
-    ndarray (blocks, T/2 + 1, T), complex128
-        [kx, y]: for a unit image the sum over kx of both signs of exp(2 pi i kx x / T) is the blur.
+    ndarray (across, T/2 + 1, rows), complex128
+        [kx, y], rows from the first window's first to the last one's last: the sum over kx of both
+        signs of exp(2 pi i kx x / T) is the blur.
     """
     side = spectra.shape[1]
     k = np.arange(length)
     basis = np.exp(-2j * np.pi * np.outer(k, k) / length)
     half = length // 2 + 1
     responses = np.einsum("ky,ijyx,qx->ijqk", basis, psfs, basis[:half], optimize=True)
-    out = np.zeros((len(spectra), half, length), complex)
+    down = len(spectra) // across
+    out = np.zeros((across, half, (down - 1) * side + length), complex)
     for block, lines in enumerate(spectra):
         row, column = divmod(block, across)
         y = np.arange(side)
@@ -42,5 +47,6 @@ def mix(
             for right in (0, 1):
                 columns = np.einsum("y,yq,ky->qk", weight, lines[..., right], basis[:, :side])
                 node = responses[row // per_cell + below, column // per_cell + right]
-                out[block] += (columns * node) @ basis.conj() / length**2
+                window = out[column, :, row * side : row * side + length]
+                window += (columns * node) @ basis.conj() / length**2
     return out

@@ -1,12 +1,13 @@
 // First of three steps that blur an image with a space-variant PSF: forward transform of every row of every block.
-//
 // The image is cut into square blocks of SIDE samples, `per_cell` along a cell between PSF nodes. With s the position between
 // the left and the right node (0..1), the real rows a (1 - s) and a s share one complex transform of 160 samples:
 //   Z[k] = sum_x a[y, x] ((1 - s(x)) + i s(x)) exp(-2 pi i k x / 160)
 //   A_0 = (Z[k] + conj Z[160-k]) / 2,  A_1 = (Z[k] - conj Z[160-k]) / 2i
-// image (rows, 4 stride) in its own unit, SIDE rows and columns for each block or more -> spectra (blocks, SIDE, 81, 2), same unit.
+// image (rows, 4 stride) in its own unit, SIDE rows and columns for each block or more -> spectra (blocks, 2, SIDE/2, 81, 2),
+// same unit: [block, side, y/2, kx, y%2].
 // Dispatch: ceil(lines / 64) workgroups of 64 invocations, one row of one block each; block = across * row + column.
 #include "line_160"
+#include "texels"
 
 override SIDE: u32 = 128u;  // of a block, samples; a multiple of 4, from 80 to 160
 
@@ -18,14 +19,14 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> image: array<vec4f>;
-@group(0) @binding(2) var<storage, read_write> spectra: array<vec4f>;
+@group(0) @binding(1) var image: texture_2d<f32>;
+@group(0) @binding(2) var<storage, read_write> spectra: array<vec2f>;
 
 // Samples x .. x + 3, weighted for the left and the right node; `step` from sample to sample.
 fn load(v: ptr<function, Line>, x: u32, at: u32, s: f32, step: f32) {
     var a = vec4f(0.0);
     if (x < SIDE) {
-        a = image[at + x / 4u];
+        a = texel(image, at + x / 4u);
     }
     let right = s + (vec4f(0.5, 1.5, 2.5, 3.5) + f32(x)) * step;
     (*v)[x] = a.x * vec2f(1.0 - right.x, right.x);
@@ -38,7 +39,8 @@ fn load(v: ptr<function, Line>, x: u32, at: u32, s: f32, step: f32) {
 fn store(v: ptr<function, Line>, i: u32, j: u32, at: u32) {
     let z = 0.5 * (*v)[i];
     let mirror = 0.5 * conj((*v)[j]);
-    spectra[at] = vec4f(z + mirror, -times_i(z - mirror));
+    spectra[at] = z + mirror;
+    spectra[at + SIDE * 81u] = -times_i(z - mirror);
 }
 
 @compute @workgroup_size(64, 1, 1)
@@ -59,53 +61,37 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     load(&v, 48u, at, s, step); load(&v, 52u, at, s, step); load(&v, 56u, at, s, step); load(&v, 60u, at, s, step);
     load(&v, 64u, at, s, step); load(&v, 68u, at, s, step); load(&v, 72u, at, s, step); load(&v, 76u, at, s, step);
     load(&v, 80u, at, s, step); load(&v, 84u, at, s, step); load(&v, 88u, at, s, step); load(&v, 92u, at, s, step);
-    load(&v, 96u, at, s, step); load(&v, 100u, at, s, step); load(&v, 104u, at, s, step);
-    load(&v, 108u, at, s, step); load(&v, 112u, at, s, step); load(&v, 116u, at, s, step);
-    load(&v, 120u, at, s, step); load(&v, 124u, at, s, step); load(&v, 128u, at, s, step);
-    load(&v, 132u, at, s, step); load(&v, 136u, at, s, step); load(&v, 140u, at, s, step);
-    load(&v, 144u, at, s, step); load(&v, 148u, at, s, step); load(&v, 152u, at, s, step);
-    load(&v, 156u, at, s, step);
+    load(&v, 96u, at, s, step); load(&v, 100u, at, s, step); load(&v, 104u, at, s, step); load(&v, 108u, at, s, step);
+    load(&v, 112u, at, s, step); load(&v, 116u, at, s, step); load(&v, 120u, at, s, step); load(&v, 124u, at, s, step);
+    load(&v, 128u, at, s, step); load(&v, 132u, at, s, step); load(&v, 136u, at, s, step); load(&v, 140u, at, s, step);
+    load(&v, 144u, at, s, step); load(&v, 148u, at, s, step); load(&v, 152u, at, s, step); load(&v, 156u, at, s, step);
     line_160(&v);
-    let line = id.x * 81u;
-    store(&v, 0u, 0u, line + 0u); store(&v, 16u, 159u, line + 1u);
-    store(&v, 32u, 143u, line + 2u); store(&v, 48u, 127u, line + 3u);
-    store(&v, 64u, 111u, line + 4u); store(&v, 80u, 95u, line + 5u);
-    store(&v, 96u, 79u, line + 6u); store(&v, 112u, 63u, line + 7u);
-    store(&v, 128u, 47u, line + 8u); store(&v, 144u, 31u, line + 9u);
-    store(&v, 1u, 15u, line + 10u); store(&v, 17u, 158u, line + 11u);
-    store(&v, 33u, 142u, line + 12u); store(&v, 49u, 126u, line + 13u);
-    store(&v, 65u, 110u, line + 14u); store(&v, 81u, 94u, line + 15u);
-    store(&v, 97u, 78u, line + 16u); store(&v, 113u, 62u, line + 17u);
-    store(&v, 129u, 46u, line + 18u); store(&v, 145u, 30u, line + 19u);
-    store(&v, 2u, 14u, line + 20u); store(&v, 18u, 157u, line + 21u);
-    store(&v, 34u, 141u, line + 22u); store(&v, 50u, 125u, line + 23u);
-    store(&v, 66u, 109u, line + 24u); store(&v, 82u, 93u, line + 25u);
-    store(&v, 98u, 77u, line + 26u); store(&v, 114u, 61u, line + 27u);
-    store(&v, 130u, 45u, line + 28u); store(&v, 146u, 29u, line + 29u);
-    store(&v, 3u, 13u, line + 30u); store(&v, 19u, 156u, line + 31u);
-    store(&v, 35u, 140u, line + 32u); store(&v, 51u, 124u, line + 33u);
-    store(&v, 67u, 108u, line + 34u); store(&v, 83u, 92u, line + 35u);
-    store(&v, 99u, 76u, line + 36u); store(&v, 115u, 60u, line + 37u);
-    store(&v, 131u, 44u, line + 38u); store(&v, 147u, 28u, line + 39u);
-    store(&v, 4u, 12u, line + 40u); store(&v, 20u, 155u, line + 41u);
-    store(&v, 36u, 139u, line + 42u); store(&v, 52u, 123u, line + 43u);
-    store(&v, 68u, 107u, line + 44u); store(&v, 84u, 91u, line + 45u);
-    store(&v, 100u, 75u, line + 46u); store(&v, 116u, 59u, line + 47u);
-    store(&v, 132u, 43u, line + 48u); store(&v, 148u, 27u, line + 49u);
-    store(&v, 5u, 11u, line + 50u); store(&v, 21u, 154u, line + 51u);
-    store(&v, 37u, 138u, line + 52u); store(&v, 53u, 122u, line + 53u);
-    store(&v, 69u, 106u, line + 54u); store(&v, 85u, 90u, line + 55u);
-    store(&v, 101u, 74u, line + 56u); store(&v, 117u, 58u, line + 57u);
-    store(&v, 133u, 42u, line + 58u); store(&v, 149u, 26u, line + 59u);
-    store(&v, 6u, 10u, line + 60u); store(&v, 22u, 153u, line + 61u);
-    store(&v, 38u, 137u, line + 62u); store(&v, 54u, 121u, line + 63u);
-    store(&v, 70u, 105u, line + 64u); store(&v, 86u, 89u, line + 65u);
-    store(&v, 102u, 73u, line + 66u); store(&v, 118u, 57u, line + 67u);
-    store(&v, 134u, 41u, line + 68u); store(&v, 150u, 25u, line + 69u);
-    store(&v, 7u, 9u, line + 70u); store(&v, 23u, 152u, line + 71u);
-    store(&v, 39u, 136u, line + 72u); store(&v, 55u, 120u, line + 73u);
-    store(&v, 71u, 104u, line + 74u); store(&v, 87u, 88u, line + 75u);
-    store(&v, 103u, 72u, line + 76u); store(&v, 119u, 56u, line + 77u);
-    store(&v, 135u, 40u, line + 78u); store(&v, 151u, 24u, line + 79u);
-    store(&v, 8u, 8u, line + 80u);
+    let line = (block * SIDE + y / 2u) * 162u + y % 2u;
+    store(&v, 0u, 0u, line + 0u); store(&v, 16u, 159u, line + 2u); store(&v, 32u, 143u, line + 4u);
+    store(&v, 48u, 127u, line + 6u); store(&v, 64u, 111u, line + 8u); store(&v, 80u, 95u, line + 10u);
+    store(&v, 96u, 79u, line + 12u); store(&v, 112u, 63u, line + 14u); store(&v, 128u, 47u, line + 16u);
+    store(&v, 144u, 31u, line + 18u); store(&v, 1u, 15u, line + 20u); store(&v, 17u, 158u, line + 22u);
+    store(&v, 33u, 142u, line + 24u); store(&v, 49u, 126u, line + 26u); store(&v, 65u, 110u, line + 28u);
+    store(&v, 81u, 94u, line + 30u); store(&v, 97u, 78u, line + 32u); store(&v, 113u, 62u, line + 34u);
+    store(&v, 129u, 46u, line + 36u); store(&v, 145u, 30u, line + 38u); store(&v, 2u, 14u, line + 40u);
+    store(&v, 18u, 157u, line + 42u); store(&v, 34u, 141u, line + 44u); store(&v, 50u, 125u, line + 46u);
+    store(&v, 66u, 109u, line + 48u); store(&v, 82u, 93u, line + 50u); store(&v, 98u, 77u, line + 52u);
+    store(&v, 114u, 61u, line + 54u); store(&v, 130u, 45u, line + 56u); store(&v, 146u, 29u, line + 58u);
+    store(&v, 3u, 13u, line + 60u); store(&v, 19u, 156u, line + 62u); store(&v, 35u, 140u, line + 64u);
+    store(&v, 51u, 124u, line + 66u); store(&v, 67u, 108u, line + 68u); store(&v, 83u, 92u, line + 70u);
+    store(&v, 99u, 76u, line + 72u); store(&v, 115u, 60u, line + 74u); store(&v, 131u, 44u, line + 76u);
+    store(&v, 147u, 28u, line + 78u); store(&v, 4u, 12u, line + 80u); store(&v, 20u, 155u, line + 82u);
+    store(&v, 36u, 139u, line + 84u); store(&v, 52u, 123u, line + 86u); store(&v, 68u, 107u, line + 88u);
+    store(&v, 84u, 91u, line + 90u); store(&v, 100u, 75u, line + 92u); store(&v, 116u, 59u, line + 94u);
+    store(&v, 132u, 43u, line + 96u); store(&v, 148u, 27u, line + 98u); store(&v, 5u, 11u, line + 100u);
+    store(&v, 21u, 154u, line + 102u); store(&v, 37u, 138u, line + 104u); store(&v, 53u, 122u, line + 106u);
+    store(&v, 69u, 106u, line + 108u); store(&v, 85u, 90u, line + 110u); store(&v, 101u, 74u, line + 112u);
+    store(&v, 117u, 58u, line + 114u); store(&v, 133u, 42u, line + 116u); store(&v, 149u, 26u, line + 118u);
+    store(&v, 6u, 10u, line + 120u); store(&v, 22u, 153u, line + 122u); store(&v, 38u, 137u, line + 124u);
+    store(&v, 54u, 121u, line + 126u); store(&v, 70u, 105u, line + 128u); store(&v, 86u, 89u, line + 130u);
+    store(&v, 102u, 73u, line + 132u); store(&v, 118u, 57u, line + 134u); store(&v, 134u, 41u, line + 136u);
+    store(&v, 150u, 25u, line + 138u); store(&v, 7u, 9u, line + 140u); store(&v, 23u, 152u, line + 142u);
+    store(&v, 39u, 136u, line + 144u); store(&v, 55u, 120u, line + 146u); store(&v, 71u, 104u, line + 148u);
+    store(&v, 87u, 88u, line + 150u); store(&v, 103u, 72u, line + 152u); store(&v, 119u, 56u, line + 154u);
+    store(&v, 135u, 40u, line + 156u); store(&v, 151u, 24u, line + 158u); store(&v, 8u, 8u, line + 160u);
 }

@@ -17,7 +17,7 @@ LENGTH = 160
 
 def on_device(image: np.ndarray, side: int, per_cell: int, lines: int | None = None) -> np.ndarray:
     down, across = (count // side for count in image.shape)
-    shape = (down * across, side, LENGTH // 2 + 1, 2)
+    shape = (down * across, 2, side // 2, LENGTH // 2 + 1, 2)
     lines = down * across * side if lines is None else lines
     result = run_stage(
         "optics/spread",
@@ -27,7 +27,8 @@ def on_device(image: np.ndarray, side: int, per_cell: int, lines: int | None = N
         {"spectra": (int(np.prod(shape)), np.complex64)},
         SIDE=side,
     )
-    return result["spectra"].reshape(shape)
+    found = result["spectra"].reshape(shape)  # [block, node, y/2, kx, y%2]
+    return found.transpose(0, 2, 4, 3, 1).reshape(down * across, side, -1, 2)
 
 
 @pytest.mark.parametrize(("side", "per_cell", "down", "across"), [(128, 1, 1, 2), (80, 2, 2, 3)])
