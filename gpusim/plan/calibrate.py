@@ -21,7 +21,7 @@ from gpusim.optics.chief_ray import RadialMap
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
+from gpusim.optics.kernels import FieldKernels, interleaved, kernel_spectra, sampled_kernels
 from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
@@ -185,7 +185,9 @@ def _host(device: Device) -> dict[str | int, float]:
     """
     half_size, length = 32, 256
     kernels = _scale(_grid(length, 2)).kernels
-    kernels = replace(kernels, splines=np.ones((2, 3, 3, 128, 128), np.float32))
+    splines = interleaved(2, 3, 3, 128)
+    splines[...] = 1.0
+    kernels = replace(kernels, splines=splines)
 
     def sample(number: int) -> np.ndarray:
         return sampled_kernels(kernels, 0.2, 0.01 * number, 0.775, half_size, 3)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from harness import assert_close
 from optics.made import bank, gaussian, plane_bank
+from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
 from gpusim.optics import kernels as optics_kernels
@@ -213,6 +214,27 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
     # Cubic splines through a Gaussian of 1.9 samples err by h^4 f'''' / 384 = 3 / (384 * 1.9^4) =
     # 6e-4 of the peak along each axis; the band's end takes exp(-2 pi^2 (0.95 * 0.71)^2) = 1e-4.
     assert_close(found, expected, atol=2e-3 * expected.max())
+
+
+def test_splines_are_evaluated_as_scipy_does():
+    """Of all planes and channels at once, those of the first planes only too; float64."""
+    kernels = everything(pitch_um=0.6)
+    x_um, y_um = 40.0, -25.0
+    fields, weights, cos, sin = kernels.places.at(x_um, y_um)
+    half = 24  # 20.4 um along the diagonals, and the splines go on for 32
+    y, x = (np.indices((2 * half, 2 * half)) - half) * 0.6 / kernels.pitch_um
+    n = kernels.splines.shape[-1]
+    where = np.stack([cos * y - sin * x, cos * x + sin * y]) + n // 2
+    blend = np.tensordot(weights, kernels.splines[list(fields)].astype(float), axes=1)
+    expected = np.zeros((2, 3, 2 * half, 2 * half))
+    for index in np.ndindex(2, 3):
+        expected[index] = map_coordinates(blend[index], where, order=5, prefilter=False)
+    expected[..., 0, :] = expected[..., 0] = 0.0
+    expected *= (0.6 / kernels.pitch_um) ** 2
+    for planes in (1, 2):
+        found = sampled_kernels(kernels, x_um, y_um, 0.6, half, planes)
+        # Fields are weighted in float32.
+        assert_close(found, expected[:planes], atol=F32_SPLINE * expected.max())
 
 
 def test_a_quarter_turn_is_exact():
