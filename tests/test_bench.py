@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +18,7 @@ from optics import made
 
 from gpusim.gpu import Device
 from gpusim.lens.bank import Bank
+from gpusim.optics.kernels import field_images, mirrored
 
 TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
@@ -143,6 +145,20 @@ class Lens:
 def test_the_psfs_of_the_frames_end_63_samples_from_side_to_side(jobs: ModuleType):
     bank = jobs.FrameCamera(made.sensor(*SMALL), Lens()).bank()
     assert bank.psf.shape[-1] * bank.pitch_um == pytest.approx(63 * 0.775, abs=bank.pitch_um)
+    assert bank.psf.sum(axis=(2, 3)) == pytest.approx(1, abs=1e-5)
+
+
+def test_the_psfs_of_the_frames_stay_those_of_a_lens_with_an_axis(jobs: ModuleType):
+    """However much light they cut: kernels of mirrored nodes are mirror images."""
+
+    class Even:
+        def bank(self, progress: object) -> Bank:
+            whole = Lens().bank(progress)
+            return replace(whole, psf=np.full_like(whole.psf, 1 / 128**2))
+
+    bank = jobs.FrameCamera(made.sensor(*SMALL), Even()).bank()
+    images, places = field_images(bank, np.ones((1, 1, 3)), 1e9)
+    assert mirrored(images[:, 0], places)
     assert bank.psf.sum(axis=(2, 3)) == pytest.approx(1, abs=1e-5)
 
 
