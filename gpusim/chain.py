@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
 from gpusim.certify import Certificate, certify
@@ -219,7 +220,9 @@ class Renderer:
                 self.device, progress=lambda done, total: report("calibrate", done, total)
             )
         pool.clear()  # what others left behind is no part of this renderer's peak
-        with pool.within(self.memory_bytes):
+        # OpenBLAS's own threads wait by spinning: after each call of some size, a tenth of a second
+        # of a core that what follows needs.
+        with pool.within(self.memory_bytes), threadpool_limits(1):
             try:
                 self._prepare(report, costs, noise, method, force, plan)
             except BaseException:
