@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,10 +57,11 @@ class RadialMap:
 
         The shaders go on with the polynomial there, and nothing of it is seen.
         """
-        rho2 = np.minimum(np.sum(real_um**2, axis=-1) / self.radius_um**2, 1.0)
+        rho2 = (real_um[..., 0] ** 2 + real_um[..., 1] ** 2) / self.radius_um**2
+        rho2 = np.minimum(rho2, 1.0)
         return real_um * np.polynomial.Polynomial(self.coefficients)(rho2)[..., None]
 
-    @property
+    @cached_property
     def stretch(self) -> float:
         """Largest factor by which the map stretches: along the radius, or across it."""
         return float(np.max(self._factors()))
@@ -117,7 +119,7 @@ class GeneralMap:
         """Return ideal points (..., 2) of real ones; beyond the image circle those of the rim."""
         return np.stack(self.plane.ideal_points(real_um[..., 0], real_um[..., 1])[:2], axis=-1)
 
-    @property
+    @cached_property
     def stretch(self) -> float:
         """Largest factor by which the map stretches."""
         return float(np.linalg.norm(self.plane.jacobian(), ord=2, axis=(1, 2)).max())
@@ -150,13 +152,14 @@ def outline(
 
     Returns
     -------
-    ndarray (..., 36, 2)
+    ndarray (36, ..., 2)
         x, y, sim samples.
     """
     side = np.linspace(0, 1, 9)
     ends = [np.full(9, end) for end in (0, 1)]
     around = [np.stack(pair, axis=1) for end in ends for pair in ((side, end), (end, side))]
-    real = corner + np.concatenate(around) * size
+    offsets = np.concatenate(around) * size
+    real = corner + offsets.reshape(-1, *(1,) * (np.ndim(corner) - 1), 2)
     return chief_ray.ideal_um(real * sim_pitch_um) / sim_pitch_um
 
 
@@ -225,8 +228,8 @@ def block_bounds_um(
     index = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     corner = index * grid.block + np.array(grid.start) - np.array(grid.centre) - margin
     size = np.array(grid.block) + 2 * margin
-    ideal = outline(chief_ray, corner[:, None], size, pitch_um) * pitch_um
+    ideal = outline(chief_ray, corner, size, pitch_um) * pitch_um
     circle = np.array(chief_ray.centre_um) / pitch_um
     nearest = np.maximum(np.maximum(corner - circle, circle - corner - size), 0.0) * pitch_um
     lit = np.hypot(*nearest.T) < chief_ray.radius_um
-    return ideal.min(axis=1) - pitch_um, ideal.max(axis=1) + pitch_um, lit
+    return ideal.min(axis=0) - pitch_um, ideal.max(axis=0) + pitch_um, lit

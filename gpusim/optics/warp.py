@@ -236,12 +236,11 @@ class Warp:
         """Return the columns and rows of the raster that blocks see."""
         # Around a block that is squeezed, the low-pass reaches, and a point of weight 0 after it.
         around = REACH + 0.5 if any(self.points[block] > 1 for block in blocks) else 0.0
-        corners = [np.array(self.grid.block_origin(block)) - self.grid.centre for block in blocks]
+        index = np.array(blocks, int).reshape(-1, 2)
+        corners = index * self.grid.block + self.grid.start - self.grid.centre
         size = np.array(self.grid.block) + 2 * around
-        outlines = [
-            outline(self.chief_ray, corner - around, size, self.pitch_um) for corner in corners
-        ]
-        at = np.array(self.centre) + self.scale * np.concatenate(outlines)
+        ideal = outline(self.chief_ray, corners - around, size, self.pitch_um)
+        at = np.array(self.centre) + self.scale * ideal.reshape(-1, 2)
         low, high = (np.clip(end, 0, np.array(self.size) - 1) for end in (at.min(0), at.max(0)))
         return tuple(
             range(max(int(first) - MARGIN, 0), min(int(last) + 1 + MARGIN, size))

@@ -510,8 +510,16 @@ class _Problem:
         )
 
     def _needed(self, grid: SimGrid, pitch_um: float) -> Needed:
-        where = (self._placed, self.basis.coefficients, grid, pitch_um, self._chief_ray)
-        return (paint if self.is_chart else warp).planes_by_block(*where)
+        """Return the planes that each block needs; worked out once for all methods."""
+        if (grid, pitch_um) not in self._found_needed:
+            where = (self._placed, self.basis.coefficients, grid, pitch_um, self._chief_ray)
+            found = (paint if self.is_chart else warp).planes_by_block(*where)
+            self._found_needed[grid, pitch_um] = found
+        return self._found_needed[grid, pitch_um]
+
+    @cached_property
+    def _found_needed(self) -> dict[tuple[SimGrid, float], Needed]:
+        return {}
 
     def _source_s(self, grid: SimGrid, needed: Needed, edges_s: float) -> dict[str, float]:
         block = grid.block[0] * grid.block[1]
