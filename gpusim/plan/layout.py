@@ -148,3 +148,28 @@ def planes_at_nodes(grid: SimGrid, needed: Needed) -> np.ndarray:
     around = np.pad(by_cell, 1)
     corners = [around[x:, y:][: grid.nodes[0], : grid.nodes[1]] for x in (0, 1) for y in (0, 1)]
     return np.maximum.reduce(corners)
+
+
+def planes_at_points(planes: np.ndarray, mirrored: tuple[bool, bool]) -> int:
+    """Return the planes of PSFs that are sampled for nodes, all points together.
+
+    Of each node, and of those beside it (see `gpusim.optics.kernels.node_kernels`), the ones beyond
+    the grid included: for few nodes nearly as many again. Where kernels are mirrored, points on one
+    side of the axis serve the other.
+
+    Parameters
+    ----------
+    planes : ndarray (across, down)
+        As `planes_at_nodes` returns them.
+    mirrored : (bool, bool)
+        Whether nodes lie symmetrically in x, in y, and their kernels are mirror images.
+    """
+    around = np.pad(planes, 2)
+    cross = [around[1 + x :, 1 + y :] for x, y in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))]
+    across, down = (count + 2 for count in planes.shape)
+    points = np.maximum.reduce([part[:across, :down] for part in cross])
+    if mirrored[0]:
+        points = np.maximum(points, points[::-1])[: -(-across // 2)]
+    if mirrored[1]:
+        points = np.maximum(points, points[:, ::-1])[:, : -(-down // 2)]
+    return int(points.sum())

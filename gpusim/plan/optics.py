@@ -32,7 +32,14 @@ from gpusim.optics.nodes import Scale, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
-from gpusim.plan.layout import TRANSFORMS, Memory, Needed, cheapest_grid, planes_at_nodes
+from gpusim.plan.layout import (
+    TRANSFORMS,
+    Memory,
+    Needed,
+    cheapest_grid,
+    planes_at_nodes,
+    planes_at_points,
+)
 from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
@@ -367,17 +374,18 @@ class _Problem:
 
         def preparation(grid: SimGrid, needed: Needed) -> float:
             size, spectra = (2 * grid.half_size) ** 2, grid.length**2
-            share = 1.0
             if method == "modes":
                 nodes = np.prod(np.add(options["map_cells"], 3))
                 made = nodes * max(needed.values(), default=0)
                 transformed = rank * made / nodes
             else:
-                made = transformed = planes_at_nodes(grid, needed).sum()
-                share = 0.5 ** (self._mirrored * sum(grid.mirrored(axis) for axis in (0, 1)))
+                at_nodes = planes_at_nodes(grid, needed)
+                transformed = at_nodes.sum()
+                symmetric = tuple(self._mirrored and grid.mirrored(axis) for axis in (0, 1))
+                made = planes_at_points(at_nodes, symmetric)
             if method == "direct":
                 size, spectra = (2 * (support + MARGIN)) ** 2, (2 * (support + 2 * MARGIN)) ** 2
-            return self.costs.seconds("kernels", channels * size * share * made) + (
+            return self.costs.seconds("kernels", channels * size * made) + (
                 self.costs.seconds("spectra", outputs * spectra * transformed)
             )
 

@@ -14,6 +14,7 @@ from gpusim.optics import nodes as optics_nodes
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, field_images, field_kernels
 from gpusim.optics.nodes import NodeStore, Scale
+from gpusim.plan.layout import planes_at_nodes, planes_at_points
 
 GRID = SimGrid(96, 128, 4, 2, 256, 64, (3, 2))
 WEIGHTS = np.random.default_rng(31).uniform(1, 5, (2, 3, 3))
@@ -63,6 +64,29 @@ def test_nodes_of_an_uneven_grid_are_not_mirrored(device: Device):
     grid = replace(GRID, cols=127)
     assert not grid.mirrored(0) and grid.mirrored(1)
     assert made(device, kernels(), grid)[1] == 16  # 2 rows of 6 and the 4 above them
+
+
+@pytest.mark.parametrize(
+    ("skew_um", "cols", "points"), [(0.0, 128, 8), (2.0, 128, 26), (0.0, 127, 16)]
+)
+def test_the_planner_counts_the_points_that_are_sampled(
+    device: Device, skew_um: float, cols: int, points: int
+):
+    grid, of = replace(GRID, cols=cols), kernels(skew_um)
+    at_nodes = planes_at_nodes(grid, dict.fromkeys(np.ndindex(grid.blocks), 2))
+    symmetric = tuple(of.mirrored and grid.mirrored(axis) for axis in (0, 1))
+    assert made(device, of, grid)[1] == points
+    assert planes_at_points(at_nodes, symmetric) == 2 * points
+
+
+def test_the_planner_counts_the_planes_of_the_neediest():
+    """One node of 4 x 3 with a second plane: itself and four beside it; mirrored, all fold."""
+    at_nodes = np.ones((4, 3), int)
+    at_nodes[3, 2] = 2
+    assert planes_at_points(at_nodes, (False, False)) == 26 + 5
+    # Folded to x -1, 0, 1 and y -1, 0, 1: 0, 0 with four beside it.
+    assert planes_at_points(at_nodes, (True, True)) == 8 + 5
+    assert planes_at_points(np.zeros((4, 3), int), (True, False)) == 0
 
 
 def test_what_is_kept_on_the_host_changes_nothing(device: Device, monkeypatch: pytest.MonkeyPatch):
