@@ -215,7 +215,7 @@ class Renderer:
         self.resident_glare: Resident | None = None
         report = progress or (lambda what, done, total: None)
         if costs is None:
-            # Before the budget counts: a calibration needs some 100 MiB.
+            # Before the budget counts: a calibration needs some 300 MiB.
             costs = adapter_costs(
                 self.device, progress=lambda done, total: report("calibrate", done, total)
             )

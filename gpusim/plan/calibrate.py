@@ -263,7 +263,11 @@ def _transforms(device: Device) -> dict[str | int, float]:
         for channels in (1, 3)
         for planes in (1, PLANES)
     }
-    others = {length: _convolved(device, length, 3, 1) for length in TRANSFORMS if length != 256}
+    # Of as many planes as a photograph has: kernels around a block take 36 MiB at T = 512 then, which
+    # no cache holds, and those of one plane a third.
+    others = {
+        length: _convolved(device, length, 3, PLANES) for length in TRANSFORMS if length != 256
+    }
     # The three rates of columns from four times, each counted by its share.
     work, times = [], []
     grid = _grid(256, 2)
@@ -292,7 +296,7 @@ def _transforms(device: Device) -> dict[str | int, float]:
     alike = Costs("", dict.fromkeys(UNITS, 0.0) | ns, dict.fromkeys(TRANSFORMS, 1.0))
     lengths = {256: 1.0}
     for length, found in others.items():
-        expected = alike.transforms(_grid(length, 2), 3, np.array([1]))
+        expected = alike.transforms(_grid(length, 2), 3, np.array([PLANES]))
         lengths[length] = sum(found.values()) / sum(expected.values())
     return ns | lengths
 
