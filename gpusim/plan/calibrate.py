@@ -263,8 +263,8 @@ def _transforms(device: Device) -> dict[str | int, float]:
         for channels in (1, 3)
         for planes in (1, PLANES)
     }
-    # Of as many planes as a photograph has: kernels around a block take 36 MiB at T = 512 then, which
-    # no cache holds, and those of one plane a third.
+    # Of as many planes as a photograph has: kernels around a block then take 36 MiB at T = 512,
+    # which no cache holds, and those of one plane a third.
     others = {
         length: _convolved(device, length, 3, PLANES) for length in TRANSFORMS if length != 256
     }

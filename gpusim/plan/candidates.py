@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -61,7 +62,8 @@ class Candidate:
     errors, limits : mapping of str to float
         Predicted error of each knob, and what the tolerance leaves to it.
     parts : tuple of Part
-        None where it was not worked out: it cannot be chosen then.
+        None where it was not worked out: it cannot be chosen then. Without an obstacle, and with
+        errors within their limits, because one with fewer samples a pixel suffices.
     obstacle : UserError, optional
         Why there are no parts.
     """
@@ -116,7 +118,7 @@ def choose(candidates: Sequence[Candidate]) -> tuple[Candidate, tuple[RunnerUp, 
         raise next(one.obstacle for one in candidates if one.obstacle)
     chosen = min(possible, key=lambda one: (max(one.excess, 1.0), one.cost_s))
     others = [one for one in candidates if one is not chosen]
-    others.sort(key=lambda one: (one.obstacle is not None, one.excess > 1, one.cost_s or 0.0))
+    others.sort(key=lambda one: (one.obstacle is not None, one.excess > 1, one.cost_s or math.inf))
     return chosen, tuple(
         RunnerUp(one.name, max(one.errors.values()), one.cost_s, _reason(one, chosen))
         for one in others
@@ -129,4 +131,6 @@ def _reason(one: Candidate, chosen: Candidate) -> str:
     if one.excess > max(chosen.excess, 1.0):
         error, limit = one.errors[one.worst], one.limits[one.worst]
         return f"error of its {one.worst} {error:.1e} above {limit:.1e}"
+    if one.cost_s is None:
+        return f"too dear: {chosen.oversampling} samples a pixel meet the tolerance"
     return f"too dear: {one.cost_s:.3g} s against {chosen.cost_s:.3g} s"

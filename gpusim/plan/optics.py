@@ -174,7 +174,9 @@ class _Problem:
         found: list[Candidate] = []
         for oversampling in allowed:
             alias = self._alias(oversampling)
-            if alias > tolerance and oversampling != allowed[-1]:
+            # A finer grid than is needed only costs more.
+            enough = any(one.parts and one.excess <= 1 for one in found)
+            if enough or (alias > tolerance and oversampling != allowed[-1]):
                 name = f"{oversampling} samples a pixel"
                 errors, limits = {"alias": alias}, {"alias": tolerance}
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
@@ -188,7 +190,7 @@ class _Problem:
                     allowed=f"{alias:.1e} or more: {oversampling} samples a pixel are the most, "
                     "and the lens's PSFs hold finer detail than these carry",
                 )
-            # A finer grid than is needed only costs more: it is tried where it costs least.
+            # After one that exceeds its limits: a finer grid is tried where it costs least.
             first = not any(one.parts for one in found)
             cuts = list(self._tails)[: CUTS_TRIED if first else 1]
             whole = [] if cut and cuts else [None]

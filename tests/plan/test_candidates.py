@@ -27,13 +27,15 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
     dear, cheap, wrong = candidate("a", 3.14), candidate("b", 1.4), candidate("c", 0.1, alias=4e-3)
     big = replace(candidate("d", None), obstacle=TOO_BIG)
     skipped = candidate("e", None, nodes=2e-3)
-    chosen, others = choose([dear, cheap, wrong, big, skipped])
+    finer = replace(candidate("f", None), oversampling=4)
+    chosen, others = choose([dear, cheap, wrong, big, skipped, finer])
     assert chosen is cheap
     assert {other.name: other.lost for other in others} == {
         "a": "too dear: 3.14 s against 1.4 s",
         "c": "error of its alias 4.0e-03 above 1.0e-03",
         "d": "does not fit: 352 samples",
         "e": "error of its nodes 2.0e-03 above 1.0e-03",
+        "f": "too dear: 2 samples a pixel meet the tolerance",
     }
     # What nearly won comes first, what cannot be done last.
     assert others[0].name == "a" and others[-1].name == "d"

@@ -15,6 +15,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan, layout, plan_optics
+from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import BLOCK_BYTES, Memory, cheapest_grid, planes_at_nodes
 from gpusim.plan.optics import CUTS_UM
@@ -206,6 +207,17 @@ def test_the_tail_of_the_psf_goes_to_a_coarse_grid_where_that_suffices():
     both = sum(s.kernels.splines[0].sum(axis=(2, 3), dtype=float) for s in (core, tail))
     # float32 splines of 128 x 128 samples, of rounding errors that are as often above as below.
     assert both == pytest.approx(images[0].sum(axis=(2, 3)), rel=1e-5)
+
+
+def test_a_finer_grid_than_suffices_is_not_worked_out(monkeypatch: pytest.MonkeyPatch):
+    """But where nothing that two samples a pixel allow stays within its limits."""
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    other = next(one for one in plan.runners_up if one.name == "4 samples a pixel")
+    assert other.predicted_cost_s is None and other.predicted_error <= 1e-2
+    assert other.lost == "too dear: 2 samples a pixel meet the tolerance"
+    monkeypatch.setattr(Candidate, "excess", property(lambda one: 2.0))
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    assert any(one.name.startswith("fft, 4 samples") for one in plan.runners_up)
 
 
 def test_a_psf_narrower_than_a_sample_is_oversampled_more():
