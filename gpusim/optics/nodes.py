@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import groupby, product
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Device, Resident, Use
 from gpusim.gpu.pool import size_class
@@ -262,9 +261,8 @@ class NodeStore(KernelStore):
 
             return self.made_of(node_kernels(point))
 
-        # SciPy and NumPy let go of the interpreter in their loops; BLAS's own threads wait by
-        # spinning.
-        with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+        # SciPy and NumPy let go of the interpreter in their loops.
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
             for y, of_row in groupby(nodes, key=lambda node: node[1]):
                 row = {node: grid.planes_at(node, self.needed) for node in of_row}
                 wanted = {self._folded((x + dx, y + dy)) for x, _ in row for dx, dy in CROSS}
