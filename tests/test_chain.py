@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -630,11 +631,20 @@ class Limited:
 
     def create_buffer(self, *, label: str, size: int, usage: int) -> object:
         """Return a buffer, or say that there is no memory."""
-        full = self.pool.in_use + self.pool.idle + size > self.nbytes
-        if full or (label == self.label and size > self.largest):
+        self.check(label, size)
+        return self.real.create_buffer(label=label, size=size, usage=usage)
+
+    def create_texture(self, *, label: str, size: tuple[int, int, int], **given: object) -> object:
+        """Return a texture of texels of 16 bytes, or say that there is no memory."""
+        self.check(label, 16 * math.prod(size))
+        return self.real.create_texture(label=label, size=size, **given)
+
+    def check(self, label: str, nbytes: int) -> None:
+        """Refuse what is more than there is."""
+        full = self.pool.in_use + self.pool.idle + nbytes > self.nbytes
+        if full or (label == self.label and nbytes > self.largest):
             self.refused += 1
             raise wgpu.GPUOutOfMemoryError("Not enough memory left.")
-        return self.real.create_buffer(label=label, size=size, usage=usage)
 
 
 def limited(monkeypatch: pytest.MonkeyPatch, device: Device, *limits: object) -> Limited:

@@ -48,12 +48,15 @@ Memory = wgpu.GPUBuffer | wgpu.GPUTextureView
 
 
 def size_class(nbytes: int, use: Use = Use.DATA) -> int:
-    """Return the smallest 2^n or 1.5 * 2^n bytes that holds ``nbytes``.
+    """Return the smallest 2^n or 1.5 * 2^n bytes that holds ``nbytes``; whole rows of a texture.
 
     At most a third of a buffer is unused, a sixth on average, and a few classes serve all tiles.
-    Textures have whole rows.
+    Textures have no classes: wgpu fills one with zeros that is not written as a whole at once, and
+    new memory is dear.
     """
-    power = 2 * TEXEL_ROW_BYTES if use is Use.TEXELS else MIN_CLASS_BYTES
+    if use is Use.TEXELS:
+        return max(-(-nbytes // TEXEL_ROW_BYTES), 1) * TEXEL_ROW_BYTES
+    power = MIN_CLASS_BYTES
     while power < nbytes:
         if power * 3 // 2 >= nbytes:
             return power * 3 // 2

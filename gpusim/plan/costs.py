@@ -99,16 +99,16 @@ class Costs:
 LAVAPIPE = Costs(
     "table: lavapipe, 2 cores",
     {
-        "kernels": 80.0,
-        "spectra": 15.0,
+        "kernels": 30.0,
+        "spectra": 6.0,
         "paint": 2.4,
         "edges": 41.0,
         "warp": 6.0,
         "rows": 1.0,
         "modes": 1.2,
-        "columns": 9.0,
-        "products": 1.7,
-        "inverse": 6.0,
+        "columns": 10.0,
+        "products": 1.1,
+        "inverse": 5.0,
         "lattice": 3.5,
         "direct": 0.07,
         "mosaic": 3.0,
@@ -124,5 +124,5 @@ LAVAPIPE = Costs(
         "merge": 3.7,
         "dispatch": 120e3,
     },
-    {256: 1.0, 512: 1.2, 1024: 1.5},
+    {256: 1.0, 512: 1.1, 1024: 1.3},
 )
