@@ -52,10 +52,12 @@ def size_class(nbytes: int, use: Use = Use.DATA) -> int:
 
     At most a third of a buffer is unused, a sixth on average, and a few classes serve all tiles.
     Textures have no classes: wgpu fills one with zeros that is not written as a whole at once, and
-    new memory is dear.
+    new memory is dear. Their rows are no power of two: lavapipe compiles a shader anew for each
+    set of textures of which others have a power of two, two seconds for the demonstration.
     """
     if use is Use.TEXELS:
-        return max(-(-nbytes // TEXEL_ROW_BYTES), 1) * TEXEL_ROW_BYTES
+        rows = max(-(-nbytes // TEXEL_ROW_BYTES), 3)
+        return (rows + (rows & (rows - 1) == 0)) * TEXEL_ROW_BYTES
     power = MIN_CLASS_BYTES
     while power < nbytes:
         if power * 3 // 2 >= nbytes:
