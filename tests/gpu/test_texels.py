@@ -34,7 +34,7 @@ def backwards(rec: Recording, source, count: int) -> np.ndarray:
     return rec.run()[label]
 
 
-# One texel; a row and less, and more; some rows; as many as a size class of a half has.
+# One texel; a row and less, and more; some rows and part of one; rows that fill a texture.
 COUNTS = (1, ROW - 1, ROW, ROW + 1, 3 * ROW + 5, 6 * ROW)
 
 

@@ -25,9 +25,10 @@ from gpusim.optics.kernels import (
 
 LENS = bank(skew_um=2.0)
 WEIGHTS = np.random.default_rng(12).uniform(1, 5, (2, 3, 3))
-# float32 splines: 2^-24 of the coefficients, along each axis 7.5 times the samples where they
-# alternate, less than 3 times those of smooth PSFs.
-F32_SPLINE = 9 * 2.0**-24
+# Of a sum of 36 coefficients times weights, in float64: 36 roundings of the sum, 10 of each of two
+# polynomials of degree 5, 3 of their product, with the coefficient and with the area; here and in
+# SciPy. Coefficients are along each axis less than 3 times the samples of smooth PSFs.
+F64_SPLINE = 2 * 59 * 9 * 2.0**-53
 
 
 def everything(lens=LENS, weights=WEIGHTS, pitch_um=0.5, reach_um=1e9):
@@ -233,8 +234,7 @@ def test_splines_are_evaluated_as_scipy_does():
     expected *= (0.6 / kernels.pitch_um) ** 2
     for planes in (1, 2):
         found = sampled_kernels(kernels, x_um, y_um, 0.6, half, planes)
-        # Fields are weighted in float32.
-        assert_close(found, expected[:planes], atol=F32_SPLINE * expected.max())
+        assert_close(found, expected[:planes], atol=F64_SPLINE * expected.max())
 
 
 def test_a_quarter_turn_is_exact():
