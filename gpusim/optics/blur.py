@@ -7,11 +7,14 @@ belongs to it, interpolated bilinearly between PSF nodes. Blocks are convolved w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import scipy.fft
 
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Device, Kernel, Recording, Use, default_device
+from gpusim.gpu.pool import MAX_BINDING_BYTES
 
 LENGTH = 160  # of the transforms of shaders/common/line_160
 HALF = LENGTH // 2 + 1
@@ -86,22 +89,27 @@ class Blur:
         self.spread, self.gather = (
             Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "gather")
         )
-        self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows)
+        self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows, KEEP=self.per_cell == 1)
+        # As many channels at once as a binding holds the spectra and the PSFs of.
+        largest = 8 * HALF * max(2 * down * across * self.side, math.prod(nodes) * self.rows)
+        at_once = max(1, MAX_BINDING_BYTES // largest)
+        starts = range(0, self.channels, at_once)
+        self.turns = [range(first, min(first + at_once, self.channels)) for first in starts]
         self.psfs = [
             self.device.resident(
-                f"psfs {channel}", self._transformed(psfs[:, :, channel]), Use.TEXELS
+                f"psfs {turn.start}", self._transformed(psfs[:, :, turn]), Use.TEXELS
             )
-            for channel in range(self.channels)
+            for turn in self.turns
         ]
 
     def _transformed(self, psfs: np.ndarray) -> np.ndarray:
-        """Return PSFs (GY, GX, ROWS/2, 81, 2) transformed along x, as float32 (..., 2)."""
-        size = psfs.shape[-1]
+        """Return PSFs (C, GY, GX, ROWS/2, 81, 2) transformed along x, as float32 (..., 2)."""
+        psfs, size = np.moveaxis(psfs, 2, 0), psfs.shape[-1]
         first = self.margin - size // 2
-        placed = np.zeros((*psfs.shape[:2], self.rows, LENGTH))
+        placed = np.zeros((*psfs.shape[:3], self.rows, LENGTH))
         placed[..., first : first + size, first : first + size] = psfs
         lines = scipy.fft.rfft(placed, workers=2) / LENGTH**2
-        pairs = lines.reshape(*psfs.shape[:2], self.rows // 2, 2, HALF).swapaxes(-1, -2)
+        pairs = lines.reshape(*psfs.shape[:3], self.rows // 2, 2, HALF).swapaxes(-1, -2)
         return np.ascontiguousarray(pairs, np.complex64).view(np.float32)
 
     @staticmethod
@@ -148,14 +156,18 @@ class Blur:
         missing = [(0, side - given) for side, given in zip(covered, self.shape, strict=True)]
         padded = np.pad(image, [(0, 0), *missing]) if covered != self.shape else image
         rec = Recording(self.device)
-        source = rec.buffer("source", covered, np.float32, Use.TEXELS)
-        spectra, rows = self._to_texels(rec, "spectra", (count, 2, self.side // 2, HALF, 2, 2))
-        columns, mixed = self._to_texels(rec, "columns", (across, frame[0] // 2, HALF, 2, 2))
+        sources = []  # all at first: what is recorded after an upload is submitted apart
+        for turn in self.turns:
+            label, shape = f"source {turn.start}", (len(turn), *covered)
+            sources.append(rec.buffer(label, shape, np.float32, Use.TEXELS))
+            rec.upload(sources[-1], padded[turn.start : turn.stop])
+        most, pairs = len(self.turns[0]), frame[0] // 2
+        spectra, rows = self._to_texels(rec, "spectra", (most * count, self.side, HALF, 2, 2))
+        columns, mixed = self._to_texels(rec, "columns", (most * across, pairs, HALF, 2, 2))
         blurred = rec.buffer("blurred", (self.channels, *frame), np.float32)
         blocks = {"across": across, "per_cell": self.per_cell}
-        for channel, transformed in enumerate(self.psfs):
-            rec.upload(source, padded[channel])
-            lines = count * self.side
+        for turn, source, psfs in zip(self.turns, sources, self.psfs, strict=True):
+            lines = len(turn) * count * self.side
             self.spread.record(
                 rec,
                 self.spread.cover(lines),
@@ -164,21 +176,21 @@ class Blur:
                 spectra=spectra,
             )
             rec.copy(spectra, rows)
-            lines = across * HALF
+            lines = len(turn) * across * HALF
             self.mix.record(
                 rec,
                 self.mix.cover(lines),
                 {"lines": lines, "down": down, **blocks},
                 spectra=rows,
-                psfs=transformed,
+                psfs=psfs,
                 columns=columns,
             )
             rec.copy(columns, mixed)
-            lines = frame[0] // 2
+            lines, first = len(turn) * pairs, turn.start * pairs * frame[1] // 2
             self.gather.record(
                 rec,
                 self.gather.cover(lines),
-                {"lines": lines, "across": across, "first": channel * (frame[0] * frame[1] // 4)},
+                {"lines": lines, "rows": frame[0], "across": across, "first": first},
                 columns=mixed,
                 image=blurred,
             )

@@ -1,7 +1,9 @@
-// Transforms of a line of 160 complex samples that one invocation holds: 160 = 10 16, straight through, no workgroup memory.
+// Transforms of a line of 160 complex samples that one invocation holds, straight through, no workgroup memory: 160 = 5 32 by
+// prime factors (Good 1958), without turns between the two; 32 = 4 8.
 //
-//   X[k] = sum_n x[n] exp(-2 pi i k n / 160),  n = t + 16 r, k = a + 10 m
-//   line_160: x[n] in slot n -> X[a + 10 m] in slot 16 a + m (ten transforms of 16 are the last pass)
+//   X[k] = sum_n x[n] exp(-2 pi i k n / 160) = sum_r exp(-2 pi i l r / 32) sum_m exp(-2 pi i j m / 5) x[n],
+//   r = n mod 32, m = n mod 5, j = 3 k mod 5, l = 13 k mod 32
+//   line_160: x[n] in slot n -> X[k] in slot 32 j + 8 (l mod 4) + l / 4
 //   line_160_back: X in those slots -> sum_k X[k] exp(-2 pi i k n / 160) in slot n
 // The inverse transform is the forward one with real and imaginary parts exchanged before and after.
 // Every index is a constant once the calls are inlined, so that the line lies in registers, or on the stack where there are
@@ -12,7 +14,6 @@ alias Line = array<vec2f, 160>;
 
 struct Four { a: vec2f, b: vec2f, c: vec2f, d: vec2f, }
 struct Five { a: vec2f, b: vec2f, c: vec2f, d: vec2f, e: vec2f, }
-struct Ten { even: Five, odd: Five, }
 
 fn dft4(x0: vec2f, x1: vec2f, x2: vec2f, x3: vec2f) -> Four {
     let a = x0 + x2;
@@ -39,178 +40,109 @@ fn dft5(x0: vec2f, x1: vec2f, x2: vec2f, x3: vec2f, x4: vec2f) -> Five {
     return Five(x0 + p + q, near + turn_near, far + turn_far, far - turn_far, near - turn_near);
 }
 
-// Of slots t, t + 16 .. t + 144: the transforms of the even and of the odd ones, these turned by exp(-2 pi i k / 10).
-fn halves(v: ptr<function, Line>, t: u32) -> Ten {
-    let odd = dft5((*v)[t + 16u], (*v)[t + 48u], (*v)[t + 80u], (*v)[t + 112u], (*v)[t + 144u]);
-    return Ten(
-        dft5((*v)[t], (*v)[t + 32u], (*v)[t + 64u], (*v)[t + 96u], (*v)[t + 128u]),
-        Five(
-            odd.a,
-            cmul(odd.b, vec2f(0.8090169944, -0.5877852523)),
-            cmul(odd.c, vec2f(0.3090169944, -0.9510565163)),
-            cmul(odd.d, vec2f(-0.3090169944, -0.9510565163)),
-            cmul(odd.e, vec2f(-0.8090169944, -0.5877852523)),
-        ),
-    );
+// Of the slots r, r + 32 .. r + 128, the one that is m modulo 5.
+fn slot(r: u32, m: u32) -> u32 {
+    return r + 32u * (3u * (m + 4u * r) % 5u);
 }
 
-// Ten samples transformed, and turned by w^a, w = exp(-2 pi i t / 160). One or two products make the other powers.
-fn turned_tens(v: ptr<function, Line>, t: u32, w_w2: vec4f, w4_w8: vec4f) {
-    let x = halves(v, t);
-    let w = w_w2.xy;
-    let w2 = w_w2.zw;
-    let w4 = w4_w8.xy;
-    let w8 = w4_w8.zw;
-    let w3 = cmul(w2, w);
-    (*v)[t] = x.even.a + x.odd.a;
-    (*v)[t + 16u] = cmul(x.even.b + x.odd.b, w);
-    (*v)[t + 32u] = cmul(x.even.c + x.odd.c, w2);
-    (*v)[t + 48u] = cmul(x.even.d + x.odd.d, w3);
-    (*v)[t + 64u] = cmul(x.even.e + x.odd.e, w4);
-    (*v)[t + 80u] = cmul(x.even.a - x.odd.a, cmul(w4, w));
-    (*v)[t + 96u] = cmul(x.even.b - x.odd.b, cmul(w4, w2));
-    (*v)[t + 112u] = cmul(x.even.c - x.odd.c, cmul(w4, w3));
-    (*v)[t + 128u] = cmul(x.even.d - x.odd.d, w8);
-    (*v)[t + 144u] = cmul(x.even.e - x.odd.e, cmul(w8, w));
+fn fives(v: ptr<function, Line>, r: u32) {
+    let x = dft5((*v)[slot(r, 0u)], (*v)[slot(r, 1u)], (*v)[slot(r, 2u)], (*v)[slot(r, 3u)], (*v)[slot(r, 4u)]);
+    (*v)[r] = x.a;
+    (*v)[r + 32u] = x.b;
+    (*v)[r + 64u] = x.c;
+    (*v)[r + 96u] = x.d;
+    (*v)[r + 128u] = x.e;
 }
 
-fn tens(v: ptr<function, Line>, t: u32) {
-    let x = halves(v, t);
-    (*v)[t] = x.even.a + x.odd.a;
-    (*v)[t + 16u] = x.even.b + x.odd.b;
-    (*v)[t + 32u] = x.even.c + x.odd.c;
-    (*v)[t + 48u] = x.even.d + x.odd.d;
-    (*v)[t + 64u] = x.even.e + x.odd.e;
-    (*v)[t + 80u] = x.even.a - x.odd.a;
-    (*v)[t + 96u] = x.even.b - x.odd.b;
-    (*v)[t + 112u] = x.even.c - x.odd.c;
-    (*v)[t + 128u] = x.even.d - x.odd.d;
-    (*v)[t + 144u] = x.even.e - x.odd.e;
+fn fives_back(v: ptr<function, Line>, r: u32) {
+    let x = dft5((*v)[r], (*v)[r + 32u], (*v)[r + 64u], (*v)[r + 96u], (*v)[r + 128u]);
+    (*v)[slot(r, 0u)] = x.a;
+    (*v)[slot(r, 1u)] = x.b;
+    (*v)[slot(r, 2u)] = x.c;
+    (*v)[slot(r, 3u)] = x.d;
+    (*v)[slot(r, 4u)] = x.e;
 }
 
-// Sixteen neighbouring slots: four transforms of four, turned by exp(-2 pi i j m / 16), and four across them.
-fn sixteens(v: ptr<function, Line>, b: u32) {
-    let x0 = dft4((*v)[b], (*v)[b + 4u], (*v)[b + 8u], (*v)[b + 12u]);
-    let x1 = dft4((*v)[b + 1u], (*v)[b + 5u], (*v)[b + 9u], (*v)[b + 13u]);
-    let x2 = dft4((*v)[b + 2u], (*v)[b + 6u], (*v)[b + 10u], (*v)[b + 14u]);
-    let x3 = dft4((*v)[b + 3u], (*v)[b + 7u], (*v)[b + 11u], (*v)[b + 15u]);
-    let y0 = dft4(x0.a, x1.a, x2.a, x3.a);
-    let y1 = dft4(
-        x0.b,
-        cmul(x1.b, vec2f(0.9238795325, -0.3826834324)),
-        cmul(x2.b, vec2f(0.7071067812, -0.7071067812)),
-        cmul(x3.b, vec2f(0.3826834324, -0.9238795325)),
-    );
-    let y2 = dft4(
-        x0.c,
-        cmul(x1.c, vec2f(0.7071067812, -0.7071067812)),
-        cmul(x2.c, vec2f(0.0000000000, -1.0000000000)),
-        cmul(x3.c, vec2f(-0.7071067812, -0.7071067812)),
-    );
-    let y3 = dft4(
-        x0.d,
-        cmul(x1.d, vec2f(0.3826834324, -0.9238795325)),
-        cmul(x2.d, vec2f(-0.7071067812, -0.7071067812)),
-        cmul(x3.d, vec2f(-0.9238795325, 0.3826834324)),
-    );
-    (*v)[b] = y0.a;
-    (*v)[b + 4u] = y0.b;
-    (*v)[b + 8u] = y0.c;
-    (*v)[b + 12u] = y0.d;
-    (*v)[b + 1u] = y1.a;
-    (*v)[b + 5u] = y1.b;
-    (*v)[b + 9u] = y1.c;
-    (*v)[b + 13u] = y1.d;
-    (*v)[b + 2u] = y2.a;
-    (*v)[b + 6u] = y2.b;
-    (*v)[b + 10u] = y2.c;
-    (*v)[b + 14u] = y2.d;
-    (*v)[b + 3u] = y3.a;
-    (*v)[b + 7u] = y3.b;
-    (*v)[b + 11u] = y3.c;
-    (*v)[b + 15u] = y3.d;
+fn fours(v: ptr<function, Line>, b: u32) {
+    let x = dft4((*v)[b], (*v)[b + 8u], (*v)[b + 16u], (*v)[b + 24u]);
+    (*v)[b] = x.a;
+    (*v)[b + 8u] = x.b;
+    (*v)[b + 16u] = x.c;
+    (*v)[b + 24u] = x.d;
 }
 
-// Sixteen slots transformed, and slot t turned by w^t.
-fn turned_sixteens(v: ptr<function, Line>, b: u32, w_w2: vec4f, w4_w8: vec4f) {
-    sixteens(v, b);
-    let w = w_w2.xy;
-    let w2 = w_w2.zw;
-    let w4 = w4_w8.xy;
-    let w8 = w4_w8.zw;
-    let w3 = cmul(w2, w);
-    let w12 = cmul(w8, w4);
-    (*v)[b + 1u] = cmul((*v)[b + 1u], w);
-    (*v)[b + 2u] = cmul((*v)[b + 2u], w2);
-    (*v)[b + 3u] = cmul((*v)[b + 3u], w3);
-    (*v)[b + 4u] = cmul((*v)[b + 4u], w4);
-    (*v)[b + 5u] = cmul((*v)[b + 5u], cmul(w4, w));
-    (*v)[b + 6u] = cmul((*v)[b + 6u], cmul(w4, w2));
-    (*v)[b + 7u] = cmul((*v)[b + 7u], cmul(w4, w3));
-    (*v)[b + 8u] = cmul((*v)[b + 8u], w8);
-    (*v)[b + 9u] = cmul((*v)[b + 9u], cmul(w8, w));
-    (*v)[b + 10u] = cmul((*v)[b + 10u], cmul(w8, w2));
-    (*v)[b + 11u] = cmul((*v)[b + 11u], cmul(w8, w3));
-    (*v)[b + 12u] = cmul((*v)[b + 12u], w12);
-    (*v)[b + 13u] = cmul((*v)[b + 13u], cmul(w12, w));
-    (*v)[b + 14u] = cmul((*v)[b + 14u], cmul(w12, w2));
-    (*v)[b + 15u] = cmul((*v)[b + 15u], cmul(w12, w3));
+// Eight neighbouring slots: transforms of the even and of the odd ones, these turned by exp(-2 pi i k / 8).
+fn eights(v: ptr<function, Line>, b: u32) {
+    const H = 0.70710678118654752;
+    let even = dft4((*v)[b], (*v)[b + 2u], (*v)[b + 4u], (*v)[b + 6u]);
+    let odd = dft4((*v)[b + 1u], (*v)[b + 3u], (*v)[b + 5u], (*v)[b + 7u]);
+    let turned_b = H * (odd.b - times_i(odd.b));
+    let turned_c = -times_i(odd.c);
+    let turned_d = -H * (odd.d + times_i(odd.d));
+    (*v)[b] = even.a + odd.a;
+    (*v)[b + 1u] = even.b + turned_b;
+    (*v)[b + 2u] = even.c + turned_c;
+    (*v)[b + 3u] = even.d + turned_d;
+    (*v)[b + 4u] = even.a - odd.a;
+    (*v)[b + 5u] = even.b - turned_b;
+    (*v)[b + 6u] = even.c - turned_c;
+    (*v)[b + 7u] = even.d - turned_d;
+}
+
+// Slots b + 8 s turned by w^s, w = exp(-2 pi i p / 32).
+fn turn(v: ptr<function, Line>, b: u32, w: vec2f, w2: vec2f, w3: vec2f) {
+    (*v)[b + 8u] = cmul((*v)[b + 8u], w);
+    (*v)[b + 16u] = cmul((*v)[b + 16u], w2);
+    (*v)[b + 24u] = cmul((*v)[b + 24u], w3);
+}
+
+fn turns(v: ptr<function, Line>, b: u32) {
+    turn(v, b + 1u, vec2f(0.9807852804, -0.1950903220), vec2f(0.9238795325, -0.3826834324), vec2f(0.8314696123, -0.5555702330));
+    turn(v, b + 2u, vec2f(0.9238795325, -0.3826834324), vec2f(0.7071067812, -0.7071067812), vec2f(0.3826834324, -0.9238795325));
+    turn(v, b + 3u, vec2f(0.8314696123, -0.5555702330), vec2f(0.3826834324, -0.9238795325), vec2f(-0.1950903220, -0.9807852804));
+    turn(v, b + 4u, vec2f(0.7071067812, -0.7071067812), vec2f(0.0000000000, -1.0000000000), vec2f(-0.7071067812, -0.7071067812));
+    turn(v, b + 5u, vec2f(0.5555702330, -0.8314696123), vec2f(-0.3826834324, -0.9238795325), vec2f(-0.9807852804, -0.1950903220));
+    turn(v, b + 6u, vec2f(0.3826834324, -0.9238795325), vec2f(-0.7071067812, -0.7071067812), vec2f(-0.9238795325, 0.3826834324));
+    turn(v, b + 7u, vec2f(0.1950903220, -0.9807852804), vec2f(-0.9238795325, -0.3826834324), vec2f(-0.5555702330, 0.8314696123));
+}
+
+fn all_fours(v: ptr<function, Line>, b: u32) {
+    fours(v, b); fours(v, b + 1u); fours(v, b + 2u); fours(v, b + 3u); fours(v, b + 4u); fours(v, b + 5u);
+    fours(v, b + 6u); fours(v, b + 7u);
+}
+
+fn all_eights(v: ptr<function, Line>, b: u32) {
+    eights(v, b); eights(v, b + 8u); eights(v, b + 16u); eights(v, b + 24u);
+}
+
+// Thirty-two neighbouring slots.
+fn thirty_twos(v: ptr<function, Line>, b: u32) {
+    all_fours(v, b);
+    turns(v, b);
+    all_eights(v, b);
+}
+
+fn thirty_twos_back(v: ptr<function, Line>, b: u32) {
+    all_eights(v, b);
+    turns(v, b);
+    all_fours(v, b);
 }
 
 fn line_160(v: ptr<function, Line>) {
-    tens(v, 0u);
-    turned_tens(v, 1u, vec4f(0.999229036, -0.039259816, 0.996917334, -0.078459096), vec4f(0.987688341, -0.156434465, 0.951056516, -0.309016994));
-    turned_tens(v, 2u, vec4f(0.996917334, -0.078459096, 0.987688341, -0.156434465), vec4f(0.951056516, -0.309016994, 0.809016994, -0.587785252));
-    turned_tens(v, 3u, vec4f(0.993068457, -0.117537397, 0.972369920, -0.233445364), vec4f(0.891006524, -0.453990500, 0.587785252, -0.809016994));
-    turned_tens(v, 4u, vec4f(0.987688341, -0.156434465, 0.951056516, -0.309016994), vec4f(0.809016994, -0.587785252, 0.309016994, -0.951056516));
-    turned_tens(v, 5u, vec4f(0.980785280, -0.195090322, 0.923879533, -0.382683432), vec4f(0.707106781, -0.707106781, 0.0, -1.0));
-    turned_tens(v, 6u, vec4f(0.972369920, -0.233445364, 0.891006524, -0.453990500), vec4f(0.587785252, -0.809016994, -0.309016994, -0.951056516));
-    turned_tens(v, 7u, vec4f(0.962455236, -0.271440450, 0.852640164, -0.522498565), vec4f(0.453990500, -0.891006524, -0.587785252, -0.809016994));
-    turned_tens(v, 8u, vec4f(0.951056516, -0.309016994, 0.809016994, -0.587785252), vec4f(0.309016994, -0.951056516, -0.809016994, -0.587785252));
-    turned_tens(v, 9u, vec4f(0.938191336, -0.346117057, 0.760405966, -0.649448048), vec4f(0.156434465, -0.987688341, -0.951056516, -0.309016994));
-    turned_tens(v, 10u, vec4f(0.923879533, -0.382683432, 0.707106781, -0.707106781), vec4f(0.0, -1.0, -1.0, 0.0));
-    turned_tens(v, 11u, vec4f(0.908143174, -0.418659738, 0.649448048, -0.760405966), vec4f(-0.156434465, -0.987688341, -0.951056516, 0.309016994));
-    turned_tens(v, 12u, vec4f(0.891006524, -0.453990500, 0.587785252, -0.809016994), vec4f(-0.309016994, -0.951056516, -0.809016994, 0.587785252));
-    turned_tens(v, 13u, vec4f(0.872496007, -0.488621241, 0.522498565, -0.852640164), vec4f(-0.453990500, -0.891006524, -0.587785252, 0.809016994));
-    turned_tens(v, 14u, vec4f(0.852640164, -0.522498565, 0.453990500, -0.891006524), vec4f(-0.587785252, -0.809016994, -0.309016994, 0.951056516));
-    turned_tens(v, 15u, vec4f(0.831469612, -0.555570233, 0.382683432, -0.923879533), vec4f(-0.707106781, -0.707106781, 0.0, 1.0));
-    sixteens(v, 0u);
-    sixteens(v, 16u);
-    sixteens(v, 32u);
-    sixteens(v, 48u);
-    sixteens(v, 64u);
-    sixteens(v, 80u);
-    sixteens(v, 96u);
-    sixteens(v, 112u);
-    sixteens(v, 128u);
-    sixteens(v, 144u);
+    fives(v, 0u); fives(v, 1u); fives(v, 2u); fives(v, 3u); fives(v, 4u); fives(v, 5u); fives(v, 6u); fives(v, 7u);
+    fives(v, 8u); fives(v, 9u); fives(v, 10u); fives(v, 11u); fives(v, 12u); fives(v, 13u); fives(v, 14u); fives(v, 15u);
+    fives(v, 16u); fives(v, 17u); fives(v, 18u); fives(v, 19u); fives(v, 20u); fives(v, 21u); fives(v, 22u); fives(v, 23u);
+    fives(v, 24u); fives(v, 25u); fives(v, 26u); fives(v, 27u); fives(v, 28u); fives(v, 29u); fives(v, 30u); fives(v, 31u);
+    thirty_twos(v, 0u); thirty_twos(v, 32u); thirty_twos(v, 64u); thirty_twos(v, 96u); thirty_twos(v, 128u);
 }
 
 fn line_160_back(v: ptr<function, Line>) {
-    sixteens(v, 0u);
-    turned_sixteens(v, 16u, vec4f(0.999229036, -0.039259816, 0.996917334, -0.078459096), vec4f(0.987688341, -0.156434465, 0.951056516, -0.309016994));
-    turned_sixteens(v, 32u, vec4f(0.996917334, -0.078459096, 0.987688341, -0.156434465), vec4f(0.951056516, -0.309016994, 0.809016994, -0.587785252));
-    turned_sixteens(v, 48u, vec4f(0.993068457, -0.117537397, 0.972369920, -0.233445364), vec4f(0.891006524, -0.453990500, 0.587785252, -0.809016994));
-    turned_sixteens(v, 64u, vec4f(0.987688341, -0.156434465, 0.951056516, -0.309016994), vec4f(0.809016994, -0.587785252, 0.309016994, -0.951056516));
-    turned_sixteens(v, 80u, vec4f(0.980785280, -0.195090322, 0.923879533, -0.382683432), vec4f(0.707106781, -0.707106781, 0.0, -1.0));
-    turned_sixteens(v, 96u, vec4f(0.972369920, -0.233445364, 0.891006524, -0.453990500), vec4f(0.587785252, -0.809016994, -0.309016994, -0.951056516));
-    turned_sixteens(v, 112u, vec4f(0.962455236, -0.271440450, 0.852640164, -0.522498565), vec4f(0.453990500, -0.891006524, -0.587785252, -0.809016994));
-    turned_sixteens(v, 128u, vec4f(0.951056516, -0.309016994, 0.809016994, -0.587785252), vec4f(0.309016994, -0.951056516, -0.809016994, -0.587785252));
-    turned_sixteens(v, 144u, vec4f(0.938191336, -0.346117057, 0.760405966, -0.649448048), vec4f(0.156434465, -0.987688341, -0.951056516, -0.309016994));
-    tens(v, 0u);
-    tens(v, 1u);
-    tens(v, 2u);
-    tens(v, 3u);
-    tens(v, 4u);
-    tens(v, 5u);
-    tens(v, 6u);
-    tens(v, 7u);
-    tens(v, 8u);
-    tens(v, 9u);
-    tens(v, 10u);
-    tens(v, 11u);
-    tens(v, 12u);
-    tens(v, 13u);
-    tens(v, 14u);
-    tens(v, 15u);
+    thirty_twos_back(v, 0u); thirty_twos_back(v, 32u); thirty_twos_back(v, 64u); thirty_twos_back(v, 96u);
+    thirty_twos_back(v, 128u);
+    fives_back(v, 0u); fives_back(v, 1u); fives_back(v, 2u); fives_back(v, 3u); fives_back(v, 4u); fives_back(v, 5u);
+    fives_back(v, 6u); fives_back(v, 7u); fives_back(v, 8u); fives_back(v, 9u); fives_back(v, 10u); fives_back(v, 11u);
+    fives_back(v, 12u); fives_back(v, 13u); fives_back(v, 14u); fives_back(v, 15u); fives_back(v, 16u); fives_back(v, 17u);
+    fives_back(v, 18u); fives_back(v, 19u); fives_back(v, 20u); fives_back(v, 21u); fives_back(v, 22u); fives_back(v, 23u);
+    fives_back(v, 24u); fives_back(v, 25u); fives_back(v, 26u); fives_back(v, 27u); fives_back(v, 28u); fives_back(v, 29u);
+    fives_back(v, 30u); fives_back(v, 31u);
 }

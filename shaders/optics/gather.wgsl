@@ -2,8 +2,8 @@
 // overlapped, added and stored.
 //
 //   image[y, x] = sum over windows of sum_kx columns[kx, y] exp(2 pi i kx x / 160),  columns[160-kx] = conj columns[kx]
-// columns (blocks across, rows/2, 81, 2), unit of the image: [column, y/2, kx, y%2] -> image (rows, SIDE (across - 1) + 160)
-// of a channel, same unit.
+// columns (channels, blocks across, rows/2, 81, 2), unit of the image: [channel, column, y/2, kx, y%2]
+// -> image (channels, rows, SIDE (across - 1) + 160), same unit.
 // Dispatch: ceil(lines / 8) workgroups of 8 invocations.
 #include "line_160"
 #include "texels"
@@ -11,9 +11,10 @@
 override SIDE: u32 = 128u;  // of a block, samples; a multiple of 4, from 80 to 160
 
 struct Params {
-    lines: u32,       // rows / 2
+    lines: u32,       // channels * rows / 2
+    rows: u32,        // of the image
     across: u32,      // blocks in a row of blocks
-    first: u32,       // of the image's channel, in fours of samples
+    first: u32,       // of the image's first channel here, in fours of samples
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -65,46 +66,43 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let stride = ((params.across - 1u) * SIDE + 160u) / 4u;  // of the image, in fours of samples
-    var from_ = id.x * 81u;
+    let pairs = params.rows / 2u;
+    var from_ = (id.x / pairs * params.across * pairs + id.x % pairs) * 81u;
     var at = params.first + 2u * id.x * stride;
     var v: Line;
     var rest: Line;
     for (var column = 0u; column < params.across; column++) {
-        load(&v, 0u, from_);
-        load_both(&v, 16u, 159u, from_ + 1u); load_both(&v, 32u, 143u, from_ + 2u); load_both(&v, 48u, 127u, from_ + 3u);
-        load_both(&v, 64u, 111u, from_ + 4u); load_both(&v, 80u, 95u, from_ + 5u); load_both(&v, 96u, 79u, from_ + 6u);
-        load_both(&v, 112u, 63u, from_ + 7u); load_both(&v, 128u, 47u, from_ + 8u); load_both(&v, 144u, 31u, from_ + 9u);
-        load_both(&v, 1u, 15u, from_ + 10u); load_both(&v, 17u, 158u, from_ + 11u); load_both(&v, 33u, 142u, from_ + 12u);
-        load_both(&v, 49u, 126u, from_ + 13u); load_both(&v, 65u, 110u, from_ + 14u);
-        load_both(&v, 81u, 94u, from_ + 15u); load_both(&v, 97u, 78u, from_ + 16u); load_both(&v, 113u, 62u, from_ + 17u);
-        load_both(&v, 129u, 46u, from_ + 18u); load_both(&v, 145u, 30u, from_ + 19u); load_both(&v, 2u, 14u, from_ + 20u);
-        load_both(&v, 18u, 157u, from_ + 21u); load_both(&v, 34u, 141u, from_ + 22u);
-        load_both(&v, 50u, 125u, from_ + 23u); load_both(&v, 66u, 109u, from_ + 24u);
-        load_both(&v, 82u, 93u, from_ + 25u); load_both(&v, 98u, 77u, from_ + 26u); load_both(&v, 114u, 61u, from_ + 27u);
-        load_both(&v, 130u, 45u, from_ + 28u); load_both(&v, 146u, 29u, from_ + 29u); load_both(&v, 3u, 13u, from_ + 30u);
-        load_both(&v, 19u, 156u, from_ + 31u); load_both(&v, 35u, 140u, from_ + 32u);
-        load_both(&v, 51u, 124u, from_ + 33u); load_both(&v, 67u, 108u, from_ + 34u);
-        load_both(&v, 83u, 92u, from_ + 35u); load_both(&v, 99u, 76u, from_ + 36u); load_both(&v, 115u, 60u, from_ + 37u);
-        load_both(&v, 131u, 44u, from_ + 38u); load_both(&v, 147u, 28u, from_ + 39u); load_both(&v, 4u, 12u, from_ + 40u);
-        load_both(&v, 20u, 155u, from_ + 41u); load_both(&v, 36u, 139u, from_ + 42u);
-        load_both(&v, 52u, 123u, from_ + 43u); load_both(&v, 68u, 107u, from_ + 44u);
-        load_both(&v, 84u, 91u, from_ + 45u); load_both(&v, 100u, 75u, from_ + 46u);
-        load_both(&v, 116u, 59u, from_ + 47u); load_both(&v, 132u, 43u, from_ + 48u);
-        load_both(&v, 148u, 27u, from_ + 49u); load_both(&v, 5u, 11u, from_ + 50u); load_both(&v, 21u, 154u, from_ + 51u);
-        load_both(&v, 37u, 138u, from_ + 52u); load_both(&v, 53u, 122u, from_ + 53u);
-        load_both(&v, 69u, 106u, from_ + 54u); load_both(&v, 85u, 90u, from_ + 55u);
-        load_both(&v, 101u, 74u, from_ + 56u); load_both(&v, 117u, 58u, from_ + 57u);
-        load_both(&v, 133u, 42u, from_ + 58u); load_both(&v, 149u, 26u, from_ + 59u); load_both(&v, 6u, 10u, from_ + 60u);
-        load_both(&v, 22u, 153u, from_ + 61u); load_both(&v, 38u, 137u, from_ + 62u);
-        load_both(&v, 54u, 121u, from_ + 63u); load_both(&v, 70u, 105u, from_ + 64u);
-        load_both(&v, 86u, 89u, from_ + 65u); load_both(&v, 102u, 73u, from_ + 66u);
-        load_both(&v, 118u, 57u, from_ + 67u); load_both(&v, 134u, 41u, from_ + 68u);
-        load_both(&v, 150u, 25u, from_ + 69u); load_both(&v, 7u, 9u, from_ + 70u); load_both(&v, 23u, 152u, from_ + 71u);
-        load_both(&v, 39u, 136u, from_ + 72u); load_both(&v, 55u, 120u, from_ + 73u);
-        load_both(&v, 71u, 104u, from_ + 74u); load_both(&v, 87u, 88u, from_ + 75u);
-        load_both(&v, 103u, 72u, from_ + 76u); load_both(&v, 119u, 56u, from_ + 77u);
-        load_both(&v, 135u, 40u, from_ + 78u); load_both(&v, 151u, 24u, from_ + 79u);
-        load(&v, 8u, from_ + 80u);
+        load(&v, 0u, from_); load_both(&v, 107u, 92u, from_ + 1u); load_both(&v, 54u, 145u, from_ + 2u);
+        load_both(&v, 153u, 46u, from_ + 3u); load_both(&v, 69u, 99u, from_ + 4u); load_both(&v, 8u, 31u, from_ + 5u);
+        load_both(&v, 115u, 84u, from_ + 6u); load_both(&v, 62u, 137u, from_ + 7u); load_both(&v, 130u, 38u, from_ + 8u);
+        load_both(&v, 77u, 122u, from_ + 9u); load_both(&v, 16u, 23u, from_ + 10u); load_both(&v, 123u, 76u, from_ + 11u);
+        load_both(&v, 39u, 129u, from_ + 12u); load_both(&v, 138u, 61u, from_ + 13u);
+        load_both(&v, 85u, 114u, from_ + 14u); load_both(&v, 24u, 15u, from_ + 15u); load_both(&v, 100u, 68u, from_ + 16u);
+        load_both(&v, 47u, 152u, from_ + 17u); load_both(&v, 146u, 53u, from_ + 18u);
+        load_both(&v, 93u, 106u, from_ + 19u); load_both(&v, 1u, 7u, from_ + 20u); load_both(&v, 108u, 91u, from_ + 21u);
+        load_both(&v, 55u, 144u, from_ + 22u); load_both(&v, 154u, 45u, from_ + 23u); load_both(&v, 70u, 98u, from_ + 24u);
+        load_both(&v, 9u, 30u, from_ + 25u); load_both(&v, 116u, 83u, from_ + 26u); load_both(&v, 63u, 136u, from_ + 27u);
+        load_both(&v, 131u, 37u, from_ + 28u); load_both(&v, 78u, 121u, from_ + 29u); load_both(&v, 17u, 22u, from_ + 30u);
+        load_both(&v, 124u, 75u, from_ + 31u); load_both(&v, 32u, 128u, from_ + 32u);
+        load_both(&v, 139u, 60u, from_ + 33u); load_both(&v, 86u, 113u, from_ + 34u); load_both(&v, 25u, 14u, from_ + 35u);
+        load_both(&v, 101u, 67u, from_ + 36u); load_both(&v, 40u, 159u, from_ + 37u);
+        load_both(&v, 147u, 52u, from_ + 38u); load_both(&v, 94u, 105u, from_ + 39u); load_both(&v, 2u, 6u, from_ + 40u);
+        load_both(&v, 109u, 90u, from_ + 41u); load_both(&v, 48u, 151u, from_ + 42u);
+        load_both(&v, 155u, 44u, from_ + 43u); load_both(&v, 71u, 97u, from_ + 44u); load_both(&v, 10u, 29u, from_ + 45u);
+        load_both(&v, 117u, 82u, from_ + 46u); load_both(&v, 56u, 143u, from_ + 47u);
+        load_both(&v, 132u, 36u, from_ + 48u); load_both(&v, 79u, 120u, from_ + 49u); load_both(&v, 18u, 21u, from_ + 50u);
+        load_both(&v, 125u, 74u, from_ + 51u); load_both(&v, 33u, 135u, from_ + 52u);
+        load_both(&v, 140u, 59u, from_ + 53u); load_both(&v, 87u, 112u, from_ + 54u); load_both(&v, 26u, 13u, from_ + 55u);
+        load_both(&v, 102u, 66u, from_ + 56u); load_both(&v, 41u, 158u, from_ + 57u);
+        load_both(&v, 148u, 51u, from_ + 58u); load_both(&v, 95u, 104u, from_ + 59u); load_both(&v, 3u, 5u, from_ + 60u);
+        load_both(&v, 110u, 89u, from_ + 61u); load_both(&v, 49u, 150u, from_ + 62u);
+        load_both(&v, 156u, 43u, from_ + 63u); load_both(&v, 64u, 96u, from_ + 64u); load_both(&v, 11u, 28u, from_ + 65u);
+        load_both(&v, 118u, 81u, from_ + 66u); load_both(&v, 57u, 142u, from_ + 67u);
+        load_both(&v, 133u, 35u, from_ + 68u); load_both(&v, 72u, 127u, from_ + 69u); load_both(&v, 19u, 20u, from_ + 70u);
+        load_both(&v, 126u, 73u, from_ + 71u); load_both(&v, 34u, 134u, from_ + 72u);
+        load_both(&v, 141u, 58u, from_ + 73u); load_both(&v, 80u, 119u, from_ + 74u); load_both(&v, 27u, 12u, from_ + 75u);
+        load_both(&v, 103u, 65u, from_ + 76u); load_both(&v, 42u, 157u, from_ + 77u);
+        load_both(&v, 149u, 50u, from_ + 78u); load_both(&v, 88u, 111u, from_ + 79u); load(&v, 4u, from_ + 80u);
         line_160_back(&v);
         add(&v, &rest, 0u, at, stride); add(&v, &rest, 4u, at, stride); add(&v, &rest, 8u, at, stride);
         add(&v, &rest, 12u, at, stride); add(&v, &rest, 16u, at, stride); add(&v, &rest, 20u, at, stride);
@@ -120,7 +118,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
         add(&v, &rest, 132u, at, stride); add(&v, &rest, 136u, at, stride); add(&v, &rest, 140u, at, stride);
         add(&v, &rest, 144u, at, stride); add(&v, &rest, 148u, at, stride); add(&v, &rest, 152u, at, stride);
         add(&v, &rest, 156u, at, stride);
-        from_ += params.lines * 81u;
+        from_ += pairs * 81u;
         at += SIDE / 4u;
     }
     finish(&rest, 0u, at, stride); finish(&rest, 4u, at, stride); finish(&rest, 8u, at, stride);

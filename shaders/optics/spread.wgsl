@@ -3,8 +3,8 @@
 // the left and the right node (0..1), the real rows a (1 - s) and a s share one complex transform of 160 samples:
 //   Z[k] = sum_x a[y, x] ((1 - s(x)) + i s(x)) exp(-2 pi i k x / 160)
 //   A_0 = (Z[k] + conj Z[160-k]) / 2,  A_1 = (Z[k] - conj Z[160-k]) / 2i
-// image (rows, 4 stride) in its own unit, SIDE rows and columns for each block or more -> spectra (blocks, 2, SIDE/2, 81, 2),
-// same unit: [block, side, y/2, kx, y%2].
+// image (rows, 4 stride) in its own unit, SIDE rows and columns for each block -> spectra (blocks, 2, SIDE/2, 81, 2), same
+// unit: [block, side, y/2, kx, y%2]. Channels are rows below those of the channel before.
 // Dispatch: ceil(lines / 64) workgroups of 64 invocations, one row of one block each; block = across * row + column.
 #include "line_160"
 #include "texels"
@@ -67,31 +67,31 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     load(&v, 144u, at, s, step); load(&v, 148u, at, s, step); load(&v, 152u, at, s, step); load(&v, 156u, at, s, step);
     line_160(&v);
     let line = (block * SIDE + y / 2u) * 162u + y % 2u;
-    store(&v, 0u, 0u, line + 0u); store(&v, 16u, 159u, line + 2u); store(&v, 32u, 143u, line + 4u);
-    store(&v, 48u, 127u, line + 6u); store(&v, 64u, 111u, line + 8u); store(&v, 80u, 95u, line + 10u);
-    store(&v, 96u, 79u, line + 12u); store(&v, 112u, 63u, line + 14u); store(&v, 128u, 47u, line + 16u);
-    store(&v, 144u, 31u, line + 18u); store(&v, 1u, 15u, line + 20u); store(&v, 17u, 158u, line + 22u);
-    store(&v, 33u, 142u, line + 24u); store(&v, 49u, 126u, line + 26u); store(&v, 65u, 110u, line + 28u);
-    store(&v, 81u, 94u, line + 30u); store(&v, 97u, 78u, line + 32u); store(&v, 113u, 62u, line + 34u);
-    store(&v, 129u, 46u, line + 36u); store(&v, 145u, 30u, line + 38u); store(&v, 2u, 14u, line + 40u);
-    store(&v, 18u, 157u, line + 42u); store(&v, 34u, 141u, line + 44u); store(&v, 50u, 125u, line + 46u);
-    store(&v, 66u, 109u, line + 48u); store(&v, 82u, 93u, line + 50u); store(&v, 98u, 77u, line + 52u);
-    store(&v, 114u, 61u, line + 54u); store(&v, 130u, 45u, line + 56u); store(&v, 146u, 29u, line + 58u);
-    store(&v, 3u, 13u, line + 60u); store(&v, 19u, 156u, line + 62u); store(&v, 35u, 140u, line + 64u);
-    store(&v, 51u, 124u, line + 66u); store(&v, 67u, 108u, line + 68u); store(&v, 83u, 92u, line + 70u);
-    store(&v, 99u, 76u, line + 72u); store(&v, 115u, 60u, line + 74u); store(&v, 131u, 44u, line + 76u);
-    store(&v, 147u, 28u, line + 78u); store(&v, 4u, 12u, line + 80u); store(&v, 20u, 155u, line + 82u);
-    store(&v, 36u, 139u, line + 84u); store(&v, 52u, 123u, line + 86u); store(&v, 68u, 107u, line + 88u);
-    store(&v, 84u, 91u, line + 90u); store(&v, 100u, 75u, line + 92u); store(&v, 116u, 59u, line + 94u);
-    store(&v, 132u, 43u, line + 96u); store(&v, 148u, 27u, line + 98u); store(&v, 5u, 11u, line + 100u);
-    store(&v, 21u, 154u, line + 102u); store(&v, 37u, 138u, line + 104u); store(&v, 53u, 122u, line + 106u);
-    store(&v, 69u, 106u, line + 108u); store(&v, 85u, 90u, line + 110u); store(&v, 101u, 74u, line + 112u);
-    store(&v, 117u, 58u, line + 114u); store(&v, 133u, 42u, line + 116u); store(&v, 149u, 26u, line + 118u);
-    store(&v, 6u, 10u, line + 120u); store(&v, 22u, 153u, line + 122u); store(&v, 38u, 137u, line + 124u);
-    store(&v, 54u, 121u, line + 126u); store(&v, 70u, 105u, line + 128u); store(&v, 86u, 89u, line + 130u);
-    store(&v, 102u, 73u, line + 132u); store(&v, 118u, 57u, line + 134u); store(&v, 134u, 41u, line + 136u);
-    store(&v, 150u, 25u, line + 138u); store(&v, 7u, 9u, line + 140u); store(&v, 23u, 152u, line + 142u);
-    store(&v, 39u, 136u, line + 144u); store(&v, 55u, 120u, line + 146u); store(&v, 71u, 104u, line + 148u);
-    store(&v, 87u, 88u, line + 150u); store(&v, 103u, 72u, line + 152u); store(&v, 119u, 56u, line + 154u);
-    store(&v, 135u, 40u, line + 156u); store(&v, 151u, 24u, line + 158u); store(&v, 8u, 8u, line + 160u);
+    store(&v, 0u, 0u, line); store(&v, 107u, 92u, line + 2u); store(&v, 54u, 145u, line + 4u);
+    store(&v, 153u, 46u, line + 6u); store(&v, 69u, 99u, line + 8u); store(&v, 8u, 31u, line + 10u);
+    store(&v, 115u, 84u, line + 12u); store(&v, 62u, 137u, line + 14u); store(&v, 130u, 38u, line + 16u);
+    store(&v, 77u, 122u, line + 18u); store(&v, 16u, 23u, line + 20u); store(&v, 123u, 76u, line + 22u);
+    store(&v, 39u, 129u, line + 24u); store(&v, 138u, 61u, line + 26u); store(&v, 85u, 114u, line + 28u);
+    store(&v, 24u, 15u, line + 30u); store(&v, 100u, 68u, line + 32u); store(&v, 47u, 152u, line + 34u);
+    store(&v, 146u, 53u, line + 36u); store(&v, 93u, 106u, line + 38u); store(&v, 1u, 7u, line + 40u);
+    store(&v, 108u, 91u, line + 42u); store(&v, 55u, 144u, line + 44u); store(&v, 154u, 45u, line + 46u);
+    store(&v, 70u, 98u, line + 48u); store(&v, 9u, 30u, line + 50u); store(&v, 116u, 83u, line + 52u);
+    store(&v, 63u, 136u, line + 54u); store(&v, 131u, 37u, line + 56u); store(&v, 78u, 121u, line + 58u);
+    store(&v, 17u, 22u, line + 60u); store(&v, 124u, 75u, line + 62u); store(&v, 32u, 128u, line + 64u);
+    store(&v, 139u, 60u, line + 66u); store(&v, 86u, 113u, line + 68u); store(&v, 25u, 14u, line + 70u);
+    store(&v, 101u, 67u, line + 72u); store(&v, 40u, 159u, line + 74u); store(&v, 147u, 52u, line + 76u);
+    store(&v, 94u, 105u, line + 78u); store(&v, 2u, 6u, line + 80u); store(&v, 109u, 90u, line + 82u);
+    store(&v, 48u, 151u, line + 84u); store(&v, 155u, 44u, line + 86u); store(&v, 71u, 97u, line + 88u);
+    store(&v, 10u, 29u, line + 90u); store(&v, 117u, 82u, line + 92u); store(&v, 56u, 143u, line + 94u);
+    store(&v, 132u, 36u, line + 96u); store(&v, 79u, 120u, line + 98u); store(&v, 18u, 21u, line + 100u);
+    store(&v, 125u, 74u, line + 102u); store(&v, 33u, 135u, line + 104u); store(&v, 140u, 59u, line + 106u);
+    store(&v, 87u, 112u, line + 108u); store(&v, 26u, 13u, line + 110u); store(&v, 102u, 66u, line + 112u);
+    store(&v, 41u, 158u, line + 114u); store(&v, 148u, 51u, line + 116u); store(&v, 95u, 104u, line + 118u);
+    store(&v, 3u, 5u, line + 120u); store(&v, 110u, 89u, line + 122u); store(&v, 49u, 150u, line + 124u);
+    store(&v, 156u, 43u, line + 126u); store(&v, 64u, 96u, line + 128u); store(&v, 11u, 28u, line + 130u);
+    store(&v, 118u, 81u, line + 132u); store(&v, 57u, 142u, line + 134u); store(&v, 133u, 35u, line + 136u);
+    store(&v, 72u, 127u, line + 138u); store(&v, 19u, 20u, line + 140u); store(&v, 126u, 73u, line + 142u);
+    store(&v, 34u, 134u, line + 144u); store(&v, 141u, 58u, line + 146u); store(&v, 80u, 119u, line + 148u);
+    store(&v, 27u, 12u, line + 150u); store(&v, 103u, 65u, line + 152u); store(&v, 42u, 157u, line + 154u);
+    store(&v, 149u, 50u, line + 156u); store(&v, 88u, 111u, line + 158u); store(&v, 4u, 4u, line + 160u);
 }

@@ -53,6 +53,19 @@ def test_every_sample_is_spread_by_its_own_psf(shape: tuple[int, int], spacing: 
     assert_close(blur(image, psfs, spacing), expected, atol=BAR * expected.max())
 
 
+def test_channels_that_do_not_fit_a_binding_come_one_after_another(monkeypatch):
+    psfs = made((2, 2), 5, 31)
+    image = np.random.default_rng(3).random((5, 80, 80), np.float32)
+    whole = Blur(psfs, (80, 80), 80)
+    assert len(whole.turns) == 1
+    monkeypatch.setattr("gpusim.optics.blur.MAX_BINDING_BYTES", 2 * 8 * 81 * 2 * 80)
+    parts = Blur(psfs, (80, 80), 80)
+    assert [len(turn) for turn in parts.turns] == [2, 2, 1]
+    np.testing.assert_array_equal(parts(image), whole(image))
+    whole.release()
+    parts.release()
+
+
 def test_a_point_lands_as_its_psf_not_mirrored():
     psfs = made((2, 2), 1, 31)
     psfs[:] = psfs[0, 0]
@@ -63,7 +76,7 @@ def test_a_point_lands_as_its_psf_not_mirrored():
 
 
 def test_it_is_kept_for_the_next_image():
-    psfs = made((2, 2), 1, 5)
+    psfs = made((2, 2), 1, 31)
     kept = Blur(psfs, (40, 40), 80)
     image = np.random.default_rng(2).random((1, 40, 40), np.float32)
     first = kept(image)

@@ -1,10 +1,10 @@
 """Mix: columns convolved with four nodes' PSFs, against the definition.
 
-Tolerance: two transforms of 160 (see test_spread, 60 roundings each of the sum of the moduli), one
-product, the sums over four nodes and over two windows: 141 2^-24 of S, S the sum over ky of |A| |H|
-with |A| the sum of the column's moduli. And the transform of the PSF's rows h, of which the norm
-errs by 60 2^-24 of itself: by Schwarz' inequality 60 2^-24 |A| sqrt(160) |H|_2, and
-|H|_2 = sqrt(160) |h|_2.
+Tolerance: two transforms of 160 (see test_spread, 20 roundings each of the sum of the moduli), the
+weight (5), the product (3), the sums over four nodes (3) and over two windows (1): 52 2^-24 of S, S
+the sum over ky of |A| |H| with |A| the sum of the column's moduli. And the transform of the PSF's
+rows h, of which the norm errs by 20 2^-24 of itself: by Schwarz' inequality
+20 2^-24 |A| sqrt(160) |H|_2, and |H|_2 = sqrt(160) |h|_2.
 """
 
 import numpy as np
@@ -14,16 +14,16 @@ from optics.made import ULP
 
 from gpusim.reference.mix import mix
 
-LENGTH, HALF, ROWS = 160, 81, 20
+LENGTH, HALF, ROWS, CHANNELS = 160, 81, 20, 2
 
 
 def made(side: int, per_cell: int, cells: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return random row spectra, and PSFs that differ from node to node."""
+    """Return random row spectra, and PSFs that differ from node to node; of each channel."""
     rng = np.random.default_rng(side + per_cell)
     blocks = cells[0] * cells[1] * per_cell**2
-    spectra = rng.normal(size=(blocks, side, HALF, 4)).astype(np.float32)
-    psfs = np.zeros((cells[0] + 1, cells[1] + 1, LENGTH, LENGTH))
-    psfs[..., :ROWS, :20] = rng.random((cells[0] + 1, cells[1] + 1, ROWS, 20))
+    spectra = rng.normal(size=(CHANNELS, blocks, side, HALF, 4)).astype(np.float32)
+    psfs = np.zeros((CHANNELS, cells[0] + 1, cells[1] + 1, LENGTH, LENGTH))
+    psfs[..., :ROWS, :20] = rng.random((*psfs.shape[:3], ROWS, 20))
     return spectra.view(np.complex64), psfs
 
 
@@ -43,30 +43,31 @@ def on_device(
 ):
     transformed = np.fft.rfft(psfs[..., :ROWS, :]) / LENGTH**2
     down, across = (count * per_cell for count in cells)
-    lines = across * HALF if lines is None else lines
+    lines = CHANNELS * across * HALF if lines is None else lines
     rows = (down - 1) * side + LENGTH
     result = run_stage(
         "optics/mix",
         (-(-lines // 8), 1, 1),
         {"lines": lines, "across": across, "down": down, "per_cell": per_cell},
         {
-            "spectra": paired(spectra.transpose(0, 3, 1, 2)).astype(np.complex64),
+            "spectra": paired(spectra.transpose(0, 1, 4, 2, 3)).astype(np.complex64),
             "psfs": paired(transformed).astype(np.complex64),
         },
-        {"columns": (across * rows * HALF, np.complex64)},
+        {"columns": (CHANNELS * across * rows * HALF, np.complex64)},
         SIDE=side,
         ROWS=ROWS,
+        KEEP=per_cell == 1,
     )
-    found = result["columns"].reshape(across, rows // 2, HALF, 2)
-    return found.transpose(0, 2, 1, 3).reshape(across, HALF, rows)
+    found = result["columns"].reshape(CHANNELS, across, rows // 2, HALF, 2)
+    return found.transpose(0, 1, 3, 2, 4).reshape(CHANNELS, across, HALF, rows)
 
 
 def bound(spectra: np.ndarray, psfs: np.ndarray) -> float:
-    columns = np.abs(spectra).sum(axis=1, dtype=float).max()
+    columns = np.abs(spectra).sum(axis=2, dtype=float).max()
     # A column meets both nodes of a side with weights whose sum is one: two sides.
     responses = np.abs(np.fft.fft2(psfs)).sum(axis=-2).max() / LENGTH**2
     rows = np.linalg.norm(np.fft.rfft(psfs), axis=-2).max() / LENGTH**2
-    return (141 * responses + 60 * LENGTH * rows) * ULP * 2 * columns
+    return (52 * responses + 20 * LENGTH * rows) * ULP * 2 * columns
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,10 @@ def bound(spectra: np.ndarray, psfs: np.ndarray) -> float:
 def test_columns_are_those_of_the_reference(side: int, per_cell: int, cells: tuple[int, int]):
     spectra, psfs = made(side, per_cell, cells)
     found = on_device(spectra, psfs, side, per_cell, cells)
-    expected = mix(spectra, psfs, cells[1] * per_cell, per_cell, LENGTH)
+    across = cells[1] * per_cell
+    expected = np.stack(
+        [mix(*one, across, per_cell, LENGTH) for one in zip(spectra, psfs, strict=True)]
+    )
     allowed = bound(spectra, psfs)
     # An error of the size that is sought, a node taken for its neighbour, is far above the bound.
     assert np.abs(expected).max() > 1000 * allowed
@@ -89,5 +93,6 @@ def test_columns_are_those_of_the_reference(side: int, per_cell: int, cells: tup
 def test_no_more_lines_than_asked_for_are_written():
     spectra, psfs = made(80, 1, (1, 1))
     found = on_device(spectra, psfs, 80, 1, (1, 1), lines=70)
-    assert unwritten(found[0, 70:].reshape(-1)).all()
-    assert not unwritten(found[0, :70].reshape(-1)).any()
+    assert unwritten(found[0, 0, 70:].reshape(-1)).all()
+    assert unwritten(found[1].reshape(-1)).all()
+    assert not unwritten(found[0, 0, :70].reshape(-1)).any()
