@@ -548,10 +548,9 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
 
         peers["scipy"] = (peer, blocks)
     else:
-        found = error(
-            device.read(rates)[:, :window, :window],
-            lattice(by_site(folded), np.zeros((4, window, window)), grid.window_origin((0, 0))),
-        )
+        start = grid.window_origin((0, 0))
+        expected = lattice(by_site(folded), np.zeros((4, window, window)), start, (1, 1), grid.seen)
+        found = error(device.read(rates)[:, :window, :window], expected)
         samples = 4 * window**2
         nbytes = folded.nbytes + 2 * 4 * samples
     return Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)

@@ -16,7 +16,7 @@ from gpusim.gpu import Array, Device, Kernel, Recording, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import kernel_spectra
-from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
+from gpusim.optics.nodes import NodeStore, Outputs, Scale, folds_of, outputs_of
 from gpusim.sensor.aperture import Response
 
 # Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
@@ -132,7 +132,8 @@ class Transforms:
     ) -> None:
         """Multiply the spectra in the scratch with four kernels, and add the block to the rates.
 
-        `columns` are the params of shaders/optics/columns, but for the sites.
+        `columns` are the params of shaders/optics/columns, but for the sites; of a block that is
+        `mirrored` there, `block` is the one whose mirror image it is.
         """
         grid = self.grid
         names = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
@@ -148,11 +149,20 @@ class Transforms:
                 folded=scratch.folded,
             )
         row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
-        origin = grid.window_origin(block)
+        origin, step = [], []
+        for at, before, side, mirrored in zip(
+            grid.window_origin(block),
+            (col0, row0),
+            (grid.cols, grid.rows),
+            columns["mirrored"],
+            strict=True,
+        ):
+            origin.append((side // grid.period - 1 - at if mirrored else at) - before)
+            step.append(-1 if mirrored else 1)
         self.lattice.record(
             rec,
-            groups=(grid.window // grid.stride, -(-grid.sites // 4), 1),
-            params={"origin": (origin[0] - col0, origin[1] - row0), "size": (cols, rows)},
+            groups=(-(-grid.seen[1] // grid.stride), -(-grid.sites // 4), 1),
+            params={"origin": origin, "step": step, "size": (cols, rows), "seen": grid.seen},
             twiddle=self.twiddle,
             folded=scratch.folded,
             rates=rates,
@@ -182,9 +192,10 @@ class Convolve(Transforms, NodeStore):
         aperture_um: float | Response,
         site_channels: list[int],
     ) -> None:
-        NodeStore.__init__(self, device, scale, needed)
         grid = scale.grid
         self.outputs = outputs_of(grid, site_channels, scale.kernels.splines.shape[2])
+        folds = folds_of(grid, scale.kernels.mirrored, aperture_um, self.outputs.step)
+        NodeStore.__init__(self, device, scale, needed, folds)
         Transforms.__init__(self, device, scale, self.outputs, 4)
         self.rows = Kernel("optics/rows", **block_transform(grid))
         self.aperture = aperture_um / scale.pitch_um  # sim samples
@@ -234,11 +245,12 @@ class Convolve(Transforms, NodeStore):
             Rectangle of pixels, aligned to the CFA period.
         """
         grid = self.grid
+        block, mirrored = grid.folded(block, self.folds)
         (first_x, step_x), (first_y, step_y) = grid.node_weights(block)
         self.rows.record(
             rec,
             groups=(-(-grid.block[1] // 2), needed, 1),
-            params={"first_s": first_x, "step_s": step_x},
+            params={"first_s": first_x, "step_s": step_x, "mirrored": mirrored},
             twiddle=self.twiddle,
             planes=scratch.planes,
             spectra=scratch.spectra,
@@ -247,7 +259,7 @@ class Convolve(Transforms, NodeStore):
         self.record_inverse(
             rec,
             block,
-            {"first_s": first_y, "step_s": step_y, "planes": needed},
+            {"first_s": first_y, "step_s": step_y, "planes": needed, "mirrored": mirrored},
             [self.nodes[x + dx, y + dy] for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1))],
             scratch,
             rates,

@@ -70,6 +70,11 @@ class SimGrid:
         return self.length // self.stride
 
     @property
+    def seen(self) -> tuple[int, int]:
+        """Photosites of one site across and down which a block's light reaches: of its window."""
+        return tuple((side + 2 * self.half_size) // self.stride for side in self.block)
+
+    @property
     def alignment(self) -> int:
         """Samples of which blocks hold whole numbers: photosites, and vec4f of the direct sum."""
         return max(self.stride, 4)
@@ -82,24 +87,33 @@ class SimGrid:
             for pixels in (self.cols, self.rows)
         )
 
+    @property
+    def largest_block(self) -> int:
+        """Largest side of a block."""
+        return (self.length - 2 * self.half_size) // self.alignment * self.alignment
+
     @cached_property
     def blocks_per_cell(self) -> tuple[int, int]:
         """Blocks across and down one cell."""
-        largest = (self.length - 2 * self.half_size) // self.alignment * self.alignment
         return tuple(
-            math.ceil(extent / cells / largest)
+            math.ceil(extent / cells / self.largest_block)
             for extent, cells in zip(self.extent, self.cells, strict=True)
         )
 
     @cached_property
     def block(self) -> tuple[int, int]:
-        """Width and height of a block: a multiple of `alignment`."""
-        return tuple(
-            math.ceil(extent / (cells * blocks) / self.alignment) * self.alignment
-            for extent, cells, blocks in zip(
-                self.extent, self.cells, self.blocks_per_cell, strict=True
-            )
-        )
+        """Width and height of a block: a multiple of `alignment`.
+
+        Where they fit, blocks are larger by one `alignment` if nodes then lie symmetrically.
+        """
+        sides = []
+        for extent, count in zip(self.extent, self.blocks, strict=True):
+            side = math.ceil(extent / count / self.alignment) * self.alignment
+            uneven = (count * side - extent) % (2 * self.alignment) == self.alignment
+            if uneven and count % 2 == 1 and side < self.largest_block:
+                side += self.alignment
+            sides.append(side)
+        return tuple(sides)
 
     @cached_property
     def blocks(self) -> tuple[int, int]:
@@ -147,6 +161,20 @@ class SimGrid:
         """Return the cell in which a block lies; its upper left node has the same index."""
         return tuple(i // blocks for i, blocks in zip(index, self.blocks_per_cell, strict=True))
 
+    def folded(
+        self, index: tuple[int, int], folds: tuple[bool, bool]
+    ) -> tuple[tuple[int, int], tuple[bool, bool]]:
+        """Return the block whose mirror image a block is, and whether in x and in y.
+
+        A block in a cell beyond the middle one, where `folds` allows; any other is itself.
+        """
+        mirrored = tuple(
+            fold and 2 * cell >= cells
+            for fold, cell, cells in zip(folds, self.cell_of(index), self.cells, strict=True)
+        )
+        ways = zip(index, self.blocks, mirrored, strict=True)
+        return tuple(count - 1 - i if other else i for i, count, other in ways), mirrored
+
     def planes_at(self, node: tuple[int, int], needed: dict[tuple[int, int], int]) -> int:
         """Return the most planes that a block around a node needs; `needed` by block."""
         across, down = self.blocks_per_cell
@@ -173,11 +201,10 @@ class SimGrid:
         """
         chosen = []
         for axis, first, count in ((0, col0, cols), (1, row0, rows)):
-            # The whole window: where the kernels do not reach, it still holds their rounding
-            # errors, and the sum of a pixel must not depend on the rectangle.
             start = self.start[axis] - self.half_size
             origins = [start + i * self.block[axis] for i in range(self.blocks[axis])]
             low, high = first * self.oversampling, (first + count) * self.oversampling
-            chosen.append([i for i, o in enumerate(origins) if o < high and o + self.length > low])
+            size = self.seen[axis] * self.stride
+            chosen.append([i for i, o in enumerate(origins) if o < high and o + size > low])
         blocks = [(x, y) for y in chosen[1] for x in chosen[0]]
         return sorted(blocks, key=lambda block: (*self.cell_of(block)[::-1], *block[::-1]))

@@ -350,7 +350,7 @@ class Modes(Transforms, KernelStore):
         self.record_inverse(
             rec,
             block,
-            {"first_s": 0.0, "step_s": 0.0, "planes": pairs},
+            {"first_s": 0.0, "step_s": 0.0, "planes": pairs, "mirrored": (0, 0)},
             (even, odd, even, odd),
             scratch,
             rates,

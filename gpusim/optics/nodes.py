@@ -16,6 +16,7 @@ from gpusim.gpu import Device, Resident, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, node_kernels, sampled_kernels
+from gpusim.sensor.aperture import Response
 
 Node = tuple[int, int]  # x, y of a PSF node
 CROSS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # nodes from which `node_kernels` makes one
@@ -103,6 +104,27 @@ def outputs_of(grid: SimGrid, site_channels: list[int], channels: int) -> Output
         for site, channel in enumerate(site_channels)
     ]
     return Outputs(places, 0, list(range(len(site_channels))))
+
+
+def folds_of(
+    grid: SimGrid, mirrored: bool, aperture: float | Response, step: int
+) -> tuple[bool, bool]:
+    """Return whether blocks beyond the middle are mirror images of others, in x and in y.
+
+    Parameters
+    ----------
+    grid : SimGrid
+    mirrored : bool
+        See `FieldKernels`.
+    aperture : float or Response
+    step : int
+        See `Outputs`: kernels that lie beside the pixel's centre have no mirror image.
+    """
+    even = mirrored and (not isinstance(aperture, Response) or aperture.even)
+    if not even or (grid.period > 1 and step == 0):
+        return False, False
+    # Blocks are whole photosites: where they lie symmetrically, so does the filter pattern.
+    return grid.mirrored(0), grid.mirrored(1)
 
 
 class KernelStore:
@@ -211,14 +233,27 @@ class NodeStore(KernelStore):
     needed : dict
         Coefficient planes that each block needs; where none of the blocks around a node needs a
         plane, its kernels have no such plane.
+    folds : (bool, bool)
+        Whether blocks beyond the middle are convolved as mirror images, with the nodes of the
+        others: in x, in y.
     """
 
     half_size: int  # kernels are sampled as far, sim samples
     plane_bytes: int  # of one plane of a node's kernels on the device
 
-    def __init__(self, device: Device, scale: Scale, needed: dict[tuple[int, int], int]) -> None:
+    def __init__(
+        self,
+        device: Device,
+        scale: Scale,
+        needed: dict[tuple[int, int], int],
+        folds: tuple[bool, bool] = (False, False),
+    ) -> None:
         super().__init__(device)
-        self.scale, self.needed, self.grid = scale, needed, scale.grid
+        self.scale, self.grid, self.folds = scale, scale.grid, folds
+        self.needed: dict[tuple[int, int], int] = defaultdict(int)
+        for block, planes in needed.items():
+            folded, _ = self.grid.folded(block, folds)
+            self.needed[folded] = max(self.needed[folded], planes)
         self._points: dict[Node, np.ndarray] = {}  # kernels at nodes, to make others of them
 
     def made_of(self, kernels: np.ndarray) -> np.ndarray:
@@ -227,7 +262,8 @@ class NodeStore(KernelStore):
 
     def nodes_of(self, blocks: Iterable[tuple[int, int]]) -> set[Node]:
         """Return the PSF nodes around blocks."""
-        cells = {self.grid.cell_of(block) for block in blocks}
+        grid = self.grid
+        cells = {grid.cell_of(grid.folded(block, self.folds)[0]) for block in blocks}
         return {(x + dx, y + dy) for x, y in cells for dx in (0, 1) for dy in (0, 1)}
 
     def node_bytes(self, node: Node) -> int:

@@ -139,12 +139,21 @@ def cheapest_grid(
     return best
 
 
-def planes_at_nodes(grid: SimGrid, needed: Needed) -> np.ndarray:
-    """Return the planes of each node's kernels: the most that a block around it needs."""
+def planes_at_nodes(
+    grid: SimGrid, needed: Needed, folds: tuple[bool, bool] = (False, False)
+) -> np.ndarray:
+    """Return the planes of each node's kernels: the most that a block around it needs.
+
+    Of which blocks are mirror images of others, `gpusim.optics.nodes.folds_of` says.
+    """
     across, down = grid.blocks_per_cell
     planes = np.zeros(grid.blocks, int)
     planes[tuple(np.array(list(needed)).T)] = list(needed.values())
     by_cell = planes.reshape(grid.cells[0], across, grid.cells[1], down).max(axis=(1, 3))
+    for axis in (axis for axis in (0, 1) if folds[axis]):
+        by_cell = np.maximum(by_cell, np.flip(by_cell, axis))
+        near = -(-grid.cells[axis] // 2)
+        by_cell[(slice(None),) * axis + (slice(near, None),)] = 0
     around = np.pad(by_cell, 1)
     corners = [around[x:, y:][: grid.nodes[0], : grid.nodes[1]] for x in (0, 1) for y in (0, 1)]
     return np.maximum.reduce(corners)

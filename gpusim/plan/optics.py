@@ -28,7 +28,7 @@ from gpusim.optics.kernels import (
 )
 from gpusim.optics.methods import METHODS
 from gpusim.optics.modes import Decomposition, mode_decomposition
-from gpusim.optics.nodes import Scale, own_kernels
+from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
@@ -322,8 +322,9 @@ class _Problem:
         """
         period = self.planes.period
         layers, outputs = self.planes.layers, len(self.sensor.channels)
+        step = stride // period  # see Outputs
         if own_kernels(stride, period, layers, outputs):
-            outputs = len(self.planes.channels)
+            outputs, step = len(self.planes.channels), 0
         options: dict[str, object] = {}
         errors: dict[str, float] = {}
         rank = 0
@@ -381,7 +382,10 @@ class _Problem:
                 made = nodes * max(needed.values(), default=0)
                 transformed = rank * made / nodes
             else:
-                at_nodes = planes_at_nodes(grid, needed)
+                folds = (False, False)
+                if method == "fft":
+                    folds = folds_of(grid, self._mirrored, self.sensor.response_um, step)
+                at_nodes = planes_at_nodes(grid, needed, folds)
                 transformed = at_nodes.sum()
                 symmetric = tuple(self._mirrored and grid.mirrored(axis) for axis in (0, 1))
                 made = planes_at_points(at_nodes, symmetric)

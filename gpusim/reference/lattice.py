@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 
-def lattice(folded: np.ndarray, rates: np.ndarray, origin_xy: tuple[int, int]) -> np.ndarray:
+def lattice(
+    folded: np.ndarray,
+    rates: np.ndarray,
+    origin_xy: tuple[int, int],
+    step_xy: tuple[int, int],
+    seen_xy: tuple[int, int],
+) -> np.ndarray:
     """Add one block's window to the planes of the CFA sites.
 
     Parameters
@@ -16,6 +22,10 @@ def lattice(folded: np.ndarray, rates: np.ndarray, origin_xy: tuple[int, int]) -
         Planes of the CFA sites, electrons/s.
     origin_xy : (int, int)
         Column and row of the window's first photosite in the planes; what falls outside is dropped.
+    step_xy : (int, int)
+        From a photosite of the window to the next, in the planes: 1, or -1 for a mirror image.
+    seen_xy : (int, int)
+        Photosites of the window that are added, across and down.
 
     Returns
     -------
@@ -33,9 +43,9 @@ def lattice(folded: np.ndarray, rates: np.ndarray, origin_xy: tuple[int, int]) -
     window = np.einsum("skm,k,kn->smn", folded, weight, basis).real
     out = np.array(rates, np.float64)
     _, rows, cols = out.shape
-    for m in range(count):
-        for n in range(count):
-            y, x = origin_xy[1] + m, origin_xy[0] + n
+    for m in range(seen_xy[1]):
+        for n in range(seen_xy[0]):
+            y, x = origin_xy[1] + step_xy[1] * m, origin_xy[0] + step_xy[0] * n
             if 0 <= y < rows and 0 <= x < cols:
                 out[:, y, x] += window[:, m, n]
     return out

@@ -131,6 +131,14 @@ class Response:
         return total * np.sinc(fx * self.motion[0] + fy * self.motion[1])
 
     @property
+    def even(self) -> bool:
+        """Whether it is its mirror image in x and in y."""
+        parts = set(self.parts)
+        return not any(self.motion) and all(
+            (-x, y, *rest) in parts and (x, -y, *rest) in parts for x, y, *rest in self.parts
+        )
+
+    @property
     def reach(self) -> float:
         """Farthest that it sees from the pixel's middle along an axis."""
         ends = [

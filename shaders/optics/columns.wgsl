@@ -8,7 +8,8 @@
 //   folded[site, m, kx] = exp(2 pi i kx o_x / T) sum_ky X_c(site)[ky, kx] exp(2 pi i ky (D m + o_y) / T)
 // Where the PSFs are sums of modes (shaders/optics/modes), NODES = 2: there are no weights in y and no lower nodes, `planes`
 // are pairs of lines, and the left and right node's kernels are those of a pair's two lines. NODES = 1: of a single line.
-// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D.
+// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D. Of a block that
+// is convolved as its mirror image (shaders/optics/rows), sites lie the other way round.
 //
 // T = 16 16 E: with y = n + 16 r + 256 e and ky = E (p + 16 q) + g, the sums over e (turned by g y / T), r and q are taken in
 // that order, for one g after another. Between r and q, and between q and p on the way back, sixteen times sixteen numbers
@@ -38,6 +39,7 @@ struct Params {
     step_s: f32,
     planes: u32,                  // coefficient planes that the block needs
     first: u32,                   // of the channels of this dispatch
+    mirrored: vec2u,              // 1 where the block is its mirror image, x and y
     site_channels: vec4u,         // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
@@ -166,6 +168,17 @@ fn pair_up(v: ptr<function, Sixteen>, a: ptr<function, Sum>, b: ptr<function, Su
     (*v)[9] = vec4f((*a)[9], (*b)[9]); (*v)[10] = vec4f((*a)[10], (*b)[10]); (*v)[11] = vec4f((*a)[11], (*b)[11]);
     (*v)[12] = vec4f((*a)[12], (*b)[12]); (*v)[13] = vec4f((*a)[13], (*b)[13]); (*v)[14] = vec4f((*a)[14], (*b)[14]);
     (*v)[15] = vec4f((*a)[15], (*b)[15]);
+}
+
+// Samples from the first site to a site, along x and y.
+fn offset_x(site: u32) -> u32 {
+    let k = site % PERIOD;
+    return select(k, PERIOD - 1u - k, params.mirrored.x == 1u) * STEP;
+}
+
+fn offset_y(site: u32) -> u32 {
+    let k = site / PERIOD % PERIOD;
+    return select(k, PERIOD - 1u - k, params.mirrored.y == 1u) * STEP;
 }
 
 fn channel_of(site: u32) -> u32 {
@@ -306,7 +319,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 let site = 2u * pair;
                 let even = channel_of(site) - params.first;
                 let odd = channel_of(site + 1u) - params.first;
-                let o_y = site / PERIOD * STEP;
+                let o_y = offset_y(site);
                 let at = base + (((pair * E + g) * (16u / D)) * 17u + p) * 8u;
                 lines[at] = rows_of(&low, &high, 0u, even, odd, o_y);
                 if (1u < 16u / D) { lines[at + 1u * 17u * 8u] = rows_of(&low, &high, 1u * D, even, odd, o_y); }
@@ -329,10 +342,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     }
     for (var pair = first_pair; pair < end_pair; pair++) {
         let site = 2u * pair;
-        let o_y = site / PERIOD * STEP;
-        let o_x = site % PERIOD * STEP;
-        let even = conj(turn(kx * o_x));
-        let odd = conj(turn(kx * (o_x + STEP)));
+        let o_y = offset_y(site);
+        let even = conj(turn(kx * offset_x(site)));
+        let odd = conj(turn(kx * offset_x(site + 1u)));
         for (var r = 0u; r < 16u / D; r++) {
             let at = base + (pair * E * (16u / D) + r) * 17u * 8u;
             let to = (pair * M + r) * (T / 2u) + kx;

@@ -1,10 +1,11 @@
 // Last step of the space-variant convolution: fold of the frequencies in x onto those of the photosites, inverse transform
 // there, and overlap-add of the block's window into the planes of the CFA sites.
 //
-//   rates[site, origin_y + m, origin_x + n] += sum_q sum_d F_s[q + d M] exp(2 pi i q n / M),  F_s[T-k] = conj F_s[k], F_s[T/2] = 0
+//   rates[site, origin_y + step_y m, origin_x + step_x n] += sum_q sum_d F_s[q + d M] exp(2 pi i q n / M),  F_s[T-k] = conj F_s[k], F_s[T/2] = 0
 // Two sites share one complex transform, F_s + i F_s', and two of those share the lanes.
 // folded (ceil(S/2), M, T/2, 2) electrons/s -> rates (S, rows, cols) electrons/s.
-// Dispatch: (M/D, ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
+// Of the window only those photosites are added that the block's light reaches: beyond them lie rounding errors.
+// Dispatch: (ceil(seen_y/D), ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 #include "line_fft"
 
@@ -17,7 +18,9 @@ override S: u32 = 4u;             // sites of the CFA period, or channels of all
 
 struct Params {
     origin: vec2i,                // (x, y) of the window's first photosite in the planes
+    step: vec2i,                  // 1, or -1 where the block was convolved as its mirror image
     size: vec2i,                  // (columns, rows) of the planes
+    seen: vec2u,                  // photosites of the window that are added, in x and y
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -46,9 +49,10 @@ fn bins(pair: u32, q: u32, m: u32) -> vec4f {
     return vec4f(bin(pair, q, m), bin(pair + 1u, q, m));
 }
 
-fn add(site: u32, n: u32, y: i32, pair: vec4f) {
-    let x = params.origin.x + i32(n);
-    if (x < 0 || x >= params.size.x || y < 0 || y >= params.size.y) {
+fn add(site: u32, n: u32, m: u32, pair: vec4f) {
+    let x = params.origin.x + params.step.x * i32(n);
+    let y = params.origin.y + params.step.y * i32(m);
+    if (n >= params.seen.x || m >= params.seen.y || x < 0 || x >= params.size.x || y < 0 || y >= params.size.y) {
         return;
     }
     let plane = params.size.x * params.size.y;
@@ -81,13 +85,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
         bins(2u * group.y, lane + 6u * M / 8u, m),
         bins(2u * group.y, lane + 7u * M / 8u, m),
     ), lane, slot * M, M, SITE_RADIX);
-    let y = params.origin.y + i32(m);
-    add(site, lane, y, v.v0);
-    add(site, lane + M / 8u, y, v.v1);
-    add(site, lane + 2u * M / 8u, y, v.v2);
-    add(site, lane + 3u * M / 8u, y, v.v3);
-    add(site, lane + 4u * M / 8u, y, v.v4);
-    add(site, lane + 5u * M / 8u, y, v.v5);
-    add(site, lane + 6u * M / 8u, y, v.v6);
-    add(site, lane + 7u * M / 8u, y, v.v7);
+    add(site, lane, m, v.v0);
+    add(site, lane + M / 8u, m, v.v1);
+    add(site, lane + 2u * M / 8u, m, v.v2);
+    add(site, lane + 3u * M / 8u, m, v.v3);
+    add(site, lane + 4u * M / 8u, m, v.v4);
+    add(site, lane + 5u * M / 8u, m, v.v5);
+    add(site, lane + 6u * M / 8u, m, v.v6);
+    add(site, lane + 7u * M / 8u, m, v.v7);
 }

@@ -47,6 +47,7 @@ def case(
     first_s=0.1,
     nodes=4,
     layers=1,
+    mirrored=(0, 0),
 ):
     """Run the shader on noise; return its result, the reference, the bound, the host's part."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1), layers)
@@ -60,8 +61,8 @@ def case(
     rng = np.random.default_rng(length + stride)
     spectra = complex_noise(rng, planes, height, length)
     if nodes == 1:  # of real rows: each frequency is its mirror's conjugate
-        mirrored = np.roll(spectra[..., ::-1], 1, axis=-1)
-        spectra = 0.5 * (spectra + mirrored.conj())
+        partner = np.roll(spectra[..., ::-1], 1, axis=-1)
+        spectra = 0.5 * (spectra + partner.conj())
     kernels = [complex_noise(rng, planes, length // 2 + 1, outputs, length) for _ in range(4)]
     for kernel_of_node in kernels:
         kernel_of_node[:, -1] = 0  # kernels have no frequency kx = T/2
@@ -75,6 +76,7 @@ def case(
     result = filled(int(np.prod(shape)) + 70, np.complex64)
     for first in range(0, outputs, 4):
         params = {"first_s": first_s, "step_s": step_s, "planes": needed, "first": first}
+        params["mirrored"] = mirrored
         result = run_stage(
             kernel,
             (length // 16, 1, 1),
@@ -83,8 +85,9 @@ def case(
             {"folded": (result.shape, np.complex64)},
         )["folded"]
     assert unwritten(result[-70:]).all()
+    offsets = [np.arange(period)[:: -1 if turned else 1] * step for turned in mirrored]
     sites = [
-        (channel, site % period * step, site // period * step) if step else (site, 0, 0)
+        (channel, offsets[0][site % period], offsets[1][site // period]) if step else (site, 0, 0)
         for site, channel in enumerate(site_channels)
     ]
     largest = max(np.abs(one).max() for one in kernels)
@@ -100,6 +103,18 @@ def case(
     found = result[:-70].reshape(shape).transpose(0, 3, 2, 1).reshape(2 * pairs, -1, grid.window)
     assert not expected[:, -1].any()
     return found[: grid.sites], expected[:, :-1], bound, made
+
+
+@pytest.mark.parametrize("mirrored", [(1, 0), (0, 1), (1, 1)])
+@pytest.mark.parametrize(("stride", "period"), [(4, 2), (8, 4), (2, 1)])
+def test_sites_of_a_mirror_image_lie_the_other_way_round(
+    device: Device, stride: int, period: int, mirrored: tuple[int, int]
+):
+    length, channels = (512, 4) if period == 4 else (256, 3 if period == 2 else 1)
+    found, expected, bound, _ = case(
+        device, length, stride, period, channels, 45, 1, mirrored=mirrored
+    )
+    assert_close(found, expected, atol=bound)
 
 
 @pytest.mark.parametrize("nodes", [1, 2])

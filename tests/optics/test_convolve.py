@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import ULP, convolve_for
+from optics.made import ULP, bank, convolve_for
 from optics.whole_frame import (
     BLURRED,
     LENS,
@@ -16,11 +16,13 @@ from optics.whole_frame import (
 )
 
 from gpusim.gpu import Device, Kernel, ShaderError
+from gpusim.lens.bank import Bank
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.modes import Decomposition, Modes
-from gpusim.optics.nodes import Scale
+from gpusim.optics.nodes import Scale, folds_of
 from gpusim.plan.layout import TRANSFORMS
+from gpusim.sensor.aperture import Response
 
 F32 = np.float32
 
@@ -52,10 +54,77 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(device: Device, name:
         assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
 
 
-def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device):
-    grid, sigma = CASES["two samples a pixel"]
-    scale, site_channels = camera(grid, sigma)
-    rects = [(0, 0, 8, 10), (14, 20, 7, 9), (30, 44, 3, 2)]
+# Of a symmetric lens; which ways blocks beyond the middle are mirror images, and at how many nodes
+# kernels are made.
+FOLDED = {
+    "both ways": (SimGrid(36, 48, 4, 2, 256, 96, (2, 3)), 0.8, (True, True), 2 * 3),
+    "several blocks a cell": (SimGrid(60, 80, 4, 2, 256, 108, (2, 1)), 0.8, (True, True), 2 * 2),
+    "down alone": (SimGrid(36, 47, 4, 2, 256, 32, (2, 2)), 0.8, (False, True), 3 * 2),
+    "sixteen sites": (SimGrid(32, 36, 8, 4, 512, 32, (3, 2)), 0.8, (True, True), 3 * 2),
+    "one site": (SimGrid(28, 36, 2, 1, 256, 32, (4, 1)), 0.8, (True, True), 3 * 2),
+    "a plane for each of three channels": (
+        SimGrid(28, 36, 2, 1, 256, 32, (2, 2), 3),
+        0.8,
+        (True, True),
+        2 * 2,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FOLDED)
+def test_blocks_beyond_the_middle_are_mirror_images_of_others(device: Device, name: str):
+    grid, sigma, folds, nodes = FOLDED[name]
+    scale, site_channels = camera(grid, sigma, bank())
+    assert scale.kernels.mirrored
+    blocks = source(grid, len(WEIGHTS))
+    needed = {block: (2, 1, 2, 1, 1)[sum(block) % 5] for block in blocks}
+    made = []
+
+    def convolve(*arguments: object) -> Convolve:
+        made.append(Convolve(*arguments))
+        return made[-1]
+
+    frame = (0, 0, grid.rows, grid.cols)
+    found = on_device(device, convolve, scale, site_channels, blocks, needed, frame)
+    assert (made[0].folds, made[0].made) == (folds, nodes)
+    for image, expected in by_layer(found, scale, site_channels, blocks, needed):
+        assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("parts", "motion", "even"),
+    [
+        (((0.0, 0.0, 0.8, 0.6, 1.0),), (0.0, 0.0), True),
+        (((0.1, 0.0, 0.8, 0.6, 1.0),), (0.0, 0.0), False),
+        (((0.0, 0.1, 0.8, 0.6, 1.0),), (0.0, 0.0), False),
+        (((0.0, 0.0, 0.8, 0.6, 1.0),), (0.2, 0.0), False),
+        (((-0.2, 0.0, 0.4, 0.8, 0.5), (0.2, 0.0, 0.4, 0.8, 0.5)), (0.0, 0.0), True),
+        (((-0.2, 0.0, 0.4, 0.8, 0.4), (0.2, 0.0, 0.4, 0.8, 0.6)), (0.0, 0.0), False),
+    ],
+)
+def test_an_aperture_that_is_not_its_mirror_image_folds_nothing(parts, motion, even):
+    grid = FOLDED["both ways"][0]
+    response = Response(parts, motion)
+    assert folds_of(grid, True, response, 2) == (even, even)
+    # It is even if what it sees of any wave is real, and the same of waves to the other side.
+    f = np.linspace(-0.9, 0.9, 7)
+    seen = response.spectrum(f, f[:, None])
+    same = np.allclose(seen, seen[:, ::-1]) and np.allclose(seen, seen[::-1])
+    assert (same and np.allclose(seen.imag, 0)) == (even or (any(motion) and same))
+
+
+def test_neither_a_skew_lens_nor_kernels_beside_the_pixel_fold_anything():
+    grid = FOLDED["both ways"][0]
+    assert folds_of(grid, True, 1.0, 2) == (True, True)
+    assert folds_of(grid, False, 1.0, 2) == (False, False)
+    assert folds_of(grid, True, 1.0, 0) == (False, False)
+
+
+@pytest.mark.parametrize("lens", [LENS, bank()], ids=["skew", "symmetric"])
+def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device, lens: Bank):
+    grid, sigma = SimGrid(36, 48, 4, 2, 256, 96, (2, 3)), 0.8
+    scale, site_channels = camera(grid, sigma, lens)
+    rects = [(0, 0, 8, 10), (14, 20, 8, 10), (30, 44, 4, 2)]
     check_rectangles(device, Convolve, scale, site_channels, rects)
 
 

@@ -75,7 +75,7 @@ def test_weights_rise_evenly_from_node_to_node(grid: SimGrid):
 
 
 @EVERY
-def test_blocks_of_a_rectangle_are_those_whose_windows_touch_it(grid: SimGrid):
+def test_blocks_of_a_rectangle_are_those_whose_light_reaches_it(grid: SimGrid):
     rng = np.random.default_rng(grid.rows)
     rects = [(0, 0, grid.rows, grid.cols), (0, 0, 1, 1), (grid.rows - 1, grid.cols - 1, 1, 1)]
     for _ in range(10):
@@ -88,13 +88,32 @@ def test_blocks_of_a_rectangle_are_those_whose_windows_touch_it(grid: SimGrid):
             for axis, first, count in ((0, col0, cols), (1, row0, rows)):
                 window = grid.window_origin((x, y))[axis] * grid.stride
                 low, high = first * grid.oversampling, (first + count) * grid.oversampling
-                hit &= window < high and window + grid.length > low
+                reached = grid.block[axis] + 2 * grid.half_size
+                hit &= window < high and window + reached > low
             if hit:
                 touching.append((x, y))
         found = grid.blocks_for(row0, col0, rows, cols)
         assert sorted(found, key=lambda block: block[::-1]) == touching
         cells = [grid.cell_of(block) for block in found]
         assert cells == sorted(cells, key=lambda cell: cell[::-1]), "cell by cell"
+
+
+@EVERY
+@pytest.mark.parametrize("folds", [(True, False), (False, True), (True, True)])
+def test_a_folded_block_is_the_mirror_image_of_one_in_a_cell_before_the_middle(grid, folds):
+    met = [set(), set()]
+    for block in np.ndindex(grid.blocks):
+        folded, mirrored = grid.folded(block, folds)
+        for axis in (0, 1):
+            cell = grid.cell_of(block)[axis]
+            assert mirrored[axis] == (folds[axis] and cell > (grid.cells[axis] - 1) / 2)
+            turned = grid.blocks[axis] - 1 - block[axis]
+            assert folded[axis] == (turned if mirrored[axis] else block[axis])
+            met[axis].add(grid.cell_of(folded)[axis])
+    for axis in (0, 1):
+        near = (grid.cells[axis] + 1) // 2 if folds[axis] else grid.cells[axis]
+        assert met[axis] == set(range(near))
+    assert grid.folded((0, 0), (False, False)) == ((0, 0), (False, False))
 
 
 @EVERY

@@ -17,10 +17,13 @@ from gpusim.reference.lattice import lattice
 F32 = np.float32
 
 
-def case(device: Device, length, stride, period, origin, size, seed=0, layers=1):
+def case(
+    device: Device, length, stride, period, origin, size, seed=0, layers=1, step=(1, 1), seen=None
+):
     """Add a window of noise to planes of noise; return result, reference, bound and the planes."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1), layers)
     kernel = convolve_for(device, grid, [0] * grid.sites, 1).lattice
+    seen = seen or (grid.window, grid.window)
     rng = np.random.default_rng(seed)
     pairs = -(-grid.sites // 2)
     folded = complex_noise(rng, grid.sites, grid.length // 2 + 1, grid.window)
@@ -31,8 +34,8 @@ def case(device: Device, length, stride, period, origin, size, seed=0, layers=1)
     side_by_side = side_by_side.reshape(pairs, 2, -1, grid.window).transpose(0, 3, 2, 1)
     found = run_stage(
         kernel,
-        (grid.window // stride, -(-grid.sites // 4), 1),
-        {"origin": origin, "size": size[::-1]},
+        (-(-seen[1] // stride), -(-grid.sites // 4), 1),
+        {"origin": origin, "step": step, "size": size[::-1], "seen": seen},
         {"twiddle": twiddles(length), "folded": side_by_side.copy(), "rates": rates},
         {"rates": (rates.shape, F32)},
     )["rates"]
@@ -41,7 +44,8 @@ def case(device: Device, length, stride, period, origin, size, seed=0, layers=1)
     amount = amount.reshape(grid.sites, grid.window, 2).sum(axis=2)
     paired = np.add.reduceat(amount, range(0, grid.sites, 2))
     roundings = 1 + 108 + 1
-    return found, lattice(folded, rates, origin), roundings * ULP * paired.max() + ULP * 100, rates
+    expected = lattice(folded, rates, origin, step, seen)
+    return found, expected, roundings * ULP * paired.max() + ULP * 100, rates
 
 
 @pytest.mark.parametrize(
@@ -62,6 +66,23 @@ def test_windows_are_added_as_by_the_reference(
 ):
     found, expected, bound, _ = case(device, length, stride, period, origin, size)
     assert_close(found, expected, atol=bound)
+
+
+@pytest.mark.parametrize(
+    ("origin", "step"), [((60, 3), (-1, 1)), ((5, 70), (1, -1)), ((92, 20), (-1, -1))]
+)
+def test_windows_of_mirror_images_are_added_from_their_end(device: Device, origin, step):
+    found, expected, bound, rates = case(device, 256, 4, 2, origin, (80, 90), step=step)
+    assert_close(found, expected, atol=bound)
+    assert np.abs(expected - rates).max() > 1000 * bound
+
+
+@pytest.mark.parametrize("seen", [(41, 64), (64, 41), (40, 2), (1, 1)])
+def test_what_no_light_reaches_is_not_added(device: Device, seen):
+    found, expected, bound, rates = case(device, 256, 4, 2, (2, 1), (66, 67), seen=seen)
+    assert_close(found, expected, atol=bound)
+    assert np.array_equal(found[:, :, 2 + seen[0] :], rates[:, :, 2 + seen[0] :])
+    assert np.array_equal(found[:, 1 + seen[1] :], rates[:, 1 + seen[1] :])
 
 
 @pytest.mark.parametrize("layers", [2, 3, 5])

@@ -79,6 +79,20 @@ def test_the_planner_counts_the_points_that_are_sampled(
     assert planes_at_points(at_nodes, symmetric) == 2 * points
 
 
+@pytest.mark.parametrize("cells", [(3, 2), (4, 5), (1, 1)])
+@pytest.mark.parametrize("folds", [(True, False), (False, True), (True, True)])
+def test_the_planner_counts_the_nodes_that_are_left_of_mirror_images(device, cells, folds):
+    grid = replace(GRID, cells=cells)
+    rng = np.random.default_rng(5)
+    needed = {block: int(rng.integers(0, 4)) for block in np.ndindex(grid.blocks)}
+    store = Store(device, Scale("test", grid, 0.775, 0.0, kernels()), needed, folds)
+    at_nodes = planes_at_nodes(grid, needed, folds)
+    lit = [block for block, planes in needed.items() if planes]
+    assert {node for node in np.ndindex(grid.nodes) if at_nodes[node]} == store.nodes_of(lit)
+    for node in np.ndindex(grid.nodes):
+        assert grid.planes_at(node, store.needed) == at_nodes[node]
+
+
 def test_the_planner_counts_the_planes_of_the_neediest():
     """One node of 4 x 3 with a second plane: itself and four beside it; mirrored, all fold."""
     at_nodes = np.ones((4, 3), int)

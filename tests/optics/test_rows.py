@@ -24,7 +24,15 @@ def planes(count: int, height: int, width: int) -> np.ndarray:
     return np.random.default_rng(width).uniform(-1, 1, (count, height, width)).astype(F32)
 
 
-def on_device(a: np.ndarray, length: int, first_s: float, step_s: float, needed=None, spare=0):
+def on_device(
+    a: np.ndarray,
+    length: int,
+    first_s: float,
+    step_s: float,
+    needed=None,
+    spare=0,
+    mirrored=(0, 0),
+):
     count, height, width = a.shape
     # Behind the planes lies a row of numbers: a NaN of the harness that is read and written again
     # would look unwritten.
@@ -32,7 +40,7 @@ def on_device(a: np.ndarray, length: int, first_s: float, step_s: float, needed=
     result = run_stage(
         "optics/rows",
         (-(-height // 2), count if needed is None else needed, 1),
-        {"first_s": first_s, "step_s": step_s},
+        {"first_s": first_s, "step_s": step_s, "mirrored": mirrored},
         {"twiddle": twiddles(length), "planes": given},
         {"spectra": (count * height * length + spare, np.complex64)},
         T=length,
@@ -62,6 +70,16 @@ def test_spectra_are_those_of_the_reference(length: int, shape: tuple[int, int, 
     expected = rows(a, first_s, step_s, length)
     s = first_s + step_s * np.arange(shape[2])
     assert_close(found[:size].reshape(expected.shape), expected, atol=bounds(a, s, length))
+
+
+@pytest.mark.parametrize("mirrored", [(1, 0), (0, 1), (1, 1)])
+def test_a_mirror_image_is_read_from_its_end(mirrored: tuple[int, int]):
+    a = planes(2, 5, 203)
+    found = on_device(a, 256, 0.1, 0.004, mirrored=mirrored).reshape(2, 5, 256)
+    turned = a[:, :: -1 if mirrored[1] else 1, :: -1 if mirrored[0] else 1]
+    expected = rows(turned, 0.1, 0.004, 256)
+    s = 0.1 + 0.004 * np.arange(203)
+    assert_close(found, expected, atol=bounds(turned, s, 256))
 
 
 def test_a_plane_that_is_not_needed_is_left_out():
