@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -208,8 +209,11 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
             self.error = {}
             seen.append((camera, scene.source.planes.shape))
 
-        def __call__(self, tile: tuple | None) -> str:
+        def __call__(self, tile: tuple | None, further: bool) -> str:
+            assert further
             tiles.append(tile)
+            time.sleep(0.004)
+            self.further_s = 0.001
             return "a capture"
 
     monkeypatch.setattr(jobs, "FrameRender", Render)
@@ -221,6 +225,10 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
     facts = job.facts(None)
     assert len(facts["sizes"]) == 4 and facts["largest_over_smallest"] >= 1
     assert all(size["of"] == "a capture" for size in facts["sizes"].values())
+    for size in facts["sizes"].values():  # 1 ms of 4 or more belongs to the further frame
+        assert size["ns_per_pixel"] >= 3 * size["further_ns_per_pixel"] * (1 - 1e-9)
+    counts = [c.sensor.rows * c.sensor.cols for c, _ in seen[4:]]
+    assert facts["further_largest_over_smallest"] == pytest.approx(max(counts) / min(counts))
     sides = [(c.sensor.rows, c.sensor.cols) for c, _ in seen[4:]]
     assert sides == [(14, 18), (28, 36), (48, 64), (96, 128)]
     assert [shape for _, shape in seen[4:]] == [(3, 7, 9), (3, 14, 18), (3, 24, 32), (3, 48, 64)]
