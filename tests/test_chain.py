@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -445,6 +446,23 @@ def test_blocks_beyond_the_image_circle_are_left_out(monkeypatch):
         forced = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
     assert found[0, 0] == 0 and found.max() > 0
     assert_close(found, forced, atol=ROUNDING * forced.max())
+
+
+def test_kernels_of_mirror_images_are_left_out(monkeypatch):
+    """Made all the same, they change nothing beyond rounding; the plan says how many are made."""
+    loose = Accuracy(1e-2, 0)
+    with rendering(CAMERA, scene(shapes()), loose, force=(), method="fft") as one:
+        assert [convolve.folds for convolve in one.convolutions] == [(True, True)]
+        plan = one.plan
+        shot = one.capture(EXPOSURE_S, keep=("rate",))
+    rows = next(stage for stage in plan.stages if stage.name == "rows")
+    said = re.findall(r"kernels of (\d+)", rows.reason)
+    assert sum(map(int, said)) == shot.work["nodes"]
+    monkeypatch.setattr("gpusim.optics.convolve.folds_of", lambda *given: (False, False))
+    with rendering(CAMERA, scene(shapes()), loose, plan=plan) as one:
+        every = one.capture(EXPOSURE_S, keep=("rate",))
+    assert every.work["nodes"] > shot.work["nodes"]
+    assert_close(shot.rate, every.rate.astype(float), atol=ROUNDING * every.rate.max())
 
 
 def test_memory_is_given_back(device: Device):

@@ -25,6 +25,9 @@ class Part:
         Further fields of its `Scale`.
     rank : int
         Of modes: how many are expected.
+    nodes : int
+        Of other methods: PSF nodes of which a frame takes kernels. Not those that see no light, nor
+        those whose blocks are mirror images of others.
     """
 
     name: str
@@ -33,6 +36,7 @@ class Part:
     method: str = "fft"
     options: Mapping[str, object] = field(default_factory=dict)
     rank: int = 0
+    nodes: int = 0
 
     @property
     def text(self) -> str:

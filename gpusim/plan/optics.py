@@ -375,6 +375,12 @@ class _Problem:
 
         channels = len(self.sensor.channels)
 
+        def at_nodes(grid: SimGrid, needed: Needed) -> np.ndarray:
+            folds = (False, False)
+            if method == "fft":
+                folds = folds_of(grid, self._mirrored, self.sensor.response_um, step)
+            return planes_at_nodes(grid, needed, folds)
+
         def preparation(grid: SimGrid, needed: Needed) -> float:
             size, spectra = (2 * grid.half_size) ** 2, grid.length**2
             if method == "modes":
@@ -382,13 +388,10 @@ class _Problem:
                 made = nodes * max(needed.values(), default=0)
                 transformed = rank * made / nodes
             else:
-                folds = (False, False)
-                if method == "fft":
-                    folds = folds_of(grid, self._mirrored, self.sensor.response_um, step)
-                at_nodes = planes_at_nodes(grid, needed, folds)
-                transformed = at_nodes.sum()
+                planes = at_nodes(grid, needed)
+                transformed = planes.sum()
                 symmetric = tuple(self._mirrored and grid.mirrored(axis) for axis in (0, 1))
-                made = planes_at_points(at_nodes, symmetric)
+                made = planes_at_points(planes, symmetric)
             if method == "direct":
                 size, spectra = (2 * (support + MARGIN)) ** 2, (2 * (support + 2 * MARGIN)) ** 2
             return self.costs.seconds("kernels", channels * size * made) + (
@@ -423,7 +426,8 @@ class _Problem:
             preparation,
             layers,
         )
-        return Part(name, pitch_um, layout, method, options, rank), errors
+        nodes = 0 if method == "modes" else np.count_nonzero(at_nodes(layout.grid, layout.needed))
+        return Part(name, pitch_um, layout, method, options, rank, nodes), errors
 
     def _decomposed(
         self,

@@ -226,10 +226,11 @@ def _blocks(part: Part) -> str:
     """Say how one scale is cut into blocks, and how its PSFs vary."""
     grid = part.layout.grid
     lit = sum(count > 0 for count in part.layout.needed.values())
-    nodes = part.options.get("map_cells", grid.cells)
+    across, down = (count + 1 for count in part.options.get("map_cells", grid.cells))
+    fewer = f", kernels of {part.nodes}" if 0 < part.nodes < across * down else ""
     return (
-        f"{lit} blocks at {part.pitch_um:.3g} um, {part.text}, {nodes[0] + 1} x {nodes[1] + 1} "
-        f"PSF nodes, reach {grid.half_size} samples"
+        f"{lit} blocks at {part.pitch_um:.3g} um, {part.text}, {across} x {down} PSF nodes{fewer}, "
+        f"reach {grid.half_size} samples"
     )
 
 
