@@ -76,10 +76,10 @@ def stretch(chief_ray: ChiefRayMap, real_um: np.ndarray, step_um: float) -> np.n
 
 def low_pass(points: int) -> np.ndarray:
     """Return the weights of points 1/`points` of a sim sample apart; one alone where it is 1."""
-    from scipy.signal import firls
-
     if points == 1:
         return np.ones(1)
+    from scipy.signal import firls
+
     taps = 2 * int(REACH * points) + 1
     bands = (0, 0.25, 0.75, points / 2)
     weights = firls(taps, bands, (1, 1, 0, 0), weight=(PASSBAND, 1), fs=points)

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import nbinom
 
 from gpusim.gpu import Array, Kernel, Recording
 
@@ -39,6 +38,8 @@ def shares(elements: int, before: int, inefficiency: float) -> tuple[np.ndarray,
     weights : ndarray (width, elements), float32
         Shares for d from there on, 0 where they do not matter; read-only, as is ``first``.
     """
+    from scipy.stats import nbinom  # a third of a second of every start, for CCDs alone
+
     source = np.arange(elements)
     n = before + 1.0 + source
     kept = 1 - inefficiency
