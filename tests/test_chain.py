@@ -585,7 +585,10 @@ def test_a_rectangle_alone_takes_less_work_and_gives_the_same_bits(subject: Scen
         assert_close(part.raw, np.ascontiguousarray(full.raw[inside(rect)]), atol=0)
         assert_close(part.rate, np.ascontiguousarray(full.rate[inside(rect)]), atol=0)
         assert part.work["blocks"] < full.work["blocks"] / 2
-        assert part.work["nodes"] < full.work["nodes"] * 2 / 3
+        # Of a lens without mirror images; of one with them the whole frame takes few more.
+        every = sum(math.prod(scale.grid.nodes) for scale in full.plan.scales)
+        assert part.work["nodes"] < every * 2 / 3
+        assert part.work["nodes"] <= full.work["nodes"] < every / 2
         assert part.memory["peak_bytes"] < full.memory["peak_bytes"]
 
 
