@@ -90,9 +90,10 @@ class Blur:
             Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "gather")
         )
         self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows, KEEP=self.per_cell == 1)
-        # As many channels at once as a binding holds the spectra and the PSFs of.
+        # As many channels at once as a binding holds the spectra and the PSFs of. With the copies
+        # and the columns, half as large, that is less than six times what the larger takes.
         largest = 8 * HALF * max(2 * down * across * self.side, math.prod(nodes) * self.rows)
-        at_once = max(1, MAX_BINDING_BYTES // largest)
+        at_once = max(1, min(MAX_BINDING_BYTES, self.device.pool.budget // 8) // largest)
         starts = range(0, self.channels, at_once)
         self.turns = [range(first, min(first + at_once, self.channels)) for first in starts]
         self.psfs = [
