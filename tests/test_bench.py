@@ -15,9 +15,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 from fake_capture import fake_capture
+from harness import assert_close
 from optics import made
 
-from gpusim.gpu import Device
+from gpusim.gpu import Device, Kernel
 from gpusim.lens.bank import Bank
 from gpusim.optics.kernels import field_images, mirrored
 
@@ -34,15 +35,19 @@ SMALL = (128, 168)  # a fraction of a second for each stage
 WORST = {"paint": 1e-4, "warp": 4e-5} | dict.fromkeys(STAGES[2:], 4e-6) | {"sensor-12mp": 5.1e-4}
 
 
-@pytest.fixture(scope="module")
-def jobs() -> ModuleType:
-    sys.path.insert(0, str(TOOLS))  # bench_jobs imports its neighbours
-    spec = importlib.util.spec_from_file_location("bench_jobs", TOOLS / "bench_jobs.py")
+def tool(name: str) -> ModuleType:
+    sys.path.insert(0, str(TOOLS))  # it imports its neighbours
+    spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules["bench_jobs"] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     sys.path.remove(str(TOOLS))
     return module
+
+
+@pytest.fixture(scope="module")
+def jobs() -> ModuleType:
+    return tool("bench_jobs")
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +87,7 @@ def test_a_job_prints_one_line_of_json_and_appends_it_to_a_file(tmp_path: Path):
     assert 0.045e6 < found["pixels"] <= 0.05e6
     assert found["ratio"] == pytest.approx(found["best_s"] / found["peers"]["copy"])
     assert found["bytes"] == 8 * found["pixels"]
+    assert "flops" not in found
     assert found["bytes_per_s"] == pytest.approx(found["bytes"] / found["best_s"])
     assert found["error"]["worst"] == 0.0
     assert all(isinstance(found[name], str) for name in ("adapter", "driver"))
@@ -96,10 +102,45 @@ def test_a_stage_runs_and_is_compared_with_its_reference(
     job.run()
     assert job.pixels == SMALL[0] * SMALL[1]
     assert job.nbytes >= 4 * job.samples > 0
+    assert (job.flops > 0) == (stage in ("rows", "columns", "lattice", "modes", "direct"))
     assert 0 <= job.error["worst"] <= WORST[stage]
     for run, share in job.peers.values():
         run()
         assert share >= 1
+
+
+def test_operations_are_counted_as_usual(jobs: ModuleType, own_device: Device):
+    assert jobs.of_transforms(3, 256) == 3 * 5 * 256 * 8
+    # One block of this frame, of 256 samples: rows of it one by one.
+    grid = jobs.sim_grid(SMALL)
+    rows = jobs.JOBS["rows"][1](own_device, SMALL)
+    blocks = grid.blocks[0] * grid.blocks[1]
+    assert rows.flops == blocks * grid.block[1] * 5 * grid.length * np.log2(grid.length)
+
+
+def test_operations_stand_beside_multiply_adds_alone(own_device: Device):
+    found = json.loads(bench("lattice", "--json", "--megapixels", 0.05).stdout)
+    assert found["flops_per_s"] == pytest.approx(found["flops"] / found["best_s"])
+    assert found["arithmetic_flops_per_s"] > found["flops_per_s"]
+    # A line is a product and a sum of four numbers, and there are as many as are counted.
+    tools = tool("bench")
+    lines = tools.ARITHMETIC.count("* f + f;")
+    assert lines * 4 * 2 * tools.TURNS == tools.PER_INVOCATION
+    groups = []
+    recorded = Kernel.record
+
+    def record(kernel: Kernel, rec: object, count: tuple, params: dict, **buffers: object) -> None:
+        groups.append((count, buffers["to"]))
+        recorded(kernel, rec, count, params, **buffers)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Kernel, "record", record)
+        run = tools.arithmetic(own_device, 3 * 64 * tools.PER_INVOCATION - 1)
+    run()
+    ((count, target),) = groups
+    assert count == (3, 1, 1)
+    # x = x / 2 + 1 / 2 leads to one, from anywhere: eight chains.
+    assert_close(own_device.read(target), np.full(4 * 64 * 3, 8, np.float32), atol=0)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,9 @@
 numbers, with everything prepared and resident; its error is the certificate's. Each stage has a job
 of its own on a frame of 12 MP. Its peers are a copy of as many bytes as it reads and writes, by a
 kernel on the same device, and NumPy or SciPy where they do the same work; its error is the largest
-difference from the float64 reference on a small sample, over the reference's largest value.
+difference from the float64 reference on a small sample, over the reference's largest value. Where
+operations are counted, beside them stand those of as many multiply-adds by a kernel that does
+nothing else.
 
 Times are wall clock around a run that waits for the device, after a run to warm up. On a busy
 machine ratios hold better than seconds.
@@ -43,6 +45,37 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     if (i < params.count) { to[i] = from_[i]; }
 }
 """
+# Eight chains of vec4f, so that none waits for the one before: 64 operations a line.
+CHAINS, LINES, TURNS = 8, 16, 64
+ARITHMETIC = f"""
+struct Params {{ count: u32, factor: f32, }}
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read_write> to: array<vec4f>;
+@compute @workgroup_size(64, 1, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {{
+    let f = vec4f(params.factor);
+    {"".join(f"var x{i} = vec4f(f32(id.x + {i}u));" for i in range(CHAINS))}
+    for (var turn = 0u; turn < {TURNS}u; turn++) {{
+        {LINES * "".join(f"x{i} = x{i} * f + f;" for i in range(CHAINS))}
+    }}
+    if (id.x < params.count) {{ to[id.x] = {" + ".join(f"x{i}" for i in range(CHAINS))}; }}
+}}
+"""
+PER_INVOCATION = CHAINS * 4 * 2 * LINES * TURNS
+
+
+def arithmetic(device: Device, flops: int) -> Run:
+    """Return a run of so many operations, half of them products and half sums, and hardly a store.
+
+    At least: of whole workgroups.
+    """
+    kernel = Kernel.from_text("arithmetic", ARITHMETIC)
+    groups = -(-flops // (64 * PER_INVOCATION))
+    target = device.empty("arithmetic", 4 * 64 * groups, np.float32)
+    rec = Recording(device)
+    params = {"count": 64 * groups, "factor": 0.5}
+    kernel.record(rec, (groups, 1, 1), params, to=target)
+    return rec.run
 
 
 def copy(device: Device, nbytes: int) -> Run:
@@ -92,6 +125,13 @@ def measure(name: str, frame: tuple[int, int] = FRAME) -> dict[str, object]:
             "bytes_per_s": job.nbytes / best_s,
             "copy_bytes_per_s": job.nbytes / peer_s["copy"],
             "samples_per_s": job.samples / best_s,
+        }
+    if job.flops:
+        alone_s = min(timed("arithmetic", arithmetic(device, job.flops))[0])
+        rates |= {
+            "flops": job.flops,
+            "flops_per_s": job.flops / best_s,
+            "arithmetic_flops_per_s": job.flops / alone_s,
         }
     report = device.report()
     return {

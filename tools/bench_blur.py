@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from importlib.util import find_spec
 
 import numpy as np
 import scipy.fft
 
 from gpusim.gpu import Device
-from gpusim.optics.blur import Blur
+from gpusim.optics.blur import HALF, Blur
 
 SIDE, CHANNELS, NODES, SIZE = 1024, 3, 9, 31
 SPACING = SIDE // (NODES - 1)
@@ -125,9 +126,15 @@ def blur_1mp(device: Device, job: type):
         peers["torch"] = (with_torch(image, psfs), 1.0)
     if find_spec("cv2"):
         peers["opencv hard patches"] = (with_opencv(image, psfs), 1.0)
+    # Rows: one transform each; of each column four for the nodes' weights and one back, and four
+    # products; rows back, two by two.
+    blocks, side = math.prod(made.blocks), made.side
+    lines = side + HALF * 5 + LENGTH // 2
+    each = 5 * lines * LENGTH * math.log2(LENGTH) + 8 * 4 * HALF * LENGTH
     return job(
         lambda: made(image),
         CHANNELS * SIDE**2,
         {"measure": "largest difference from float64 over the peak", "worst": float(worst)},
         peers=peers,
+        flops=round(CHANNELS * blocks * each),
     )

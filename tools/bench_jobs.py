@@ -33,7 +33,7 @@ from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.optics.chief_ray import RadialMap
 from gpusim.optics.convolve import Convolve, Scale, Scratch
-from gpusim.optics.direct import Direct
+from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes
@@ -100,6 +100,9 @@ class Job:
     error : dict
     nbytes, samples : int
         That a run reads and writes, and that it computes; without bytes there is no copy.
+    flops : int
+        Operations of a run that count: 5 n log2 n of a complex transform of n, 8 of a complex
+        product that is added up, 2 of a multiply-add; 0 where nothing else is to be counted.
     peers : dict of (callable, float)
         Runs of others, and how many of them do the same work.
     facts : callable
@@ -113,6 +116,12 @@ class Job:
     samples: int = 0
     peers: dict[str, tuple[Run, float]] = field(default_factory=dict)
     facts: Callable[[object], dict[str, object]] = lambda best: {}
+    flops: int = 0
+
+
+def of_transforms(count: int, length: int) -> int:
+    """Return the operations of complex transforms, by the usual count."""
+    return round(5 * count * length * math.log2(length))
 
 
 class OneStage(Recording):
@@ -542,6 +551,7 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
             rows(planes[:, :8], first_x, step_x, length),
         )
         nbytes, samples = planes.nbytes + spectra.nbytes, lines.size
+        flops = of_transforms(grid.block[1], length)
         peers["scipy"] = (lambda: scipy.fft.fft(lines, workers=2), blocks)
     elif stage == "columns":
         packed = [device.read(part.nodes[x, y]) for y in (0, 1) for x in (0, 1)]
@@ -553,6 +563,8 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         )
         nbytes = spectra.nbytes + 4 * packed[0].nbytes + folded.nbytes
         samples = length**2 // 2
+        # Left and right, for upper and for lower nodes; of each channel the way back.
+        flops = of_transforms((4 + 3) * length // 2, length) + 8 * 4 * 3 * samples
         lines = np.resize(complex_of(spectra), (4, length // 2 + 1, length))
         four = np.ascontiguousarray(np.swapaxes(np.stack(kernels)[:, :, 0], 1, 2))
 
@@ -567,7 +579,10 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         found = error(device.read(rates)[:, :window, :window], expected)
         samples = 4 * window**2
         nbytes = folded.nbytes + 2 * 4 * samples
-    return Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)
+        flops = of_transforms(2 * window, window)  # of two sites together
+    job = Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)
+    job.flops = blocks * flops
+    return job
 
 
 def modes_job(device: Device, frame: tuple[int, int]) -> Job:
@@ -599,6 +614,7 @@ def modes_job(device: Device, frame: tuple[int, int]) -> Job:
         len(blocks) * nbytes,
         len(blocks) * lines.size,
         {"scipy": (lambda: scipy.fft.fft(lines, workers=2), len(blocks))},
+        flops=len(blocks) * of_transforms(grid.block[1], grid.length),
     )
 
 
@@ -644,6 +660,7 @@ def direct_job(device: Device, frame: tuple[int, int]) -> Job:
         error(found[:, : inside.shape[1], : inside.shape[2]], inside),
         len(blocks) * (planes.nbytes + 2 * 4 * samples),
         len(blocks) * samples,
+        flops=2 * direct_work(grid, 8, dict.fromkeys(blocks, 1), SITES),
     )
 
 
