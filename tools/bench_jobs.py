@@ -580,9 +580,15 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         samples = 4 * window**2
         nbytes = folded.nbytes + 2 * 4 * samples
         flops = of_transforms(2 * window, window)  # of two sites together
-    job = Job(rec.run, frame[0] * frame[1], found, blocks * nbytes, blocks * samples, peers)
-    job.flops = blocks * flops
-    return job
+    return Job(
+        rec.run,
+        frame[0] * frame[1],
+        found,
+        blocks * nbytes,
+        blocks * samples,
+        peers,
+        flops=blocks * flops,
+    )
 
 
 def modes_job(device: Device, frame: tuple[int, int]) -> Job:

@@ -134,7 +134,7 @@ class Response:
     def even(self) -> bool:
         """Whether it is its mirror image in x and in y."""
         parts = set(self.parts)
-        return not any(self.motion) and all(
+        return 0.0 in self.motion and all(
             (-x, y, *rest) in parts and (x, -y, *rest) in parts for x, y, *rest in self.parts
         )
 

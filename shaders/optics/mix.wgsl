@@ -30,44 +30,31 @@ struct Params {
 @group(0) @binding(2) var psfs: texture_2d<f32>;     // two rows at a time
 @group(0) @binding(3) var<storage, read_write> columns: array<vec4f>;
 
-// Rows y and y + 1 of one side's column.
-fn load(column: ptr<function, Line>, y: u32, at: u32) {
-    if (y < SIDE) {
-        let both = texel(spectra, at + y / 2u * 81u);
-        (*column)[y] = both.xy;
-        (*column)[y + 1u] = both.zw;
-    }
-}
-
-fn load_32(column: ptr<function, Line>, y: u32, at: u32) {
-    load(column, y, at); load(column, y + 2u, at); load(column, y + 4u, at); load(column, y + 6u, at);
-    load(column, y + 8u, at); load(column, y + 10u, at); load(column, y + 12u, at); load(column, y + 14u, at);
-    load(column, y + 16u, at); load(column, y + 18u, at); load(column, y + 20u, at); load(column, y + 22u, at);
-    load(column, y + 24u, at); load(column, y + 26u, at); load(column, y + 28u, at); load(column, y + 30u, at);
-}
-
-// Rows y and y + 1 of a node's PSF, transformed along x.
-fn load_psf(psf: ptr<function, Line>, y: u32, at: u32) {
+// Rows y and y + 1 of a line of so many rows; beyond them it is dark.
+fn load(line: ptr<function, Line>, numbers: texture_2d<f32>, rows: u32, y: u32, at: u32) {
     var both = vec4f(0.0);
-    if (y < ROWS) {
-        both = texel(psfs, at + y / 2u * 81u);
+    if (y < rows) {
+        both = texel(numbers, at + y / 2u * 81u);
     }
-    (*psf)[y] = both.xy;
-    (*psf)[y + 1u] = both.zw;
+    (*line)[y] = both.xy;
+    (*line)[y + 1u] = both.zw;
 }
 
-fn load_psf_32(psf: ptr<function, Line>, y: u32, at: u32) {
-    load_psf(psf, y, at); load_psf(psf, y + 2u, at); load_psf(psf, y + 4u, at); load_psf(psf, y + 6u, at);
-    load_psf(psf, y + 8u, at); load_psf(psf, y + 10u, at); load_psf(psf, y + 12u, at); load_psf(psf, y + 14u, at);
-    load_psf(psf, y + 16u, at); load_psf(psf, y + 18u, at); load_psf(psf, y + 20u, at); load_psf(psf, y + 22u, at);
-    load_psf(psf, y + 24u, at); load_psf(psf, y + 26u, at); load_psf(psf, y + 28u, at); load_psf(psf, y + 30u, at);
+fn load_32(line: ptr<function, Line>, numbers: texture_2d<f32>, rows: u32, y: u32, at: u32) {
+    load(line, numbers, rows, y, at); load(line, numbers, rows, y + 2u, at); load(line, numbers, rows, y + 4u, at); load(line, numbers, rows, y + 6u, at);
+    load(line, numbers, rows, y + 8u, at); load(line, numbers, rows, y + 10u, at); load(line, numbers, rows, y + 12u, at); load(line, numbers, rows, y + 14u, at);
+    load(line, numbers, rows, y + 16u, at); load(line, numbers, rows, y + 18u, at); load(line, numbers, rows, y + 20u, at); load(line, numbers, rows, y + 22u, at);
+    load(line, numbers, rows, y + 24u, at); load(line, numbers, rows, y + 26u, at); load(line, numbers, rows, y + 28u, at); load(line, numbers, rows, y + 30u, at);
+}
+
+fn load_line(line: ptr<function, Line>, numbers: texture_2d<f32>, rows: u32, at: u32) {
+    load_32(line, numbers, rows, 0u, at); load_32(line, numbers, rows, 32u, at); load_32(line, numbers, rows, 64u, at);
+    load_32(line, numbers, rows, 96u, at); load_32(line, numbers, rows, 128u, at);
 }
 
 // A node's PSF, transformed.
 fn transform(psf: ptr<function, Line>, node: u32, kx: u32) {
-    let at = node * (ROWS / 2u) * 81u + kx;
-    load_psf_32(psf, 0u, at); load_psf_32(psf, 32u, at); load_psf_32(psf, 64u, at); load_psf_32(psf, 96u, at);
-    load_psf_32(psf, 128u, at);
+    load_line(psf, psfs, ROWS, node * (ROWS / 2u) * 81u + kx);
     line_160(psf);
 }
 
@@ -110,9 +97,8 @@ fn convolve(sum: ptr<function, Line>, column: ptr<function, Line>, psf: ptr<func
 
 // What the nodes of one side make of it: the upper one, whose PSF is given if it is kept, and the lower one, which is kept.
 fn convolve_side(sum: ptr<function, Line>, kept: ptr<function, Line>, at: u32, upper: u32, lower: u32, kx: u32, s: f32, step: f32) {
-    var column = Line();  // rows from SIDE on stay zero
-    load_32(&column, 0u, at); load_32(&column, 32u, at); load_32(&column, 64u, at); load_32(&column, 96u, at);
-    load_32(&column, 128u, at);
+    var column: Line;
+    load_line(&column, spectra, SIDE, at);
     if (!KEEP) {
         transform(kept, upper, kx);
     }
