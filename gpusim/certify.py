@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -144,10 +143,7 @@ def true_rates(
 
     # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        # The first one alone: it makes what all share, a photograph's splines above all, which
-        # every thread would else make for itself.
-        first = [rate_at(number) for number in order[:1]]
-        found = chain(first, pool.map(rate_at, order[1:]))
+        found = pool.map(rate_at, order)
         for done, (number, rate) in enumerate(zip(order, found, strict=True), start=1):
             rates[number] = rate
             if progress is not None:

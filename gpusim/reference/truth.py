@@ -32,17 +32,24 @@ from gpusim.reference.quadrature import Zone
 H_J_S = 6.62607015e-34
 C_M_S = 299792458.0
 # Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
-# and cells along one sample of the bank. In the innermost lie nearly all of its energy and detail.
-FALLS_UM = ((3.0, 6.0), (10.0, 16.0))
-CELLS = (4, 2, 1)
-SPLITS = (4, 4, 2)  # squares along a cell of each that an outline cuts
-# Of the splines between the bank's samples. A PSF at f/2.8 has detail of 0.4 cycles a sample, where
-# cubic splines err by a tenth: 4e-4 of the light in a dark dot of 3 pixels.
+# and cells along one sample of the bank. In the innermost lie nearly all of its energy and detail;
+# outer ones are for banks that reach twice as far, for where a bank cuts its PSFs off, as sharply
+# as its window is, steps of two samples would show.
+FALLS_UM = ((6.0, 10.0), (24.0, 32.0))
+CELLS = (2, 1, 0.5)
+SPLITS = (8, 2, 2)  # squares along a cell of each that an outline cuts
+# Of the splines between the bank's samples, and between the cells. A PSF at f/2.8 has detail of 0.4
+# cycles a sample, where cubic splines err by a tenth: 4e-4 of the light in a dark dot of 3 pixels.
 DEGREES = (5, 3, 3)
+# Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal: of that
+# steps of a sample are enough, and beyond some um it is below 1e-6.
+CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
 MAP_ERROR_UM = 1e-5
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
-KEPT_KERNELS = 200  # of 0.8 MiB each
+KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
+KEPT_KERNELS = 600  # of 0.04 MiB each, and one in four of up to 0.8 MiB
+KEPT_FIELDS = 8  # of 3 MiB each: probes come by height, and each needs two or three
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 NEWTON_STEPS = 30
 MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
@@ -56,6 +63,7 @@ class _Heights:
         self.bank = bank
         reference = list(bank.wavelengths_nm).index(bank.reference_nm)
         self.radius_um = np.asarray(bank.real_height_um[:, reference], np.float64)
+        self.centre, self.circle = np.zeros(2), self.radius_um[-1]
         # The map is asked millions of times: a spline of it, and beyond the circle a straight line.
         # Between 4096 knots it is off by 1e-9 um at most.
         heights = np.linspace(0, bank.rectilinear_circle_um, 4097)
@@ -77,9 +85,8 @@ class _Heights:
         """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
         radius = np.hypot(*source.T)
         position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
-        lit = radius <= self.radius_um[-1]
         for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
-            yield field, np.maximum(1 - np.abs(position - field), 0) * lit
+            yield field, np.maximum(1 - np.abs(position - field), 0)
 
     def ideal(self, real: np.ndarray) -> np.ndarray:
         """Return the ideal-plane positions (..., 2) of real ones, um."""
@@ -149,7 +156,6 @@ class _Grid:
         height = np.hypot(*ideal.T)
         angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
-        lit = np.hypot(*(source - self.centre).T) <= self.circle
         tents = []
         for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg)):
             place = np.interp(at, axis, np.arange(len(axis)))
@@ -157,7 +163,7 @@ class _Grid:
             tents.append([(k, np.maximum(1 - np.abs(place - k), 0)) for k in used])
         for col, across in tents[0]:
             for row, down in tents[1]:
-                yield row * len(bank.field_x_deg) + col, across * down * lit
+                yield row * len(bank.field_x_deg) + col, across * down
 
 
 class Truth:
@@ -201,15 +207,19 @@ class Truth:
             else:
                 self.alike.append((number, 1.0))
         reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
-        ends = [(-1.0, 0.0), *(pair for pair in FALLS_UM if pair[1] < reach), (reach, reach)]
+        ends = [(-1.0, 0.0), *(pair for pair in FALLS_UM if 2 * pair[1] < reach), (reach, reach)]
         self.zones = [
-            Zone(bank.pitch_um / cells, split, rises, falls, self.boxes)
-            for cells, split, rises, falls in zip(CELLS, SPLITS, ends[:-1], ends[1:], strict=False)
+            Zone(bank.pitch_um / cells, split, degree, rises, falls, self.boxes)
+            for cells, split, degree, rises, falls in zip(
+                CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
+            )
         ]
-        self.splines: np.ndarray | None = None
+        self.change = Zone(
+            bank.pitch_um, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], CHANGE_FALLS_UM, self.boxes, True
+        )
         self.bounds: np.ndarray | None = None
         self.shifted: dict[int, np.ndarray] = {}
-        self.kernels: dict[tuple[int, int, int, int, int], np.ndarray] = {}
+        self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
         self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
 
@@ -267,63 +277,84 @@ class Truth:
 
     def _shifted(self, field: int) -> np.ndarray:
         """Return the PSFs (L, n, n) of one bank field, with lateral colour and illumination."""
-        if field not in self.shifted:
+        images = self.shifted.get(field)
+        if images is None:
             bank = self.bank
-            n = bank.psf.shape[-1]
-            frequency = scipy.fft.fftfreq(n + 2 * PAD, bank.pitch_um)
-            images = np.empty((len(bank.wavelengths_nm), n + 2 * PAD, n + 2 * PAD))
+            n = bank.psf.shape[-1] + 2 * PAD
+            images = np.zeros((len(bank.wavelengths_nm), n, n))
+            frequency = scipy.fft.rfftfreq(n, bank.pitch_um)
             for place, image in enumerate(images):
                 psf, illumination, shift = self.fields.light(field, place)
-                image[:] = np.pad(psf.astype(np.float64), PAD)
+                image[PAD:-PAD, PAD:-PAD] = psf * np.float64(illumination / bank.pitch_um**2)
                 for axis, along in ((1, shift[0]), (0, shift[1])):
                     if along:
                         turns = np.exp(-2j * np.pi * frequency * along)
                         turns = turns if axis else turns[:, None]
-                        lines = scipy.fft.fft(image, axis=axis) * turns
-                        image[:] = scipy.fft.ifft(lines, axis=axis).real
-                image *= illumination / bank.pitch_um**2
-            self.shifted[field] = images
-        return self.shifted[field]
+                        lines = scipy.fft.rfft(image, axis=axis) * turns
+                        image[:] = scipy.fft.irfft(lines, n, axis=axis)
+            _keep(self.shifted, field, images, KEPT_FIELDS)
+        return images
 
-    def _kernel(
-        self, channel: int, spectrum: int, field: int, node: int, degree: int
-    ) -> np.ndarray:
-        """Return spline coefficients of H at one bank field and azimuth, in its PSFs' frame."""
-        key = (channel, spectrum, field, node, degree)
+    def _kernel(self, channel: int, spectrum: int, field: int, node: int, zone: Zone) -> np.ndarray:
+        """Return spline coefficients of H at one bank field and azimuth, in its PSFs' frame.
+
+        As far as a zone reaches, from the middle outwards.
+        """
+        key = (channel, spectrum, field, node, zone)
         kernel = self.kernels.get(key)
         if kernel is None:
-            # Probes run in threads: another may make room, or this very kernel, at the same time.
-            while len(self.kernels) >= KEPT_KERNELS:
-                self.kernels.pop(list(self.kernels)[0], None)  # noqa: RUF015 (iterators see changes)
             weights = self._weights_at(field, node)[channel, spectrum]
-            density = np.tensordot(weights, self._shifted(field), axes=1)
-            kernel = self.kernels[key] = spline_filter(density, order=degree)
+            images = self._shifted(field)
+            middle, half = images.shape[-1] // 2, self._half(zone)
+            there = slice(middle - half, middle + half)
+            density = np.tensordot(weights, images[:, there, there], axes=1)
+            kernel = spline_filter(density, order=zone.degree)
+            _keep(self.kernels, key, kernel, KEPT_KERNELS)
         return kernel
 
+    def _half(self, zone: Zone) -> int:
+        """Return half the width of a zone's kernels, samples."""
+        most = self.bank.psf.shape[-1] // 2 + PAD
+        return min(int(zone.reach_um / self.bank.pitch_um) + KERNEL_PAD, most)
+
     def _spread(
-        self, channel: int, spectrum: int, t: np.ndarray, source: np.ndarray, degree: int
+        self,
+        channel: int,
+        spectra: Sequence[int],
+        zone: Zone,
+        source: np.ndarray,
     ) -> np.ndarray:
-        """Return H (P,) at distances t (P, 2) from source points (P, 2), per um^2."""
+        """Return H (M, P) of spectra at a zone's t (P, 2) from source points (P, 2), per um^2."""
         along = self.fields.axes(source)
-        half = self.bank.psf.shape[-1] // 2 + PAD
-        x = np.sum(t * along, axis=1) / self.bank.pitch_um + half
-        y = (t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]) / self.bank.pitch_um + half
-        result = np.zeros(len(t))
+        half = self._half(zone)
+        (t_x, t_y), (cos, sin) = zone.t.T / self.bank.pitch_um, along.T
+        x, y = t_x * cos + t_y * sin + half, t_y * cos - t_x * sin + half
+        result = np.zeros((len(spectra), len(source)))
         nodes = list(self._nodes(source))
         for field, of_field in self.fields.shares(source):
             for node, of_node in nodes:
                 share = of_field * of_node
-                used = share != 0
-                if used.any():
-                    kernel = self._kernel(channel, spectrum, field, node, degree)
-                    result[used] += share[used] * map_coordinates(
-                        kernel,
-                        [y[used], x[used]],
-                        order=degree,
-                        prefilter=False,
-                        mode="constant",
+                used = np.flatnonzero(share)
+                if not len(used):
+                    continue
+                share, where = share[used], np.stack([y[used], x[used]])
+                for one, spectrum in zip(result, spectra, strict=True):
+                    kernel = self._kernel(channel, spectrum, field, node, zone)
+                    one[used] += share * map_coordinates(
+                        kernel, where, order=zone.degree, prefilter=False, mode="constant"
                     )
         return result
+
+    def _lit(self, centre: np.ndarray, t: np.ndarray, step_um: float) -> np.ndarray | float:
+        """Return how much of steps of the radius, at t (..., 2) off a pixel, the rim leaves.
+
+        Steps, not points, for sums over cells would else err by half a cell's light at the rim.
+        """
+        inside = self.fields.circle - np.hypot(*(centre - self.fields.centre))
+        if inside > np.sqrt(2) * self.zones[-1].line[-1] + step_um:
+            return 1.0
+        radius = np.hypot(*np.moveaxis(centre - t - self.fields.centre, -1, 0))
+        return np.clip(0.5 + (self.fields.circle - radius) / step_um, 0, 1)
 
     def _cells(self, source: np.ndarray, side: float) -> np.ndarray:
         """Return the corners (P, 4, 2) on the ideal plane of squares at real points (P, 2)."""
@@ -347,32 +378,33 @@ class Truth:
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
-            for zone in self.zones:
+            for zone in (*self.zones, self.change):
                 whole, cut = self._chart_shares(chart, zone, centre)
-                for spectrum in sorted(whole.keys() | cut.keys()):
-                    rings = self._rings(zone, channel, spectrum, centre)
+                spectra = sorted(whole.keys() | cut.keys())
+                all_rings = self._rings(zone, channel, spectra, centre)
+                for spectrum, rings in zip(spectra, all_rings, strict=True):
                     if spectrum in whole:
-                        out[number] += np.sum(zone.in_cells(rings) * whole[spectrum])
+                        lit = self._lit(centre, zone.cells, zone.step_um)
+                        out[number] += np.sum(zone.in_cells(rings) * whole[spectrum] * lit)
                     if spectrum in cut:
                         places, areas = cut[spectrum]
-                        out[number] += np.sum(zone.at(rings, places) * areas)
+                        lit = self._lit(centre, places, zone.step_um / zone.split)
+                        out[number] += np.sum(zone.at(rings, places) * areas * lit)
         return out
 
     def _rings(
-        self, zone: Zone, channel: int, spectrum: int, centre: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return a ring of the PSFs around a pixel, and how it changes with the source."""
+        self, zone: Zone, channel: int, spectra: Sequence[int], centre: np.ndarray
+    ) -> list[list[np.ndarray]]:
+        """Return of each spectrum a ring around a pixel, or how it changes with the source."""
         source = centre - zone.t
-        degree = DEGREES[self.zones.index(zone)]
-        here = self._spread(channel, spectrum, zone.t, source, degree)
-        rings = [here]
-        if zone is self.zones[0]:
-            # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal;
-            # of the outer zones' light that is below 1e-6.
-            for way in np.eye(2) * self.half_um:
-                there = self._spread(channel, spectrum, zone.t, source + way, degree)
-                rings.append((there - here) / way.sum())
-        return [zone.ring(one) for one in rings]
+        here = self._spread(channel, spectra, zone, source)
+        found = [here]
+        if zone.change:
+            found = [
+                (self._spread(channel, spectra, zone, source + way) - here) / way.sum()
+                for way in np.eye(2) * self.half_um
+            ]
+        return [[zone.ring(one) for one in of_spectrum] for of_spectrum in zip(*found, strict=True)]
 
     def _chart_shares(
         self, chart: Any, zone: Zone, centre: np.ndarray
@@ -488,23 +520,33 @@ class Truth:
         -------
         ndarray (P,)
         """
-        if self.splines is None:
-            self.splines = raster.spline_coefficients().astype(np.float64)
-        _, rows, cols = self.splines.shape
+        rows, cols = raster.planes.shape[1:]
+        planes, zones = range(len(raster.planes)), (*self.zones, self.change)
+        corner = np.array([raster.x0_um, raster.y0_um])
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
-            for zone in self.zones:
-                ideal = self.fields.ideal(centre - zone.cells)
-                x = np.clip((ideal[..., 0] - raster.x0_um) / raster.pitch_um - 0.5, 0, cols - 1)
-                y = np.clip((ideal[..., 1] - raster.y0_um) / raster.pitch_um - 0.5, 0, rows - 1)
-                for plane, spline in enumerate(self.splines):
-                    radiance = map_coordinates(
-                        spline, [y, x], order=3, prefilter=False, mode="mirror"
-                    )
-                    rings = self._rings(zone, channel, plane, centre)
+            # In samples, y before x; beyond the outermost ones the radiance goes on as they are.
+            places = [
+                np.clip(
+                    (self.fields.ideal(centre - zone.cells) - corner) / raster.pitch_um - 0.5,
+                    0,
+                    [cols - 1, rows - 1],
+                )[..., ::-1]
+                for zone in zones
+            ]
+            ends = np.array([[at.min(axis=(0, 1, 2)), at.max(axis=(0, 1, 2))] for at in places])
+            first = np.maximum(ends.min(axis=(0, 1)).astype(int) - 1, 0)
+            last = np.minimum(ends.max(axis=(0, 1)).astype(int) + 3, [rows, cols])
+            splines = raster.spline_in(*(range(*pair) for pair in zip(first, last, strict=True)))
+            for zone, at in zip(zones, places, strict=True):
+                y_x = np.moveaxis(at - first, -1, 0)
+                areas = zone.step_um**2 * self._lit(centre, zone.cells, zone.step_um)
+                all_rings = self._rings(zone, channel, planes, centre)
+                for spline, rings in zip(splines, all_rings, strict=True):
+                    radiance = map_coordinates(spline, y_x, order=3, prefilter=False, mode="mirror")
                     # Smooth times smooth: the sum over middles is the integral.
-                    out[number] += zone.step_um**2 * np.sum(zone.in_middles(rings) * radiance)
+                    out[number] += np.sum(zone.in_middles(rings) * radiance * areas)
         return out + self.highlights(raster.highlights, pixels)
 
     def highlights(self, highlights: Any, pixels: np.ndarray) -> np.ndarray:
@@ -606,7 +648,10 @@ class Truth:
             inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
             ideal = highlights.centre_um[:, None] + inner
             real, stretch = self._real(ideal.reshape(-1, 2))
-            areas = np.tile(shares, len(corners)) * cell**2 * stretch.reshape(ideal.shape[:2])
+            lit = np.hypot(*(real - self.fields.centre).T) <= self.fields.circle
+            areas = (
+                np.tile(shares, len(corners)) * cell**2 * (lit * stretch).reshape(ideal.shape[:2])
+            )
             self.squares = (highlights, real.reshape(ideal.shape), areas)
         return self.squares[1:]
 
@@ -683,6 +728,14 @@ class Truth:
         pattern = self.sensor.cfa.pattern
         name = pattern[row % len(pattern)][col % len(pattern[0])]
         return list(self.sensor.channels).index(name)
+
+
+def _keep(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:
+    """Put a value into a store of at most so many, in place of the oldest."""
+    # Probes run in threads: another may make room, or this very value, at the same time.
+    while len(store) >= most:
+        store.pop(list(store)[0], None)  # noqa: RUF015 (iterators see changes)
+    store[key] = value
 
 
 def _in_square(quads: np.ndarray, points: np.ndarray, side: float) -> np.ndarray:

@@ -87,21 +87,31 @@ class PlacedRaster:
         ndarray (M, rows, cols), float32
         """
         result = np.empty(self.planes.shape, np.float32)
-        count, rows, _ = result.shape
-        margin = _reach(INTEGRALS if self.integrals else VALUES) + _faded(self.integrals)
+        count, rows, cols = result.shape
 
         def band(number: int, first: int) -> None:
-            last = min(first + BAND_ROWS, rows)
-            above, below = min(first, margin), min(rows - last, margin)
-            samples = self.planes[number, first - above : last + below].astype(np.float64)
-            wanted = range(above, above + last - first)
-            result[number, first:last] = _fitted(samples, self.integrals, wanted)
+            wanted = range(first, min(first + BAND_ROWS, rows))
+            result[number, first : wanted.stop] = self._fitted(number, wanted, range(cols))
 
         # NumPy and SciPy let go of the interpreter in their loops.
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             bands = [(n, first) for n in range(count) for first in range(0, rows, BAND_ROWS)]
             list(pool.map(band, *zip(*bands, strict=True)))
         return result
+
+    def spline_in(self, rows: range, cols: range) -> np.ndarray:
+        """Return the coefficients of `spline_coefficients` (M, rows, cols) in a window, float64."""
+        return np.stack([self._fitted(number, rows, cols) for number in range(len(self.planes))])
+
+    def _fitted(self, number: int, rows: range, cols: range) -> np.ndarray:
+        """Return the coefficients of one plane in a window, from what reaches into it."""
+        margin = _reach(INTEGRALS if self.integrals else VALUES) + _faded(self.integrals)
+        (top, bottom), (left, right) = (
+            (max(part.start - margin, 0), part.stop + margin) for part in (rows, cols)
+        )
+        samples = self.planes[number, top:bottom, left:right].astype(np.float64)
+        wanted = range(rows.start - top, rows.stop - top)
+        return _fitted(samples, self.integrals, wanted)[:, cols.start - left : cols.stop - left]
 
     def values(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the spline's values at its samples, float32; its planes where they are its values.

@@ -263,3 +263,16 @@ def test_the_fit_is_that_of_the_whole_plane(integrals: bool, kind: str):
     expected = np.stack([non_negative(plane.astype(float), weights) for plane in planes])
     # What is cut off above a band and below it.
     assert_close(found, expected, rtol=2**-23, atol=2 * REST * planes.max())
+
+
+@pytest.mark.parametrize("integrals", [False, True])
+@pytest.mark.parametrize(
+    ("rows", "cols"), [(range(0, 9), range(0, 12)), (range(140, 171), range(70, 200))]
+)
+def test_a_window_has_the_coefficients_of_the_whole(integrals: bool, rows: range, cols: range):
+    planes = (RNG.uniform(0, 1, (2, 300, 200)) ** 8).astype(np.float32)  # rings everywhere
+    placed = PlacedRaster(planes, 1.0, 0, 0, "", integrals)
+    whole = placed.spline_coefficients()[:, rows.start : rows.stop, cols.start : cols.stop]
+    found = placed.spline_in(rows, cols)
+    assert found.shape == (2, len(rows), len(cols))
+    assert_close(found, whole, rtol=2**-23, atol=2 * REST * planes.max())
