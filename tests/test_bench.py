@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -250,11 +249,9 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
             self.error = {}
             seen.append((camera, scene.source.planes.shape))
 
-        def __call__(self, tile: tuple | None, further: bool) -> str:
-            assert further
-            tiles.append(tile)
-            time.sleep(0.004)
-            self.further_s = 0.001
+        def __call__(self, tile: tuple | None, further_s: float = 0.0) -> str:
+            tiles.append((tile, further_s))
+            self.first_s, self.further = 0.004, [0.002, 0.0005, 0.001]
             return "a capture"
 
     monkeypatch.setattr(jobs, "FrameRender", Render)
@@ -262,12 +259,13 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
     job = jobs.JOBS["scaling"][1](None, (48, 64))
     job.run()
     job.run()
-    assert tiles == [(0, 0, 16, 16)] * 4 + [None] * 4
+    assert tiles == [((0, 0, 16, 16), 0.0)] * 4 + [(None, jobs.FURTHER_S)] * 4
     facts = job.facts(None)
     assert len(facts["sizes"]) == 4 and facts["largest_over_smallest"] >= 1
     assert all(size["of"] == "a capture" for size in facts["sizes"].values())
-    for size in facts["sizes"].values():  # 1 ms of 4 or more belongs to the further frame
-        assert size["ns_per_pixel"] >= 3 * size["further_ns_per_pixel"] * (1 - 1e-9)
+    for size in facts["sizes"].values():
+        assert size["ns_per_pixel"] == pytest.approx(4 * size["further_ns_per_pixel"])
+        assert size["further_frames"] == 3
     counts = [c.sensor.rows * c.sensor.cols for c, _ in seen[4:]]
     assert facts["further_largest_over_smallest"] == pytest.approx(max(counts) / min(counts))
     sides = [(c.sensor.rows, c.sensor.cols) for c, _ in seen[4:]]

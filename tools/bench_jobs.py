@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import resource
+import statistics
 import sys
 import time
 from collections.abc import Callable
@@ -74,6 +75,9 @@ SITES = [0, 1, 1, 2]  # channels of a Bayer pattern
 FRAME_PSF = 63
 FRAME_FOCAL_MM, SCALING_FOCAL_MM = 12.0, 24.0
 SCALING = (0.285, 0.57, 1.0, 2.0)  # of the frame's sides: 1, 4, 12 and 49 MP
+# Further frames of each, for so long at least: one of 1 MP takes 1.3 s, in which a shared machine
+# may be half as fast as in the next.
+FURTHER_S = 15.0
 FRAME_SIGMA, FRAME_PROBES = 0.1, 256
 DOT_UM = 30.0  # radius of the dots that paint paints
 # More to the right than to the left, and from green to red more than to the others.
@@ -253,21 +257,24 @@ class FrameRender:
         self.bank = camera.bank()
 
     def __call__(
-        self, tile: tuple[int, int, int, int] | None = None, further: bool = False
+        self, tile: tuple[int, int, int, int] | None = None, further_s: float = 0.0
     ) -> Capture:
         """Plan, prepare and render; of the frame, or of a rectangle.
 
-        `further` renders once more with what is prepared, and keeps its time in `further_s`.
+        Keeps the time in `first_s`. Then renders with what is prepared, once or more until
+        `further_s` seconds have gone by, if any are given, and keeps those times in `further`.
         """
+        started = time.perf_counter()
         known = SimpleNamespace(sensor=self.camera.sensor, bank=lambda progress: self.bank)
         accuracy = Accuracy(FRAME_SIGMA, 0 if self.error else FRAME_PROBES, "sigma")
         renderer = Renderer(known, self.scene, accuracy, self.device, exposure_s=EXPOSURE_S)
         try:
             capture = renderer.capture(EXPOSURE_S, tile=tile)
-            if further:
+            self.first_s, self.further = time.perf_counter() - started, []
+            while sum(self.further) < further_s:
                 started = time.perf_counter()
                 renderer.capture(EXPOSURE_S, tile=tile)
-                self.further_s = time.perf_counter() - started
+                self.further.append(time.perf_counter() - started)
         finally:
             renderer.release()
         if not self.error:
@@ -312,8 +319,8 @@ def frame_job(device: Device, frame: tuple[int, int], mono: bool) -> Job:
 def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
     """Time frames of 1, 4, 12 and 48 MP of one camera and one kind of scene, one after another.
 
-    Of each the first frame, with plan and kernels, and a further one of the same renderer. The
-    first call, which warms up, renders a corner of each: that compiles what it needs.
+    Of each the first frame, with plan and kernels, and the median of further ones of the same
+    renderer. The first call, which warms up, renders a corner of each: that compiles what it needs.
     """
     sizes = [tuple(2 * round(side * part / 2) for side in frame) for part in SCALING]
     warm: list[bool] = []
@@ -324,12 +331,14 @@ def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
             camera = frame_camera(height, width, SCALING_FOCAL_MM, sizes[-1])
             render = FrameRender(device, camera, photograph(height // 2, width // 2))
             render.error["measure"] = "not certified here: see frame-12mp"
-            started = time.perf_counter()
-            capture = render(None if warm else (0, 0, 16, 16), further=True)
-            first_s = time.perf_counter() - started - render.further_s
+            if not warm:
+                render((0, 0, 16, 16))
+                continue
+            capture = render(None, FURTHER_S)
             found[f"{height * width / 1e6:.3g} MP"] = {
-                "ns_per_pixel": 1e9 * first_s / (height * width),
-                "further_ns_per_pixel": 1e9 * render.further_s / (height * width),
+                "ns_per_pixel": 1e9 * render.first_s / (height * width),
+                "further_ns_per_pixel": 1e9 * statistics.median(render.further) / (height * width),
+                "further_frames": len(render.further),
                 **frame_facts(capture),
             }
         warm.append(True)
