@@ -9,28 +9,23 @@ exact outlines) or its coefficient (rasters), and
 
 the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
 azimuth of each source point; of a lens without an axis it is bilinear between the fields of a grid,
-and not rotated. Of a sensor whose quantum efficiency goes with the angle of the light, W goes with
-the field and the azimuth of s (`gpusim.reference.angle`). No sim grid, no PSF nodes, no reduced
-basis, no transform of the image: nothing that the engine chooses.
+and not rotated (`gpusim.reference.spread`). No sim grid, no PSF nodes, no reduced basis, no
+transform of the image: nothing that the engine chooses.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import scipy.fft
-from numpy.polynomial import chebyshev
-from scipy.interpolate import CubicSpline
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import map_coordinates
 
-from gpusim.reference.angle import NODES, MeanQe
 from gpusim.reference.coverage import cross, part_of
+from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.quadrature import Zone
+from gpusim.reference.spread import Spread
 
-H_J_S = 6.62607015e-34
-C_M_S = 299792458.0
 # Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
 # and cells along one sample of the bank. In the innermost lie nearly all of its energy and detail;
 # outer ones are for banks that reach twice as far, for where a bank cuts its PSFs off, as sharply
@@ -44,126 +39,10 @@ DEGREES = (5, 3, 3)
 # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal: of that
 # steps of a sample are enough, and beyond some um it is below 1e-6.
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
-MAP_ERROR_UM = 1e-5
-PAD = 32  # samples around the bank's PSFs, room for their shifts
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
-KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
-KEPT_KERNELS = 600  # of 0.04 MiB each, and one in four of up to 0.8 MiB
-KEPT_FIELDS = 8  # of 3 MiB each: probes come by height, and each needs two or three
-SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 NEWTON_STEPS = 30
 MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
 HIGHLIGHT_ORDER = 4  # nodes across an aperture, and across a square as large
-
-
-class _Heights:
-    """Fields at image heights, between which PSFs are linear in height and turned."""
-
-    def __init__(self, bank: Any) -> None:
-        self.bank = bank
-        reference = list(bank.wavelengths_nm).index(bank.reference_nm)
-        self.radius_um = np.asarray(bank.real_height_um[:, reference], np.float64)
-        self.centre, self.circle = np.zeros(2), self.radius_um[-1]
-        # The map is asked millions of times: a spline of it, and beyond the circle a straight line.
-        # Between 4096 knots it is off by 1e-9 um at most.
-        heights = np.linspace(0, bank.rectilinear_circle_um, 4097)
-        self.map = CubicSpline(heights, bank.ideal_from_real(heights)[0])
-        self.beyond = float(self.map(heights[-1], 1))
-
-    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
-        """Return PSF, illumination and lateral colour (x, y, um) of a field and wavelength."""
-        shift = self.bank.real_height_um[field, place] - self.radius_um[field]
-        illumination = self.bank.relative_illumination[field, place]
-        return self.bank.psf[field, place], illumination, (shift, 0.0)
-
-    def axes(self, source: np.ndarray) -> np.ndarray:
-        """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
-        radius = np.hypot(*source.T)[:, None]
-        return np.where(radius > 0, source / np.maximum(radius, 1e-9), [1.0, 0.0])
-
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
-        radius = np.hypot(*source.T)
-        position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
-        for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
-            yield field, np.maximum(1 - np.abs(position - field), 0)
-
-    def ideal(self, real: np.ndarray) -> np.ndarray:
-        """Return the ideal-plane positions (..., 2) of real ones, um."""
-        radius = np.hypot(real[..., 0], real[..., 1])
-        at = np.minimum(radius, self.map.x[-1])
-        ideal = self.map(at) + (radius - at) * self.beyond
-        return real * np.where(radius > 0, ideal / np.maximum(radius, 1e-9), 1.0)[..., None]
-
-
-class _Grid:
-    """Fields on a grid of field angles, between which PSFs are bilinear.
-
-    The map from the image to the field is a fit of its own to the bank's chief rays: Chebyshev
-    products, of total degrees until the largest error is ``MAP_ERROR_UM``.
-    """
-
-    def __init__(self, bank: Any) -> None:
-        self.bank = bank
-        self.centre = np.array([bank.ray_x_um[0], bank.ray_y_um[0]])
-        field = np.stack([bank.ray_x_deg, bank.ray_y_deg], axis=1)
-        landed = np.stack([bank.ray_x_um, bank.ray_y_um], axis=1) - self.centre
-        off = np.hypot(*field.T)
-        self.circle = np.hypot(*landed[off > 0.999999 * off.max()].T).min()
-        self.span = 1.2 * np.abs(landed).max()
-        tangent = np.tan(np.radians(off)) / np.where(off > 0, off, 1.0)
-        wanted = 1e3 * bank.efl_mm * tangent[:, None] * field
-        for degree in range(3, 15, 2):
-            basis = self._basis(landed, degree)
-            self.terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
-            if np.abs(basis @ self.terms - wanted).max() < MAP_ERROR_UM:
-                break
-        self.degree = degree
-
-    def _basis(self, off_centre: np.ndarray, degree: int) -> np.ndarray:
-        x, y = (chebyshev.chebvander(one / self.span, degree) for one in off_centre.T)
-        return np.stack(
-            [x[:, i] * y[:, j] for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1
-        )
-
-    def ideal(self, real: np.ndarray) -> np.ndarray:
-        """Return the ideal-plane positions (..., 2) of real ones, um."""
-        flat = np.reshape(real, (-1, 2)) - self.centre
-        coefficients = np.zeros((self.degree + 1, self.degree + 1, 2))
-        places = [(i, j) for i in range(self.degree + 1) for j in range(self.degree + 1 - i)]
-        for place, term in zip(places, self.terms, strict=True):
-            coefficients[place] = term
-        x, y = flat.T / self.span
-        return np.moveaxis(chebyshev.chebval2d(x, y, coefficients), 0, -1).reshape(np.shape(real))
-
-    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
-        """Return PSF, illumination and lateral colour (x, y, um) of a field and wavelength."""
-        bank = self.bank
-        row, col = divmod(field, len(bank.field_x_deg))
-        reference = list(bank.wavelengths_nm).index(bank.reference_nm)
-        x, y = bank.chief_x_um[row, col], bank.chief_y_um[row, col]
-        shift = (x[place] - x[reference], y[place] - y[reference])
-        return bank.psf[row, col, place], bank.relative_illumination[row, col, place], shift
-
-    def axes(self, source: np.ndarray) -> np.ndarray:
-        """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
-        return np.broadcast_to([1.0, 0.0], source.shape)
-
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
-        bank = self.bank
-        ideal = self.ideal(source)
-        height = np.hypot(*ideal.T)
-        angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
-        x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
-        tents = []
-        for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg)):
-            place = np.interp(at, axis, np.arange(len(axis)))
-            used = range(int(place.min()), int(np.ceil(place.max())) + 1)
-            tents.append([(k, np.maximum(1 - np.abs(place - k), 0)) for k in used])
-        for col, across in tents[0]:
-            for row, down in tents[1]:
-                yield row * len(bank.field_x_deg) + col, across * down
 
 
 class Truth:
@@ -184,18 +63,11 @@ class Truth:
     ) -> None:
         self.bank = bank
         self.sensor = sensor
-        self.fields = _Grid(bank) if hasattr(bank, "field_x_deg") else _Heights(bank)
+        self.fields = Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank)
+        self.spread = Spread(bank, sensor, self.fields, spectra, wavelengths_nm)
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.boxes = self._boxes()
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
-        self.spectra, self.wavelengths_nm = spectra, wavelengths_nm
-        self.mean_qe = None
-        if sensor.eqe_map is not None:
-            self.mean_qe = MeanQe(bank, sensor, wavelengths_nm)
-        else:
-            qe = np.stack([sensor.qe[name] for name in sensor.channels])
-            self.weights = self._weights([qe] * len(bank.wavelengths_nm))
-        self.weights_there: dict[tuple[int, int], np.ndarray] = {}
         # Spectra that are multiples of one share its kernels: that spectrum, and the factor.
         self.alike: list[tuple[int, float]] = []
         for number, spectrum in enumerate(spectra):
@@ -218,132 +90,7 @@ class Truth:
             bank.pitch_um, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], CHANGE_FALLS_UM, self.boxes, True
         )
         self.bounds: np.ndarray | None = None
-        self.shifted: dict[int, np.ndarray] = {}
-        self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
-        self.psf_splines: dict[int, np.ndarray] = {}
         self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
-
-    def _weights(self, qe: Sequence[np.ndarray]) -> np.ndarray:
-        """Return W (C, M, L): electrons/s per unit area of an aperture.
-
-        Of quantum efficiencies (C, 61), one for each wavelength of the bank.
-        """
-        bank, spectra, wavelengths_nm = self.bank, self.spectra, self.wavelengths_nm
-        energy_j = H_J_S * C_M_S / (wavelengths_nm * 1e-9)
-        steradian = np.interp(
-            wavelengths_nm, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
-        )
-        weights = np.empty((len(qe[0]), len(spectra), len(bank.wavelengths_nm)))
-        for place in range(len(bank.wavelengths_nm)):
-            tent = np.interp(
-                wavelengths_nm, bank.wavelengths_nm, np.eye(len(bank.wavelengths_nm))[place]
-            )
-            integrand = qe[place][:, None] * spectra * tent * steradian / energy_j
-            weights[..., place] = np.trapezoid(integrand, wavelengths_nm, axis=-1)
-        return weights * 1e-12  # per um^2 of aperture
-
-    def _weights_at(self, field: int, node: int) -> np.ndarray:
-        """Return W (C, M, L) at a field of the bank and one of NODES azimuths."""
-        if self.mean_qe is None:
-            return self.weights
-        found = self.weights_there.get((field, node))
-        if found is None:
-            qe = self.mean_qe.mean(field, node)
-            found = self.weights_there[field, node] = self._weights(qe.swapaxes(1, 2))
-        return found
-
-    def _nodes(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the azimuths whose weights source points (P, 2) need, with the share (P,) of each.
-
-        Cubic between them (Lagrange, four nodes).
-        """
-        if self.mean_qe is None or not self.mean_qe.turns:
-            yield 0, np.ones(len(source))
-            return
-        place = np.arctan2(*self.fields.axes(source).T[::-1]) % (2 * np.pi) / (2 * np.pi) * NODES
-        before = np.floor(place).astype(int)
-        t = place - before
-        shares = {
-            -1: -t * (t - 1) * (t - 2) / 6,
-            0: (t + 1) * (t - 1) * (t - 2) / 2,
-            1: -(t + 1) * t * (t - 2) / 2,
-            2: (t + 1) * t * (t - 1) / 6,
-        }
-        for node in np.unique(np.add.outer(before, list(shares)) % NODES):
-            share = np.zeros(len(t))
-            for step, of_step in shares.items():
-                share += np.where((before + step) % NODES == node, of_step, 0.0)
-            yield int(node), share
-
-    def _shifted(self, field: int) -> np.ndarray:
-        """Return the PSFs (L, n, n) of one bank field, with lateral colour and illumination."""
-        images = self.shifted.get(field)
-        if images is None:
-            bank = self.bank
-            n = bank.psf.shape[-1] + 2 * PAD
-            images = np.zeros((len(bank.wavelengths_nm), n, n))
-            frequency = scipy.fft.rfftfreq(n, bank.pitch_um)
-            for place, image in enumerate(images):
-                psf, illumination, shift = self.fields.light(field, place)
-                image[PAD:-PAD, PAD:-PAD] = psf * np.float64(illumination / bank.pitch_um**2)
-                for axis, along in ((1, shift[0]), (0, shift[1])):
-                    if along:
-                        turns = np.exp(-2j * np.pi * frequency * along)
-                        turns = turns if axis else turns[:, None]
-                        lines = scipy.fft.rfft(image, axis=axis) * turns
-                        image[:] = scipy.fft.irfft(lines, n, axis=axis)
-            _keep(self.shifted, field, images, KEPT_FIELDS)
-        return images
-
-    def _kernel(self, channel: int, spectrum: int, field: int, node: int, zone: Zone) -> np.ndarray:
-        """Return spline coefficients of H at one bank field and azimuth, in its PSFs' frame.
-
-        As far as a zone reaches, from the middle outwards.
-        """
-        key = (channel, spectrum, field, node, zone)
-        kernel = self.kernels.get(key)
-        if kernel is None:
-            weights = self._weights_at(field, node)[channel, spectrum]
-            images = self._shifted(field)
-            middle, half = images.shape[-1] // 2, self._half(zone)
-            there = slice(middle - half, middle + half)
-            density = np.tensordot(weights, images[:, there, there], axes=1)
-            kernel = spline_filter(density, order=zone.degree)
-            _keep(self.kernels, key, kernel, KEPT_KERNELS)
-        return kernel
-
-    def _half(self, zone: Zone) -> int:
-        """Return half the width of a zone's kernels, samples."""
-        most = self.bank.psf.shape[-1] // 2 + PAD
-        return min(int(zone.reach_um / self.bank.pitch_um) + KERNEL_PAD, most)
-
-    def _spread(
-        self,
-        channel: int,
-        spectra: Sequence[int],
-        zone: Zone,
-        source: np.ndarray,
-    ) -> np.ndarray:
-        """Return H (M, P) of spectra at a zone's t (P, 2) from source points (P, 2), per um^2."""
-        along = self.fields.axes(source)
-        half = self._half(zone)
-        (t_x, t_y), (cos, sin) = zone.t.T / self.bank.pitch_um, along.T
-        x, y = t_x * cos + t_y * sin + half, t_y * cos - t_x * sin + half
-        result = np.zeros((len(spectra), len(source)))
-        nodes = list(self._nodes(source))
-        for field, of_field in self.fields.shares(source):
-            for node, of_node in nodes:
-                share = of_field * of_node
-                used = np.flatnonzero(share)
-                if not len(used):
-                    continue
-                share, where = share[used], np.stack([y[used], x[used]])
-                for one, spectrum in zip(result, spectra, strict=True):
-                    kernel = self._kernel(channel, spectrum, field, node, zone)
-                    one[used] += share * map_coordinates(
-                        kernel, where, order=zone.degree, prefilter=False, mode="constant"
-                    )
-        return result
 
     def _lit(self, centre: np.ndarray, t: np.ndarray, step_um: float) -> np.ndarray | float:
         """Return how much of steps of the radius, at t (..., 2) off a pixel, the rim leaves.
@@ -397,11 +144,11 @@ class Truth:
     ) -> list[list[np.ndarray]]:
         """Return of each spectrum a ring around a pixel, or how it changes with the source."""
         source = centre - zone.t
-        here = self._spread(channel, spectra, zone, source)
+        here = self.spread.around(zone, channel, spectra, source)
         found = [here]
         if zone.change:
             found = [
-                (self._spread(channel, spectra, zone, source + way) - here) / way.sum()
+                (self.spread.around(zone, channel, spectra, source + way) - here) / way.sum()
                 for way in np.eye(2) * self.half_um
             ]
         return [[zone.ring(one) for one in of_spectrum] for of_spectrum in zip(*found, strict=True)]
@@ -585,7 +332,7 @@ class Truth:
             light = np.zeros(len(source))
             for place, share in zip(seen, of_seen, strict=True):
                 t = centre + place - source
-                light += share * self._density(excess, channel, t, source)
+                light += share * self.spread.at(channel, excess, t, source)
             each = np.bincount(owners, light * weight)
             out[number] = np.maximum(each, 0.0).sum() * self.side_um**2
         return out
@@ -674,50 +421,6 @@ class Truth:
             real += np.linalg.solve(slopes, lack[..., None])[..., 0]
         return real, 1 / np.abs(np.linalg.det(slopes))
 
-    def _density(
-        self, excess: np.ndarray, channel: int, t: np.ndarray, source: np.ndarray
-    ) -> np.ndarray:
-        """Return H of spectra (P, M) at t from source (P,): no blend of wavelengths is resampled.
-
-        A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
-        PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
-        """
-        along = self.fields.axes(source)
-        pitch, half = self.bank.pitch_um, self.bank.psf.shape[-1] // 2 + SPLINE_PAD
-        x = np.sum(t * along, axis=1)
-        y = t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]
-        result = np.zeros(len(t))
-        nodes = list(self._nodes(source))
-        for field, share in self.fields.shares(source):
-            used = share > 0
-            if not used.any():
-                continue
-            light = sum(
-                of_node[used, None] * (excess[used] @ self._weights_at(field, node)[channel])
-                for node, of_node in nodes
-            )
-            for place, spline in enumerate(self._psf_splines(field)):
-                _, illumination, shift = self.fields.light(field, place)
-                where = [(y[used] - shift[1]) / pitch + half, (x[used] - shift[0]) / pitch + half]
-                result[used] += (share[used] * light[:, place] * illumination / pitch**2) * (
-                    map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
-                )
-        return result
-
-    def _psf_splines(self, field: int) -> np.ndarray:
-        """Return the spline coefficients (L, n, n) of one field's PSFs, each on its own."""
-        if field not in self.psf_splines:
-            self.psf_splines[field] = np.stack(
-                [
-                    spline_filter(
-                        np.pad(self.fields.light(field, place)[0].astype(np.float64), SPLINE_PAD),
-                        order=3,
-                    )
-                    for place in range(len(self.bank.wavelengths_nm))
-                ]
-            )
-        return self.psf_splines[field]
-
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um
         return (
@@ -728,14 +431,6 @@ class Truth:
         pattern = self.sensor.cfa.pattern
         name = pattern[row % len(pattern)][col % len(pattern[0])]
         return list(self.sensor.channels).index(name)
-
-
-def _keep(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:
-    """Put a value into a store of at most so many, in place of the oldest."""
-    # Probes run in threads: another may make room, or this very value, at the same time.
-    while len(store) >= most:
-        store.pop(list(store)[0], None)  # noqa: RUF015 (iterators see changes)
-    store[key] = value
 
 
 def _in_square(quads: np.ndarray, points: np.ndarray, side: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from optics.made import FLAT, MOVED, RED, bank, dots_image, monochrome, plane_ba
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
+from gpusim.reference import spread
 from gpusim.reference import truth as truth_module
 from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Chart, Disc, Rect
@@ -382,7 +383,7 @@ def test_the_aperture_gathers_what_falls_on_it():
 
 def test_probes_in_threads_share_few_kernels(monkeypatch):
     """More kernels than are kept, made and dropped by threads at the same time."""
-    monkeypatch.setattr(truth_module, "KEPT_KERNELS", 2)
+    monkeypatch.setattr(spread, "KEPT_KERNELS", 2)
     lens, camera = bank(size=32), sensor()
     spectra = np.stack([FLAT, RED])
     some = chart(Rect(3.0, 5.0, 60.0, 40.0, 0.2, 1))
@@ -392,4 +393,4 @@ def test_probes_in_threads_share_few_kernels(monkeypatch):
     with ThreadPoolExecutor(4) as pool:
         found = [pool.submit(shared.chart, some, pixel[None]) for pixel in pixels]
     assert_close(np.concatenate([one.result() for one in found]), alone, atol=0)
-    assert len(shared.kernels) <= 2 + 3  # one more for each other thread
+    assert len(shared.spread.kernels) <= 2 + 3  # one more for each other thread
