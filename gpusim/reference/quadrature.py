@@ -150,8 +150,8 @@ def _taps(low: float, high: float, power: int, degree: int, over_cells: bool) ->
     reach = int(np.ceil(max(abs(low), abs(high)) + 0.5 + ends))
     spline = BSpline.basis_element(np.arange(-ends, ends + 1))
     integral = spline.antiderivative()
-    # Gauss and Legendre's four points on short pieces: the spline's third derivative jumps, so the
-    # sum errs by 1/64^4 of little.
+    # Gauss and Legendre's four points on short pieces: a derivative of the spline jumps, so the
+    # sum errs by 1/64^4 of little, for apertures up to some thirty cells wide.
     nodes, weights = np.polynomial.legendre.leggauss(4)
     p = ((nodes + 1) / 2 + np.arange(64)[:, None]).ravel() / 64 * width + low
     share = np.tile(weights / 128 * width, 64) * p**power

@@ -9,12 +9,13 @@ exact outlines) or its coefficient (rasters), and
 
 the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
 azimuth of each source point; of a lens without an axis it is bilinear between the fields of a grid,
-and not rotated (`gpusim.reference.spread`). No sim grid, no PSF nodes, no reduced basis, no
+and not rotated (`gpusim.reference.point_spread`). No sim grid, no PSF nodes, no reduced basis, no
 transform of the image: nothing that the engine chooses.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,22 +24,23 @@ from scipy.ndimage import map_coordinates
 
 from gpusim.reference.coverage import cross, part_of
 from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.point_spread import PointSpread
 from gpusim.reference.quadrature import Zone
-from gpusim.reference.spread import Spread
 
 # Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
-# and cells along one sample of the bank. In the innermost lie nearly all of its energy and detail;
-# outer ones are for banks that reach twice as far, for where a bank cuts its PSFs off, as sharply
-# as its window is, steps of two samples would show.
-FALLS_UM = ((6.0, 10.0), (24.0, 32.0))
-CELLS = (2, 1, 0.5)
-SPLITS = (8, 2, 2)  # squares along a cell of each that an outline cuts
+# and cells along one sample of the bank. In the inner part lie nearly all of its energy and detail.
+# Farther out there are rings still, hardly wider than two samples: where a pixel is dark and all of
+# its light comes from there, steps of two samples would miss 1e-4 of it at f/2.8.
+FALLS_UM = (6.0, 10.0)
+CELLS = (2, 1)
+SPLITS = (8, 2)  # squares along a cell of each that an outline cuts
 # Of the splines between the bank's samples, and between the cells. A PSF at f/2.8 has detail of 0.4
 # cycles a sample, where cubic splines err by a tenth: 4e-4 of the light in a dark dot of 3 pixels.
-DEGREES = (5, 3, 3)
+DEGREES = (5, 3)
 # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal: of that
 # steps of a sample are enough, and beyond some um it is below 1e-6.
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
+FINE_PITCH_UM = 0.5  # of banks; of coarser ones the zones are wider, by as much
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
 NEWTON_STEPS = 30
 MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
@@ -64,7 +66,7 @@ class Truth:
         self.bank = bank
         self.sensor = sensor
         self.fields = Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank)
-        self.spread = Spread(bank, sensor, self.fields, spectra, wavelengths_nm)
+        self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.boxes = self._boxes()
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
@@ -78,19 +80,34 @@ class Truth:
                     break
             else:
                 self.alike.append((number, 1.0))
+        self.zones, self.change = self._zones(1)
+        self.finer: dict[int, tuple[list[Zone], Zone]] = {}
+        self.bounds: np.ndarray | None = None
+        self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
+
+    def _zones(self, divide: int) -> tuple[list[Zone], Zone]:
+        """Return the zones, of cells divided into so many each way, and that of the change."""
+        bank = self.bank
+        wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
         reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
-        ends = [(-1.0, 0.0), *(pair for pair in FALLS_UM if 2 * pair[1] < reach), (reach, reach)]
-        self.zones = [
-            Zone(bank.pitch_um / cells, split, degree, rises, falls, self.boxes)
+        inner, change = (
+            tuple(wide * end for end in falls) for falls in (FALLS_UM, CHANGE_FALLS_UM)
+        )
+        ends = [(-1.0, 0.0), *([inner] if 2 * inner[1] < reach else []), (reach, reach)]
+        zones = [
+            Zone(bank.pitch_um / cells / divide, split, degree, rises, falls, self.boxes)
             for cells, split, degree, rises, falls in zip(
                 CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
             )
         ]
-        self.change = Zone(
-            bank.pitch_um, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], CHANGE_FALLS_UM, self.boxes, True
+        return zones, Zone(
+            bank.pitch_um / divide, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], change, self.boxes, True
         )
-        self.bounds: np.ndarray | None = None
-        self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
+
+    def _dark(self, centre: np.ndarray) -> bool:
+        """Return whether a pixel lies so far beyond the image circle that no light reaches it."""
+        beyond = np.hypot(*(centre - self.fields.centre)) - self.fields.circle
+        return beyond > np.sqrt(2) * self.zones[-1].line[-1] + self.zones[-1].step_um
 
     def _lit(self, centre: np.ndarray, t: np.ndarray, step_um: float) -> np.ndarray | float:
         """Return how much of steps of the radius, at t (..., 2) off a pixel, the rim leaves.
@@ -125,14 +142,16 @@ class Truth:
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
+            if self._dark(centre):
+                continue
             for zone in (*self.zones, self.change):
                 whole, cut = self._chart_shares(chart, zone, centre)
                 spectra = sorted(whole.keys() | cut.keys())
                 all_rings = self._rings(zone, channel, spectra, centre)
+                of_cells = self._lit(centre, zone.cells, zone.step_um)
                 for spectrum, rings in zip(spectra, all_rings, strict=True):
                     if spectrum in whole:
-                        lit = self._lit(centre, zone.cells, zone.step_um)
-                        out[number] += np.sum(zone.in_cells(rings) * whole[spectrum] * lit)
+                        out[number] += np.sum(zone.in_cells(rings) * whole[spectrum] * of_cells)
                     if spectrum in cut:
                         places, areas = cut[spectrum]
                         lit = self._lit(centre, places, zone.step_um / zone.split)
@@ -268,18 +287,22 @@ class Truth:
         ndarray (P,)
         """
         rows, cols = raster.planes.shape[1:]
-        planes, zones = range(len(raster.planes)), (*self.zones, self.change)
-        corner = np.array([raster.x0_um, raster.y0_um])
+        planes = range(len(raster.planes))
+        most = np.array([cols - 1, rows - 1])
+        # No cell is wider than a sample; at the border, where the radiance goes on as it is, it has
+        # a bend, and half of that is wanted.
+        divide = math.ceil(self.bank.pitch_um / CELLS[-1] / raster.pitch_um)
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
-            # In samples, y before x; beyond the outermost ones the radiance goes on as they are.
+            if self._dark(centre):
+                continue
+            outer = self._samples(raster, centre - self.zones[-1].cells)
+            border = (outer < 0).any() or (outer > most).any()
+            zones = self._divided(2 * divide if border else divide)
+            # In samples, y before x.
             places = [
-                np.clip(
-                    (self.fields.ideal(centre - zone.cells) - corner) / raster.pitch_um - 0.5,
-                    0,
-                    [cols - 1, rows - 1],
-                )[..., ::-1]
+                np.clip(self._samples(raster, centre - zone.cells), 0, most)[..., ::-1]
                 for zone in zones
             ]
             ends = np.array([[at.min(axis=(0, 1, 2)), at.max(axis=(0, 1, 2))] for at in places])
@@ -295,6 +318,20 @@ class Truth:
                     # Smooth times smooth: the sum over middles is the integral.
                     out[number] += np.sum(zone.in_middles(rings) * radiance * areas)
         return out + self.highlights(raster.highlights, pixels)
+
+    def _samples(self, raster: Any, real: np.ndarray) -> np.ndarray:
+        """Return where real points (..., 2) lie on a raster, x and y in samples."""
+        corner = np.array([raster.x0_um, raster.y0_um])
+        return (self.fields.ideal(real) - corner) / raster.pitch_um - 0.5
+
+    def _divided(self, divide: int) -> list[Zone]:
+        """Return the zones, that of the change after them, of divided cells."""
+        if divide == 1:
+            return [*self.zones, self.change]
+        if divide not in self.finer:
+            self.finer[divide] = self._zones(divide)
+        zones, change = self.finer[divide]
+        return [*zones, change]
 
     def highlights(self, highlights: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels by a photograph's highlights alone.
