@@ -431,8 +431,10 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted():
         assert error() > 2e-6
 
 
-@pytest.mark.parametrize("pitch", [0.3875, 0.775, 1.55])
-def test_the_cells_are_small_enough_for_a_raster_and_its_border(monkeypatch, pitch: float):
+@pytest.mark.parametrize(("pitch", "undivided"), [(0.3875, 2e-5), (0.775, 2e-5), (1.55, 0.0)])
+def test_the_cells_are_small_enough_for_a_raster_and_its_border(
+    monkeypatch, pitch: float, undivided: float
+):
     lens, camera = bank(**REAL), sensor()
     count = int(120 / pitch)
     samples = np.random.default_rng(5).uniform(0, 1, (1, count, count)).astype(np.float32)
@@ -440,9 +442,13 @@ def test_the_cells_are_small_enough_for_a_raster_and_its_border(monkeypatch, pit
     corner = int(count * pitch / 2 / PITCH)
     pixels = np.array([[48, 64], [40, 60], [48 + corner - 1, 64 + corner - 1]])
     found = truth(lens, camera, FLAT[None]).raster(placed, pixels)
+    coarse = truth(lens, camera, FLAT[None])
+    monkeypatch.setattr(coarse, "_divided", lambda divide: [*coarse.zones, coarse.change])
+    coarser = coarse.raster(placed, pixels)
     monkeypatch.setattr(truth_module, "CELLS", (8, 4))
     finer = truth(lens, camera, FLAT[None]).raster(placed, pixels)
     assert_close(found, finer, rtol=1e-5)  # the smallest tolerance that can be asked for
+    assert np.abs(coarser / finer - 1).max() > undivided  # a control
 
 
 def test_a_camera_twice_as_large_has_the_same_truth():
