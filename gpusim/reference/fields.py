@@ -75,10 +75,13 @@ class Grid:
         wanted = 1e3 * bank.efl_mm * tangent[:, None] * field
         for degree in range(3, 15, 2):
             basis = self._basis(landed, degree)
-            self.terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
-            if np.abs(basis @ self.terms - wanted).max() < MAP_ERROR_UM:
+            terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
+            if np.abs(basis @ terms - wanted).max() < MAP_ERROR_UM:
                 break
-        self.degree = degree
+        self.terms = np.zeros((degree + 1, degree + 1, 2))
+        places = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+        for place, term in zip(places, terms, strict=True):
+            self.terms[place] = term
 
     def _basis(self, off_centre: np.ndarray, degree: int) -> np.ndarray:
         x, y = (chebyshev.chebvander(one / self.span, degree) for one in off_centre.T)
@@ -89,12 +92,8 @@ class Grid:
     def ideal(self, real: np.ndarray) -> np.ndarray:
         """Return the ideal-plane positions (..., 2) of real ones, um."""
         flat = np.reshape(real, (-1, 2)) - self.centre
-        coefficients = np.zeros((self.degree + 1, self.degree + 1, 2))
-        places = [(i, j) for i in range(self.degree + 1) for j in range(self.degree + 1 - i)]
-        for place, term in zip(places, self.terms, strict=True):
-            coefficients[place] = term
         x, y = flat.T / self.span
-        return np.moveaxis(chebyshev.chebval2d(x, y, coefficients), 0, -1).reshape(np.shape(real))
+        return np.moveaxis(chebyshev.chebval2d(x, y, self.terms), 0, -1).reshape(np.shape(real))
 
     def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
         """Return PSF, illumination and lateral colour (x, y, um) of a field and wavelength."""

@@ -160,14 +160,17 @@ class PointSpread:
         most = self.bank.psf.shape[-1] // 2 + PAD
         return min(int(zone.reach_um / self.bank.pitch_um) + KERNEL_PAD, most)
 
+    def _turned(self, t: np.ndarray, source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return t (P, 2) from source points (P, 2) in the frame of their PSFs, x and y, um."""
+        (t_x, t_y), (cos, sin) = t.T, self.fields.axes(source).T
+        return t_x * cos + t_y * sin, t_y * cos - t_x * sin
+
     def around(
         self, zone: Zone, channel: int, spectra: Sequence[int], source: np.ndarray
     ) -> np.ndarray:
         """Return H (M, P) of spectra at a zone's t (P, 2) from source points (P, 2), per um^2."""
-        along = self.fields.axes(source)
         half = self._half(zone)
-        (t_x, t_y), (cos, sin) = zone.t.T / self.bank.pitch_um, along.T
-        x, y = t_x * cos + t_y * sin + half, t_y * cos - t_x * sin + half
+        x, y = (at / self.bank.pitch_um + half for at in self._turned(zone.t, source))
         result = np.zeros((len(spectra), len(source)))
         nodes = list(self._nodes(source))
         for field, of_field in self.fields.shares(source):
@@ -190,10 +193,8 @@ class PointSpread:
         A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
         PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
         """
-        along = self.fields.axes(source)
         pitch, half = self.bank.pitch_um, self.bank.psf.shape[-1] // 2 + SPLINE_PAD
-        x = np.sum(t * along, axis=1)
-        y = t[:, 1] * along[:, 0] - t[:, 0] * along[:, 1]
+        x, y = self._turned(t, source)
         result = np.zeros(len(t))
         nodes = list(self._nodes(source))
         for field, share in self.fields.shares(source):

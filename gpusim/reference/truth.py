@@ -80,42 +80,47 @@ class Truth:
                     break
             else:
                 self.alike.append((number, 1.0))
-        self.zones, self.change = self._zones(1)
-        self.finer: dict[int, tuple[list[Zone], Zone]] = {}
+        self.divided: dict[int, list[Zone]] = {}
+        self.zones = self._zones(1)
         self.bounds: np.ndarray | None = None
         self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
 
-    def _zones(self, divide: int) -> tuple[list[Zone], Zone]:
-        """Return the zones, of cells divided into so many each way, and that of the change."""
-        bank = self.bank
-        wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
-        reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
-        inner, change = (
-            tuple(wide * end for end in falls) for falls in (FALLS_UM, CHANGE_FALLS_UM)
-        )
-        ends = [(-1.0, 0.0), *([inner] if 2 * inner[1] < reach else []), (reach, reach)]
-        zones = [
-            Zone(bank.pitch_um / cells / divide, split, degree, rises, falls, self.boxes)
-            for cells, split, degree, rises, falls in zip(
-                CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
+    def _zones(self, divide: int) -> list[Zone]:
+        """Return that of the change and the zones outwards, of cells divided so often each way."""
+        zones = self.divided.get(divide)
+        if zones is None:
+            bank, boxes = self.bank, self.boxes
+            wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
+            reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
+            inner, change = (
+                tuple(wide * end for end in falls) for falls in (FALLS_UM, CHANGE_FALLS_UM)
             )
-        ]
-        return zones, Zone(
-            bank.pitch_um / divide, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], change, self.boxes, True
-        )
+            step = bank.pitch_um / divide
+            ends = [(-1.0, 0.0), *([inner] if 2 * inner[1] < reach else []), (reach, reach)]
+            zones = [Zone(step, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], change, boxes, True)]
+            zones += [
+                Zone(step / cells, split, degree, rises, falls, boxes)
+                for cells, split, degree, rises, falls in zip(
+                    CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
+                )
+            ]
+            self.divided[divide] = zones
+        return zones
 
-    def _dark(self, centre: np.ndarray) -> bool:
-        """Return whether a pixel lies so far beyond the image circle that no light reaches it."""
-        beyond = np.hypot(*(centre - self.fields.centre)) - self.fields.circle
-        return beyond > np.sqrt(2) * self.zones[-1].line[-1] + self.zones[-1].step_um
+    def _inside_um(self, centre: np.ndarray) -> float:
+        """Return how far within the image circle's rim a pixel lies; beyond it, negative."""
+        return float(self.fields.circle - np.hypot(*(centre - self.fields.centre)))
+
+    def _reach_um(self) -> float:
+        """Return how far light comes to a pixel, and more: to the corners of the outer zone."""
+        return float(np.sqrt(2) * (self.zones[-1].line[-1] + self.zones[-1].step_um))
 
     def _lit(self, centre: np.ndarray, t: np.ndarray, step_um: float) -> np.ndarray | float:
         """Return how much of steps of the radius, at t (..., 2) off a pixel, the rim leaves.
 
         Steps, not points, for sums over cells would else err by half a cell's light at the rim.
         """
-        inside = self.fields.circle - np.hypot(*(centre - self.fields.centre))
-        if inside > np.sqrt(2) * self.zones[-1].line[-1] + step_um:
+        if self._inside_um(centre) > self._reach_um():
             return 1.0
         radius = np.hypot(*np.moveaxis(centre - t - self.fields.centre, -1, 0))
         return np.clip(0.5 + (self.fields.circle - radius) / step_um, 0, 1)
@@ -142,9 +147,9 @@ class Truth:
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
-            if self._dark(centre):
+            if self._inside_um(centre) < -self._reach_um():
                 continue
-            for zone in (*self.zones, self.change):
+            for zone in self.zones:
                 whole, cut = self._chart_shares(chart, zone, centre)
                 spectra = sorted(whole.keys() | cut.keys())
                 all_rings = self._rings(zone, channel, spectra, centre)
@@ -295,16 +300,14 @@ class Truth:
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
-            if self._dark(centre):
+            if self._inside_um(centre) < -self._reach_um():
                 continue
-            outer = self._samples(raster, centre - self.zones[-1].cells)
-            border = (outer < 0).any() or (outer > most).any()
-            zones = self._divided(2 * divide if border else divide)
-            # In samples, y before x.
-            places = [
-                np.clip(self._samples(raster, centre - zone.cells), 0, most)[..., ::-1]
-                for zone in zones
-            ]
+            zones = self._zones(divide)
+            places = [self._samples(raster, centre - zone.cells) for zone in zones]
+            if (places[-1] < 0).any() or (places[-1] > most).any():
+                zones = self._zones(2 * divide)
+                places = [self._samples(raster, centre - zone.cells) for zone in zones]
+            places = [np.clip(at, 0, most)[..., ::-1] for at in places]  # y before x
             ends = np.array([[at.min(axis=(0, 1, 2)), at.max(axis=(0, 1, 2))] for at in places])
             first = np.maximum(ends.min(axis=(0, 1)).astype(int) - 1, 0)
             last = np.minimum(ends.max(axis=(0, 1)).astype(int) + 3, [rows, cols])
@@ -323,15 +326,6 @@ class Truth:
         """Return where real points (..., 2) lie on a raster, x and y in samples."""
         corner = np.array([raster.x0_um, raster.y0_um])
         return (self.fields.ideal(real) - corner) / raster.pitch_um - 0.5
-
-    def _divided(self, divide: int) -> list[Zone]:
-        """Return the zones, that of the change after them, of divided cells."""
-        if divide == 1:
-            return [*self.zones, self.change]
-        if divide not in self.finer:
-            self.finer[divide] = self._zones(divide)
-        zones, change = self.finer[divide]
-        return [*zones, change]
 
     def highlights(self, highlights: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels by a photograph's highlights alone.

@@ -275,4 +275,5 @@ def test_a_window_has_the_coefficients_of_the_whole(integrals: bool, rows: range
     whole = placed.spline_coefficients()[:, rows.start : rows.stop, cols.start : cols.stop]
     found = placed.spline_in(rows, cols)
     assert found.shape == (2, len(rows), len(cols))
+    # Rounded to f32 the one, and what is cut off above a window, below and beside it.
     assert_close(found, whole, rtol=2**-23, atol=2 * REST * planes.max())
