@@ -10,8 +10,8 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, StubCamera, bank, monochrome, scene, sensor
 
-from gpusim import certify as certify_module
 from gpusim.certify import certify, choose_probes
+from gpusim.certify import engine as certify_module
 from gpusim.chain import Renderer
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.optics import convolve

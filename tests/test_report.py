@@ -153,6 +153,9 @@ def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
         "1.4e-03",
         "beyond the tolerance of 0.001",
         "a word on confidence",
+        "a word on how the bank was measured",
+        "window: light that no PSF holds",
+        "5.0e-05",
         "lens 125 ms",
         "US 2,673,491",
         "fft & <whole> PSFs",
@@ -167,12 +170,14 @@ def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
 
 def test_a_tolerance_in_sigmas_is_judged_in_sigmas():
     capture = replace(fake_capture(), accuracy=Accuracy(0.1, 2, "sigma"))
+    judged = {"unit": "sigma", "engine_rms": 1e-2, "total_rms": 1.1e-2, "total_worst": 1.5e-2}
+    capture = replace(capture, certificate=replace(capture.certificate, **judged))
     facts = report.facts(capture, files=FILES, command=COMMAND)
     text = " ".join(Tags(report.page(facts, np.zeros((ROWS, COLS, 3), np.uint8))).texts)
     for words in (
-        "0.01 sigma",
-        "RMS error in sigmas of the noise, beyond the tolerance of 0.1 sigma",
-        "0.014 sigma",
+        "0.011 sigma",
+        "RMS error in sigmas of the noise, all parts, beyond the tolerance of 0.1 sigma",
+        "0.015 sigma",
         "worst of 2 probes, at row 40, column 60",
     ):
         assert words in text, words

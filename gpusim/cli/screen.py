@@ -82,10 +82,14 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
             f"({sigmas(certificate[f'{which}_sigma'])} of the noise)"
             for which in ("rms", "worst")
         )
+        say = sigmas if certificate["unit"] == "sigma" else error
         row, col = certificate["worst_position"]
         for line in (
             f"certificate: {met} the tolerance of {tolerance(facts['capture'])}",
-            f"RMS error {rms}",
+            f"total RMS {say(certificate['total_rms'])}, worst {say(certificate['total_worst'])}: "
+            f"engine {say(certificate['engine_rms'])}, bank {say(certificate['bank_rms'])}, "
+            f"sensor {say(certificate['sensor_rms'])}, window {say(certificate['window'])}",
+            f"engine's RMS error {rms}",
             f"worst of {certificate['probes']} probes {worst}",
             f"at row {row}, column {col}; {certificate['confidence']}",
         ):

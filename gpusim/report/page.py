@@ -25,6 +25,13 @@ _CROP_PX = 320
 # Where on the way from the centre to the upper right corner each crop lies.
 _CROPS = {"Centre": 0.0, "Half field": 0.5, "Corner": 1.0}
 _WORST_SHOWN = 10
+# Parts of the error budget: see gpusim.certify.budget.
+_PARTS = {
+    "engine": "engine: the render against the exact model on its bank of PSFs",
+    "bank": "bank: its PSFs against PSFs traced anew",
+    "sensor": "sensor: from light to mean electrons",
+    "total": "total",
+}
 
 
 def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
@@ -105,12 +112,12 @@ def _cards(facts: Mapping[str, Any]) -> str:
         cards = [
             (
                 style,
-                say(certificate[f"rms_{unit}"]),
-                f"RMS error {of}, {met} the tolerance of {tolerance(capture)}",
+                say(certificate["total_rms"]),
+                f"RMS error {of}, all parts, {met} the tolerance of {tolerance(capture)}",
             ),
             (
                 style,
-                say(certificate[f"worst_{unit}"]),
+                say(certificate["total_worst"]),
                 f"worst of {certificate['probes']} probes, at row {row}, column {col}",
             ),
         ]
@@ -219,10 +226,10 @@ def _certificate(facts: Mapping[str, Any]) -> str:
         return "<h2>Certificate</h2><p>None: no probes were asked for.</p>"
     probes = sorted(certificate["points"], key=lambda probe: -(probe["relative"] or 0.0))
     figures = {
-        "RMS error, relative": error(certificate["rms_relative"]),
-        "worst error, relative": error(certificate["worst_relative"]),
-        "RMS error, noise sigmas": error(certificate["rms_sigma"]),
-        "worst error, noise sigmas": error(certificate["worst_sigma"]),
+        "engine's RMS error, relative": error(certificate["rms_relative"]),
+        "its worst error, relative": error(certificate["worst_relative"]),
+        "engine's RMS error, noise sigmas": error(certificate["rms_sigma"]),
+        "its worst error, noise sigmas": error(certificate["worst_sigma"]),
         "probes": str(certificate["probes"]),
         "time, apart from the render's": duration(certificate["seconds"]),
     }
@@ -238,9 +245,21 @@ def _certificate(facts: Mapping[str, Any]) -> str:
         )
         for probe in probes[:_WORST_SHOWN]
     ]
+    parts = [
+        (what, error(certificate[f"{part}_rms"]), error(certificate[f"{part}_worst"]))
+        for part, what in _PARTS.items()
+    ]
+    parts.insert(-1, ("window: light that no PSF holds", error(certificate["window"]), ""))
+    met = "within" if certificate["met"] else "<strong>beyond</strong>"
+    unit = "relative" if certificate["unit"] == "relative" else "noise sigmas"
+    notes = "".join(f"<li>{escape(note)}</li>" for note in certificate["notes"])
     return f"""<h2>Certificate</h2>
 <p>At each probe, the mean electrons of the render before noise are compared with the exact model,
-evaluated for that one pixel in float64 by code that shares nothing with the shaders.</p>
+evaluated for that one pixel in float64 by code that shares nothing with the shaders. The bank of
+PSFs is compared with PSFs traced anew. The total is {met} the tolerance of
+{escape(tolerance(facts["capture"]))}.</p>
+{_numbers(("Part of the error", f"RMS, {unit}", "worst"), parts)}
+<ul class="soft">{notes}</ul>
 <div class="probes"><figure>{probe_map(probes, facts["capture"])}
 <figcaption>The probes on the sensor by relative error. The worst is ringed.</figcaption></figure>
 <div>{pairs(figures)}<p class="soft">{escape(certificate["confidence"])}</p></div></div>

@@ -1,0 +1,196 @@
+"""The error budget: how far a render is from the picture of the lens in the file, part by part.
+
+Four parts add up to what the tolerance is about:
+
+- ``engine``: the render against the exact model on the same bank of PSFs;
+- ``bank``: the bank against PSFs traced anew, at fields and wavelengths between its own;
+- ``sensor``: from light to the electrons that the noise is drawn from, against float64;
+- ``window``: light that lands beyond every PSF of the bank.
+
+The first three are independent errors of either sign, so their squares add; light that is missing
+always errs to one side and is added whole.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.plan import Accuracy
+from gpusim.sensor.sensor import Sensor
+
+WORST_TO_RMS = 10.0  # what no probe may exceed, in tolerances
+
+
+@dataclass(frozen=True)
+class Share:
+    """One part of the error, in the tolerance's unit.
+
+    Attributes
+    ----------
+    rms, worst : float
+        Over the probes at which the part was measured.
+    probes : int
+        How many they are.
+    """
+
+    rms: float
+    worst: float
+    probes: int
+
+
+EXACT = Share(0.0, 0.0, 0)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One probe pixel: electrons of truth and render, and the error in two units."""
+
+    row: int
+    col: int
+    truth: float
+    render: float
+    relative: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """How far the mean signal of a render is from the picture of the lens in the file.
+
+    Attributes
+    ----------
+    probes : int
+    rms_relative, worst_relative : float
+        The engine's error over the true signal at the probe.
+    rms_sigma, worst_sigma : float
+        The same over the temporal noise of the probe's pixel, both as far as the full well reaches.
+    worst_position : (int, int)
+        Row and column of the probe with the largest error, in the tolerance's unit.
+    unit : str
+        Of the tolerance, and of what follows: "relative" or "sigma".
+    engine_rms, engine_worst, bank_rms, bank_worst, sensor_rms, sensor_worst, window : float
+        The parts of the error: see the module. 0 where a part cannot err.
+    total_rms, total_worst : float
+        All parts together.
+    notes : tuple of str
+        How the parts were measured, and what they leave open.
+    met : bool
+        Whether the total RMS is within the tolerance and no probe beyond ten times it.
+    confidence : str
+        What the number of probes supports.
+    seconds : float
+        What the truth took: apart from the render's time.
+    points : tuple of Probe
+    """
+
+    probes: int
+    rms_relative: float
+    worst_relative: float
+    rms_sigma: float
+    worst_sigma: float
+    worst_position: tuple[int, int]
+    unit: str
+    engine_rms: float
+    engine_worst: float
+    bank_rms: float
+    bank_worst: float
+    sensor_rms: float
+    sensor_worst: float
+    window: float
+    total_rms: float
+    total_worst: float
+    notes: tuple[str, ...]
+    met: bool
+    confidence: str
+    seconds: float
+    points: tuple[Probe, ...]
+
+
+def compare(
+    sensor: Sensor,
+    pixels: np.ndarray,
+    truth: np.ndarray,
+    rate: np.ndarray,
+    exposure_s: float,
+    accuracy: Accuracy,
+    seconds: float,
+    bank: Share = EXACT,
+    readout: Share = EXACT,
+    window: float = 0.0,
+    notes: tuple[str, ...] = (),
+) -> Certificate:
+    """Judge a render by the truth at some pixels.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    pixels : ndarray (P, 2) of int
+        Row and column.
+    truth, rate : ndarray (P,)
+        Electrons/s of truth and render there, both with veiling glare.
+    exposure_s : float
+    accuracy : Accuracy
+        What was asked for.
+    seconds : float
+        What the truth took.
+    bank, readout : Share
+        The errors of the PSFs and of the sensor's part, in the tolerance's unit.
+    window : float
+        Light that no PSF of the bank holds, in the tolerance's unit.
+    notes : tuple of str
+        How these were measured.
+    """
+    points = []
+    for (row, col), true_rate, found in zip(pixels.tolist(), truth, rate, strict=True):
+        true_e, render_e = float(true_rate * exposure_s), float(found) * exposure_s
+        # What the full well cuts off is in no frame.
+        seen_e, shown_e = (min(value, sensor.full_well_e) for value in (true_e, render_e))
+        noise_e = np.sqrt(max(seen_e, 0.0) + sensor.temporal_dark_noise_e**2)
+        error = abs(render_e - true_e)
+        points.append(
+            Probe(
+                row,
+                col,
+                true_e,
+                render_e,
+                error / true_e if true_e > 0 else float(error > 0),
+                float(abs(shown_e - seen_e) / noise_e) if noise_e > 0 else 0.0,
+            )
+        )
+    judged = np.array([getattr(point, accuracy.unit) for point in points])
+    relative = np.array([point.relative for point in points])
+    sigma = np.array([point.sigma for point in points])
+    worst = points[int(judged.argmax())]
+    rms, most = float(np.sqrt(np.mean(judged**2))), float(judged.max())
+    count = len(points)
+    total_rms = math.hypot(rms, bank.rms, readout.rms) + window
+    total_worst = math.hypot(most, bank.worst, readout.worst) + window
+    unit = "" if accuracy.unit == "relative" else " sigma of the noise"
+    return Certificate(
+        probes=count,
+        rms_relative=float(np.sqrt(np.mean(relative**2))),
+        worst_relative=float(relative.max()),
+        rms_sigma=float(np.sqrt(np.mean(sigma**2))),
+        worst_sigma=float(sigma.max()),
+        worst_position=(worst.row, worst.col),
+        unit=accuracy.unit,
+        engine_rms=rms,
+        engine_worst=most,
+        bank_rms=bank.rms,
+        bank_worst=bank.worst,
+        sensor_rms=readout.rms,
+        sensor_worst=readout.worst,
+        window=window,
+        total_rms=total_rms,
+        total_worst=total_worst,
+        notes=notes,
+        met=total_rms <= accuracy.tolerance and total_worst <= WORST_TO_RMS * accuracy.tolerance,
+        # Rule of three (Hanley & Lippman-Hand 1983): none of n above t, so fewer than 3/n at 95 %.
+        confidence=f"At 95 % confidence fewer than {min(1.0, 3 / count):.1%} of such pixels err "
+        f"by more than {most:.1e}{unit}.",
+        seconds=seconds,
+        points=tuple(points),
+    )

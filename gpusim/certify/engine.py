@@ -1,0 +1,112 @@
+"""The engine's part of the certificate: probe pixels of a render against the exact model."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from gpusim.certify.budget import Certificate, compare
+from gpusim.certify.probes import choose_probes
+from gpusim.lens.bank import Bank
+from gpusim.plan import Accuracy
+from gpusim.reference.truth import Truth
+from gpusim.scene.chart import Chart
+from gpusim.scene.raster import PlacedRaster
+from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.sensor import Sensor
+
+
+def true_rates(
+    bank: Bank,
+    sensor: Sensor,
+    scene: Scene,
+    placed: Chart | PlacedRaster,
+    pixels: np.ndarray,
+    progress: Callable[[int, int], None] | None = None,
+) -> np.ndarray:
+    """Return the electrons/s (P,) of pixels (P, 2) by the truth model, without veiling glare.
+
+    Parameters
+    ----------
+    bank, sensor, scene
+    placed : Chart or PlacedRaster
+        The scene's source on the sensor, um.
+    pixels : ndarray (P, 2) of int
+        Row and column.
+    progress : callable, optional
+        Called with (done, total) pixels.
+    """
+    truth = Truth(bank, sensor, scene.spectra, WAVELENGTHS_NM)
+    evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
+    # Nearby pixels share kernels: in order of radius.
+    centre = np.array([sensor.rows, sensor.cols]) / 2
+    order = np.argsort(np.hypot(*(pixels - centre).T))
+    rates = np.empty(len(pixels))
+
+    def rate_at(number: int) -> float:
+        return evaluate(placed, pixels[number : number + 1])[0]
+
+    # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
+    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
+        # The first one alone: it makes what all share, highlights' squares and the first kernels,
+        # which every thread would else make for itself.
+        first = [rate_at(number) for number in order[:1]]
+        found = chain(first, pool.map(rate_at, order[1:]))
+        for done, (number, rate) in enumerate(zip(order, found, strict=True), start=1):
+            rates[number] = rate
+            if progress is not None:
+                progress(done, len(pixels))
+    return rates
+
+
+def certify(
+    bank: Bank,
+    sensor: Sensor,
+    scene: Scene,
+    placed: Chart | PlacedRaster,
+    rate: np.ndarray,
+    glare: np.ndarray,
+    exposure_s: float,
+    accuracy: Accuracy,
+    progress: Callable[[int, int], None] | None = None,
+    origin: tuple[int, int] = (0, 0),
+) -> Certificate:
+    """Compare a render with the truth model at probe pixels.
+
+    Parameters
+    ----------
+    bank, sensor, scene
+    placed : Chart or PlacedRaster
+        The scene's source on the sensor, um.
+    rate : ndarray (rows, cols)
+        Electrons/s of the render, or of a rectangle of it.
+    glare : ndarray (S,)
+        Veiling glare of each CFA site, electrons/s: an input of both.
+    exposure_s : float
+    accuracy : Accuracy
+    progress : callable, optional
+        Called with (done, total) probes.
+    origin : (int, int)
+        Row and column of the rectangle's first pixel.
+    """
+    started = time.perf_counter()
+    there = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
+    pixels = there + origin
+    truth = true_rates(bank, sensor, scene, placed, pixels, progress)
+    truth += glare_at(sensor, glare, pixels)
+    seconds = time.perf_counter() - started
+    return compare(sensor, pixels, truth, rate[tuple(there.T)], exposure_s, accuracy, seconds)
+
+
+def glare_at(sensor: Sensor, glare: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Return the veiling glare (P,) at pixels (P, 2), from that of each CFA site."""
+    down, across = sensor.period
+    return np.asarray(glare, np.float64)[pixels[:, 0] % down * across + pixels[:, 1] % across]

@@ -1,0 +1,47 @@
+"""Which pixels a certificate looks at."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike
+EDGE_SHARE = 0.5  # of the probes lie on the steepest edges
+
+
+def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
+    """Choose probe pixels: half spread over the field, half on the steepest edges.
+
+    Parameters
+    ----------
+    rate : ndarray (rows, cols)
+        Mean signal.
+    period : int
+        Of the filter pattern: edges are sought between pixels of one colour.
+    count : int
+
+    Returns
+    -------
+    ndarray (count, 2) of int
+        Row and column.
+    """
+    rng = np.random.default_rng(SEED)
+    rows, cols = rate.shape
+    edges = int(count * EDGE_SHARE)
+    chosen = []
+    for number in (count - edges, edges):
+        across = max(1, int(np.ceil(np.sqrt(number * cols / rows))))
+        down = max(1, -(-number // across))
+        for k in range(number):
+            row0, row1 = (rows * (k // across) // down, rows * (k // across + 1) // down)
+            col0, col1 = (cols * (k % across) // across, cols * (k % across + 1) // across)
+            row1, col1 = max(row1, row0 + 1), max(col1, col0 + 1)
+            if number == edges and chosen and len(chosen) >= count - edges:
+                part = rate[row0:row1, col0:col1].astype(np.float64)
+                slope = np.zeros(part.shape)
+                slope[:, period:] = np.abs(part[:, period:] - part[:, :-period])
+                slope[period:] = np.maximum(slope[period:], np.abs(part[period:] - part[:-period]))
+                row, col = np.unravel_index(np.argmax(slope), slope.shape)
+                chosen.append((row0 + int(row), col0 + int(col)))
+            else:
+                chosen.append((int(rng.integers(row0, row1)), int(rng.integers(col0, col1))))
+    return np.array(chosen, int).reshape(-1, 2)
