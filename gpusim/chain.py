@@ -27,9 +27,12 @@ from gpusim.gpu import (
     default_device,
 )
 from gpusim.gpu.pool import mebibytes
+from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
+from gpusim.optics.halo import Halo, coarse_grid
+from gpusim.optics.halo import needed as coarse_rects
 from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
@@ -212,6 +215,7 @@ class Renderer:
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolution] = []
         self.splats: list[Splat] = []
+        self.halo: Halo | None = None
         self.resident_glare: Resident | None = None
         report = progress or (lambda what, done, total: None)
         if costs is None:
@@ -242,7 +246,8 @@ class Renderer:
         """Plan, and place the scene on the sensor."""
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
-        self.bank = camera.bank(progress=lambda done, total: report("lens", done, total))
+        whole = camera.bank(progress=lambda done, total: report("lens", done, total))
+        self.lens_bank, self.bank = whole, whole.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise
         self.plan = plan or self.planned(method, force)
@@ -282,7 +287,7 @@ class Renderer:
         """Return the plan for a method, or for the cheapest: see `gpusim.plan.plan_optics`."""
         accuracy, sensor = self._relative(), self.camera.sensor
         return plan_optics(
-            self.bank, sensor, self.scene, accuracy, self._costs, self._noise, method, force
+            self.lens_bank, sensor, self.scene, accuracy, self._costs, self._noise, method, force
         )
 
     def _relative(self) -> Accuracy:
@@ -295,6 +300,8 @@ class Renderer:
         """Give the device's memory back; the renderer cannot be used any more."""
         for part in (*self.sources, *self.convolutions, *self.splats):
             part.release()
+        if self.halo is not None:
+            self.halo.release()
         if self.resident_glare is not None:
             self.resident_glare.destroy()
 
@@ -380,7 +387,7 @@ class Renderer:
             seen = overlap(rect, sensor.frame.lit)
             top, left = seen[0] - rect[0], seen[1] - rect[1]
             certificate = certify(
-                self.bank,
+                self.lens_bank,
                 sensor,
                 self.scene,
                 self.placed,
@@ -523,6 +530,8 @@ class Renderer:
         """Bring onto the device what further frames need as well, if there is room for all."""
         started = time.perf_counter()
         seen = self.lit(rect)
+        self._hold_halo(aligned(seen, self.period), report)
+        started = self._spent("halo", started)
         for source, scale in zip(self.sources, self.plan.scales, strict=True):
             source.prepare([b for b in scale.grid.blocks_for(*seen) if source.needed[b]])
         started = self._spent("scene", started)
@@ -544,6 +553,49 @@ class Renderer:
             except OutOfMemoryError:  # the adapter has less: they are made where they are needed
                 self.drop()
         self._spent("kernels", started)
+
+    def _hold_halo(self, rect: Rect, report: Progress) -> None:
+        """Bring the halo of a rectangle of lit pixels onto the device."""
+        if not self.plan.halo or (self.halo is not None and self.halo.covers(rect)):
+            return
+        if self.halo is not None:
+            self.halo.release()
+            self.halo = None
+        sensor = self.camera.sensor
+        banks = [self.lens_bank.levels[level.number] for level in self.plan.halo]
+        grids = [coarse_grid(bank, sensor) for bank in banks]
+        light = []
+        for done, (level, bank, grid, part) in enumerate(
+            zip(self.plan.halo, banks, grids, coarse_rects(grids, rect), strict=True)
+        ):
+            report("halo", done, len(banks))
+            renderer = Renderer(
+                _CoarseCamera(bank, grid.sensor),
+                seen_by(self.scene, sensor, grid.sensor),
+                level.accuracy,
+                self.device,
+                memory_bytes=self.memory_bytes,
+                costs=self._costs,
+                noise=False,
+                method="fft",
+            )
+            try:
+                light.append(renderer.light(part))
+            finally:
+                renderer.release()
+        report("halo", len(banks), len(banks))
+        self.halo = Halo(self.device, sensor, grids, light, rect)
+
+    def light(self, rect: Rect) -> np.ndarray:
+        """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
+
+        Whole periods of the filter pattern; without veiling glare.
+        """
+        shot = _Light(self, rect, {}, None, Shot(1.0, 0, 0))
+        with self.device.pool.within(self.memory_bytes):
+            self._hold(rect, None, lambda what, done, total: None)
+            shot.render(None, lambda done, total: None)
+        return shot.found
 
     def _white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
@@ -655,8 +707,11 @@ class _Shot:
                 rec = Recording(device)
                 splat.record(rec, rates, whole)
                 self._run(rec)
-            for strip in strips(tile, renderer.memory_bytes):
-                self._strip(strip, rates, whole)
+            if renderer.halo is not None:
+                rec = Recording(device)
+                renderer.halo.record(rec, rates, whole)
+                self._run(rec)
+            self._finish(tile, rates, whole)
             advance()
         finally:
             rates.destroy()
@@ -698,6 +753,11 @@ class _Shot:
         self._run(rec)
         self.work["blocks"] += len(blocks)
 
+    def _finish(self, tile: Rect, rates: Resident, whole: Rect) -> None:
+        """Take the light on a tile to digital numbers, strip by strip."""
+        for strip in strips(tile, self.renderer.memory_bytes):
+            self._strip(strip, rates, whole)
+
     def _strip(self, strip: Rect, rates: Resident, tile: Rect) -> None:
         """Take a strip of rows from the planes of the sites to digital numbers, and to the host."""
         renderer = self.renderer
@@ -731,6 +791,44 @@ class _Shot:
         for stage, seconds in result.times_s.items():
             self.times_s[stage.rpartition("/")[2]] += seconds
         return result
+
+
+@dataclass(frozen=True)
+class _CoarseCamera:
+    """A level of a halo before a coarse sensor."""
+
+    level: FieldBank
+    sensor: Sensor
+
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
+        return self.level
+
+
+def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
+    """Return the scene as a coarse sensor of another size sees it: where the real one does."""
+    half = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
+    if isinstance(scene.source, Chart):
+        scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
+        return replace(scene, source=scene.source.placed(scale))
+    return replace(scene, source=replace(scene.source, whole=True, half_um=half))
+
+
+class _Light(_Shot):
+    """The light on a rectangle, and no more."""
+
+    def __init__(self, *given) -> None:
+        super().__init__(*given)
+        period = self.renderer.period
+        self.first = self.rect[0] // period, self.rect[1] // period
+        _, _, rows, cols = aligned(self.rect, period)
+        count = self.renderer.plan.scales[0].grid.sites
+        self.found = np.empty((count, rows // period, cols // period), np.float32)
+
+    def _finish(self, tile: Rect, rates: Resident, whole: Rect) -> None:
+        period = self.renderer.period
+        row, col = (own // period - first for own, first in zip(whole, self.first, strict=False))
+        rows, cols = whole[2] // period, whole[3] // period
+        self.found[:, row : row + rows, col : col + cols] = self.renderer.device.read(rates)
 
 
 class _ShiftedShot(_Shot):

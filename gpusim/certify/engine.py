@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -14,9 +15,10 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import Certificate, compare
 from gpusim.certify.probes import choose_probes
-from gpusim.lens.bank import Bank
+from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
+from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -25,7 +27,7 @@ from gpusim.sensor.sensor import Sensor
 
 
 def true_rates(
-    bank: Bank,
+    bank: FieldBank,
     sensor: Sensor,
     scene: Scene,
     placed: Chart | PlacedRaster,
@@ -37,6 +39,7 @@ def true_rates(
     Parameters
     ----------
     bank, sensor, scene
+        All levels of the bank.
     placed : Chart or PlacedRaster
         The scene's source on the sensor, um.
     pixels : ndarray (P, 2) of int
@@ -44,15 +47,24 @@ def true_rates(
     progress : callable, optional
         Called with (done, total) pixels.
     """
-    truth = Truth(bank, sensor, scene.spectra, WAVELENGTHS_NM)
+    core, *halo = bank.levels
+    truth = Truth(core, sensor, scene.spectra, WAVELENGTHS_NM)
     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
+    wide = [
+        (
+            Wide(level, sensor, scene.spectra, WAVELENGTHS_NM),
+            seen_from(level, sensor, scene, placed),
+        )
+        for level in halo
+    ]
     # Nearby pixels share kernels: in order of radius.
     centre = np.array([sensor.rows, sensor.cols]) / 2
     order = np.argsort(np.hypot(*(pixels - centre).T))
     rates = np.empty(len(pixels))
 
     def rate_at(number: int) -> float:
-        return evaluate(placed, pixels[number : number + 1])[0]
+        pixel = pixels[number : number + 1]
+        return evaluate(placed, pixel)[0] + sum(one.at(seen, pixel)[0] for one, seen in wide)
 
     # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -67,8 +79,18 @@ def true_rates(
     return rates
 
 
+def seen_from(
+    level: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
+) -> Chart | PlacedRaster:
+    """Return what a level of a halo sees: of a photograph, highlights are samples like others."""
+    if isinstance(placed, Chart):
+        return placed
+    half = (side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
+    return replace(scene.source, whole=True).placed(*half, level.pitch_um)
+
+
 def certify(
-    bank: Bank,
+    bank: FieldBank,
     sensor: Sensor,
     scene: Scene,
     placed: Chart | PlacedRaster,

@@ -20,7 +20,6 @@ from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import KINDS as LENS_KINDS
 from gpusim.lens.prescription import Prescription, load_prescription, presets
 from gpusim.lens.ready import ReadyLens, is_ready, load_ready
-from gpusim.lens.sampling import window
 from gpusim.lens.system import Checked, System, build, checked, first_order
 from gpusim.report.lens_facts import (
     checks_table,
@@ -108,9 +107,7 @@ def work(
     progress: Callable[[str, int, int], None],
 ) -> list[tuple[str, str]]:
     """Compute the bank of a lens, write what `file` asks for, and return the data to show."""
-    bank = cached_bank(
-        lens, progress=lambda done, all_: progress("PSF bank", done, all_), **window(system)
-    )
+    bank = cached_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
     kind = None if file is None else file.suffix.lower()
     if kind == ".nc":
         bank.save(file)

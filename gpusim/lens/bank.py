@@ -26,8 +26,10 @@ from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
+from gpusim.lens.halo import distances_um, fall, halo_of
 from gpusim.lens.places import FieldPsfs, Heights
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.sampling import window
 from gpusim.lens.system import System, build, first_order, transmission
 
 if TYPE_CHECKING:
@@ -39,8 +41,6 @@ AnyBank = TypeVar("AnyBank", "Bank", "PlaneBank")
 WAVELENGTHS_NM = tuple(range(400, 701, 25))
 REFERENCE_NM = 550.0
 FIELDS = 15
-PITCH_UM = 0.5
-SIZE = 256
 # Where the ideal plane ends, on which scenes lie: f tan(85 deg) is 11 f, and at 90 deg it is gone.
 RECTILINEAR_DEG = 85.0
 # Variable: dimensions, units, meaning. The order is that of the file.
@@ -56,9 +56,9 @@ _VARIABLES = {
     "psf": (
         ("field", "wavelength", "eta", "xi"),
         "1",
-        "share of the light per sample, sum 1; row eta tangential, column xi radial, away from the "
-        "axis; centred on the chief ray of its own wavelength; upright image; 0 outside the circle "
-        "in the window",
+        "share of the light per sample; row eta tangential, column xi radial, away from the axis; "
+        "centred on the chief ray of its own wavelength; upright image; 0 outside the circle in "
+        "the window",
     ),
     "relative_illumination": (
         ("field", "wavelength"),
@@ -107,6 +107,22 @@ _RAYS = {
         "solid angle",
     ),
 }
+# Where the light beyond the window is known: a ready-made bank has none.
+_HALO = {
+    "halo": (
+        ("level", "field", "wavelength", "halo_eta", "halo_xi"),
+        "1",
+        "share of the light per sample on coarser levels, beyond what the psf and the levels "
+        "before hold: see gpusim.lens.halo",
+    ),
+    "halo_pitch_um": (("level",), "um", "spacing of a level's samples"),
+    "beyond_energy": (("field", "wavelength"), "1", "share of the light beyond the last level"),
+    "halo_misfit": (
+        ("field", "wavelength"),
+        "1",
+        "light that window and levels together had too much of, before the levels were scaled",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
@@ -130,9 +146,10 @@ class Bank:
     real_height_um : ndarray, shape (F, L)
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)
-        Sum 1. Row: tangential eta; column: radial xi, pointing away from the axis; sample j at
-        (j - n / 2) pitch. Centred on the chief ray of its own wavelength; 0 outside the circle in
-        the window.
+        Share of the light per sample: the sum is 1 less ``outside_energy``, and 1 where the light
+        outside is not known. Row: tangential eta; column: radial xi, pointing away from the axis;
+        sample j at (j - n / 2) pitch. Centred on the chief ray of its own wavelength; 0 outside
+        the circle in the window.
     relative_illumination : ndarray, shape (F, L)
         Projected solid angle over that on axis.
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
@@ -147,6 +164,11 @@ class Bank:
         ready-made bank does not say.
     cone : ndarray of float32, shape (F, L, R, 3), or None
         Rays that arrive, with their share: see ``gpusim.lens.cone``.
+    halo, halo_pitch_um : ndarray of float32, shape (K, F, L, m, m), and ndarray, shape (K,), or
+        None
+        Levels of coarser samples that hold what lands farther out: see ``gpusim.lens.halo``. They
+        take over where the window's light is let out softly: see ``levels``.
+    beyond_energy, halo_misfit : ndarray, shape (F, L), or None
     """
 
     wavelengths_nm: np.ndarray
@@ -168,6 +190,27 @@ class Bank:
     provenance: dict[str, str]
     chief: np.ndarray | None = None
     cone: np.ndarray | None = None
+    halo: np.ndarray | None = None
+    halo_pitch_um: np.ndarray | None = None
+    beyond_energy: np.ndarray | None = None
+    halo_misfit: np.ndarray | None = None
+
+    @functools.cached_property
+    def levels(self) -> tuple[Bank, ...]:
+        """The bank as banks that add up, from the core outwards; without halo it alone.
+
+        The core's PSFs fall to 0 towards the window's rim, where the first level takes over.
+        """
+        if self.halo is None:
+            return (self,)
+        alone = {name: None for name in _HALO}
+        size = self.psf.shape[-1]
+        within = fall(distances_um(size, self.pitch_um), size / 2 * self.pitch_um)
+        core = replace(self, psf=self.psf * within.astype(np.float32), **alone)
+        return core, *(
+            replace(self, psf=psf, pitch_um=float(pitch), **alone)
+            for psf, pitch in zip(self.halo, self.halo_pitch_um, strict=True)
+        )
 
     @property
     def reference(self) -> int:
@@ -396,6 +439,8 @@ class Bank:
             for name, (dims, *_) in self._variables().items()
             if dims[:2] == ("field", "wavelength") and name not in ("psf", "real_height_um")
         }
+        if self.halo is not None:
+            both["halo"] = np.stack([mixed(level) for level in self.halo]).astype(np.float32)
         both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
         provenance = self.provenance | {"resampled": "linear in wavelength and in image height"}
         return replace(
@@ -412,7 +457,8 @@ class Bank:
         )
 
     def _variables(self) -> dict[str, tuple]:
-        return _VARIABLES if self.cone is None else _VARIABLES | _RAYS
+        rays = {} if self.cone is None else _RAYS
+        return _VARIABLES | rays | ({} if self.halo is None else _HALO)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
@@ -447,7 +493,7 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO))
 
 
 def no_rays(provenance: dict[str, str]) -> UserError:
@@ -514,19 +560,6 @@ def _ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
     return np.where(below, 1e3 * efl_mm * np.tan(np.radians(np.where(below, field_deg, 0))), np.inf)
 
 
-def default_pitch_um(prescription: Prescription, wavelengths_nm: np.ndarray) -> float:
-    """Return 0.5 um, halved as often as the aperture needs at the shortest wavelength.
-
-    The finest pattern of a PSF has a period of lambda / (2 sin theta') = lambda N, and two samples
-    to a period are needed. Real apertures exceed the paraxial f-number's by some percent.
-    """
-    needed = 0.95 * 1e-3 * float(np.min(wavelengths_nm)) * first_order(prescription).f_number / 2
-    pitch = PITCH_UM
-    while pitch > needed:
-        pitch /= 2
-    return pitch
-
-
 def compute_bank(
     prescription: Prescription,
     wavelengths_nm: np.ndarray | None = None,
@@ -534,7 +567,7 @@ def compute_bank(
     *,
     reference_nm: float = REFERENCE_NM,
     pitch_um: float | None = None,
-    size: int = SIZE,
+    size: int | None = None,
     rays: int = RAYS,
     focus_um: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
@@ -551,9 +584,9 @@ def compute_bank(
     reference_nm : float
         One of the wavelengths.
     pitch_um : float, optional
-        Spacing of the PSF's samples (``default_pitch_um``).
-    size : int
-        Samples across, even.
+        Spacing of the PSF's samples (as the lens needs it: ``gpusim.lens.sampling.window``).
+    size : int, optional
+        Samples across, even (the same).
     rays : int
         Rays across the pupil, each way.
     focus_um : float
@@ -574,11 +607,16 @@ def compute_bank(
     wavelengths = np.array(WAVELENGTHS_NM if wavelengths_nm is None else wavelengths_nm, float)
     angles = default_fields_deg(prescription) if field_deg is None else np.array(field_deg, float)
     _check_settings(prescription, wavelengths, angles, reference_nm, size)
-    if pitch_um is None:
-        pitch_um = default_pitch_um(prescription, wavelengths)
+    system = build(prescription)
+    if size is None or pitch_um is None:
+        needed = window(system, wavelengths)
+        size, pitch_um = (
+            own if given is None else given
+            for given, own in zip((size, pitch_um), needed, strict=True)
+        )
     generator = Generator(
         default_device(),
-        build(prescription),
+        system,
         wavelengths,
         angles,
         pitch_um=pitch_um,
@@ -613,15 +651,18 @@ def bank_of(
     system, wavelengths = generator.system, generator.wavelengths_nm
     size = generator.size
     # The circle in the window: a PSF is turned to every azimuth and must not gain corners by it.
-    inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
+    distance_um = distances_um(size, generator.pitch_um)
+    radius_um = size / 2 * generator.pitch_um
+    inside = distance_um < radius_um
+    within = fall(distance_um, radius_um)
     psfs = np.empty((len(generator.field_deg), len(wavelengths), size, size), np.float32)
-    outside, folded, solid_angle = np.zeros((3, *psfs.shape[:2]))
+    outside, folded, solid_angle, core = np.zeros((4, *psfs.shape[:2]))
     for field in range(len(psfs)):
         spread = generator.spread(field, 1e-3 * focus_um)
-        window = np.multiply(spread.psf, inside, out=psfs[field])
-        share = window.sum(axis=(1, 2), dtype=float)
-        window /= share.astype(np.float32)[:, None, None]
-        outside[field], folded[field] = 1.0 - share, spread.folded_energy
+        psf = np.multiply(spread.psf, inside, out=psfs[field])
+        outside[field] = 1.0 - psf.sum(axis=(1, 2), dtype=float)
+        core[field] = np.einsum("lyx,yx->l", psf, within, dtype=float)
+        folded[field] = spread.folded_energy
         solid_angle[field] = spread.projected_solid_angle_sr
     radial = generator.chief_beta
     angles = generator.field_deg
@@ -662,6 +703,13 @@ def bank_of(
         provenance=provenance,
         chief=np.stack([radial, np.zeros_like(radial)], axis=-1),
         cone=np.stack([generator.cones(field) for field in range(len(angles))]),
+        **halo_of(
+            lambda field, line: generator.wave(field, line, focus_um),
+            wavelengths,
+            float(generator.pitch_um),
+            radius_um,
+            core,
+        ),
     )
 
 
@@ -707,7 +755,7 @@ def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> No
             value=f"{angles[-1]:g}",
             allowed=f"0 to {prescription.max_field_deg:g}",
         )
-    if size % 2 or not 0 < size <= TRANSFORM // 2:
+    if size is not None and (size % 2 or not 0 < size <= TRANSFORM // 2):
         raise UserError(
             "the PSF window has a size that is not computed",
             field="size",

@@ -45,6 +45,10 @@ class FieldBank(Protocol):
     centre_um: tuple[float, float]
 
     @property
+    def levels(self) -> tuple[FieldBank, ...]:
+        """Banks that add up to this one: the core, and coarser ones of the light far from it."""
+
+    @property
     def reference(self) -> int:
         """See above."""
 

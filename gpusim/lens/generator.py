@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.cone import cone_of
+from gpusim.lens.halo import Wave
 from gpusim.lens.system import System
 from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import RAY_OVERSIZE, within_hull
@@ -36,6 +37,7 @@ NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
 # The stencil of a cell on a rim across the grid reaches two nodes beyond it in both directions, and
 # the nearest node that has a ray may be one more away.
 CONTINUED = 5
+NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
 
 _GRID = np.dtype(
@@ -393,6 +395,37 @@ class Generator:
             psf=psf,
             projected_solid_angle_sr=2 * light * self._grids[field]["cell"].astype(float) ** 2,
             folded_energy=folded / light,
+        )
+
+    def wave(self, field: int, line: int, focus_um: float = 0.0) -> Wave:
+        """Return the wavefront of one field and wavelength in an image plane, both halves."""
+        nodes = self.device.read(self._nodes[field])[line].astype(float)
+        grid = self._grids[field, line]
+        alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0].astype(float)
+        beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1].astype(float)
+        reach = nodes[..., 1]
+        light = rim_share(reach[None])[0]
+        passed = 1.0
+        if self._apodisation:
+            stop = self.device.read(self._stop[field])[line]
+            passed = np.exp(-2 * self._apodisation * np.maximum(stop, 0.0))
+            light = light * passed
+        opd_um = 1e-3 * self.wavelengths_nm[line] * nodes[..., 0]
+        chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
+        gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
+        opd_um += focus_um * (gamma + chief * beta - np.hypot(1, chief))
+
+        def both(half: np.ndarray) -> np.ndarray:
+            return np.concatenate([half[::-1], half])
+
+        return Wave(
+            alpha=np.concatenate([-alpha[::-1], alpha]),
+            beta=beta,
+            opd_um=both(opd_um),
+            # No ray came where it is 0: as good as beyond the rim.
+            reach=both(np.where(reach > 0, reach, NO_RAY)),
+            light=both(light),
+            passed=both(passed) if self._apodisation else 1.0,
         )
 
     def cones(self, field: int) -> np.ndarray:

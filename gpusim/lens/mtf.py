@@ -52,7 +52,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from gpusim.errors import UserError
 from gpusim.lens.assemble import Stated, make_bank, per_wavelength, validated
-from gpusim.lens.bank import PITCH_UM, REFERENCE_NM, SIZE, Bank
+from gpusim.lens.bank import REFERENCE_NM, Bank
+from gpusim.lens.sampling import PITCH_UM, SIZE
 
 # Samples in a period of the finest detail: splines of degree 3 on the bank's grid interpolate it to
 # 1e-2 at the very end of the band, where little contrast is left, and to 1e-3 at two thirds of it.

@@ -25,7 +25,6 @@ from gpusim.lens.bank import (
     RECTILINEAR_DEG,
     REFERENCE_NM,
     WAVELENGTHS_NM,
-    default_pitch_um,
     from_cache,
     load_dataset,
     no_rays,
@@ -37,6 +36,7 @@ from gpusim.lens.places import FieldGrid, FieldPsfs
 from gpusim.lens.plane_map import PlaneMap
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
+from gpusim.lens.sampling import default_pitch_um
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field, sample_rays
 
@@ -190,6 +190,11 @@ class PlaneBank:
         return int(np.abs(self.field_y_deg).argmin()), int(np.abs(self.field_x_deg).argmin())
 
     # What the chain asks of a bank: see gpusim.lens.field_bank.
+
+    @property
+    def levels(self) -> tuple[PlaneBank, ...]:
+        """The bank alone."""
+        return (self,)
 
     @property
     def centre_um(self) -> tuple[float, float]:
@@ -422,7 +427,7 @@ def compute_plane_bank(
     reference_nm : float
         One of the wavelengths.
     pitch_um : float, optional
-        Spacing of the PSF's samples (``bank.default_pitch_um``).
+        Spacing of the PSF's samples (``sampling.default_pitch_um``).
     size : int
         Samples across, even.
     progress : callable, optional

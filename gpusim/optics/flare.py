@@ -46,6 +46,8 @@ def veiling_glare(
     ndarray (S,)
         Electrons/s, by site of the filter pattern, row by row.
     """
+    if sensor.veiling_glare == 0:
+        return np.zeros(len(sensor.site_channels()))
     pitch = sensor.pixel_pitch_um
     line = (np.arange(SIDE) + 0.5) / SIDE - 0.5
     x, y = np.meshgrid(line * sensor.cols * pitch, line * sensor.rows * pitch)

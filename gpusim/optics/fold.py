@@ -101,7 +101,7 @@ def edge_responses(bank: FieldBank) -> np.ndarray:
     Returns
     -------
     ndarray (L, n_features)
-        The last sample of each is the PSF's whole energy.
+        The last sample of each is the PSF's whole energy, over the largest one.
     """
     features = []
     positions = (np.arange(bank.psf.shape[-1]) - bank.psf.shape[-1] // 2) * bank.pitch_um
@@ -115,7 +115,8 @@ def edge_responses(bank: FieldBank) -> np.ndarray:
             ]
             # Every second sample: 1 um, below half of the Airy radius.
             features.append(np.stack(shifted)[:, ::2])
-    return np.concatenate(features, axis=1)
+    found = np.concatenate(features, axis=1)
+    return found / found.max()
 
 
 def camera_basis(

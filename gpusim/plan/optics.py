@@ -12,6 +12,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
+from gpusim.lens.sampling import PITCH_UM
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
 from gpusim.optics.convolve import Scratch
@@ -32,6 +33,7 @@ from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.halo import describe_halo, halo_levels
 from gpusim.plan.layout import (
     TRANSFORMS,
     Memory,
@@ -110,6 +112,7 @@ def plan_optics(
         When a PSF is wider than the longest transform allows, or a part of the error cannot be as
         small as the tolerance asks: which, and how small it is.
     """
+    bank, levels, halo = bank.levels[0], bank.levels, halo_levels(bank, accuracy)
     basis = camera_basis(
         bank,
         sensor,
@@ -136,7 +139,15 @@ def plan_optics(
     scales = problem.scales(chosen)
     identity = problem.identity(scales[0])
     stages = describe(
-        chosen, basis, sensor, scene, costs, identity, noise, force, problem.left_out()
+        chosen,
+        basis,
+        sensor,
+        scene,
+        costs,
+        identity,
+        noise,
+        force,
+        (*problem.left_out(), describe_halo(levels, halo)),
     )
     of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
     return Plan(
@@ -149,6 +160,7 @@ def plan_optics(
         kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
         rates=costs.source,
         runners_up=runners_up,
+        halo=halo,
     )
 
 
@@ -243,9 +255,16 @@ class _Problem:
         tolerance, period = self.accuracy.tolerance, self.planes.period
         pitch_um = self.sensor.pixel_pitch_um / oversampling
         weights = self._parts(cut_um)
-        # 20 um hold 98 % of the energy at f/2.8.
+        # Of a core 20 um hold 98 % of the energy at f/2.8; a halo's levels are as much wider as
+        # their samples.
+        most_um = 20.0 * max(self.bank.pitch_um / PITCH_UM, 1.0)
         cells, nodes = cells_within(
-            self._first(weights[0], pitch_um), pitch_um, 20.0, self.half_um, NODE_SHARE * tolerance
+            self._first(weights[0], pitch_um),
+            pitch_um,
+            most_um,
+            self.half_um,
+            NODE_SHARE * tolerance,
+            cut_um or self.reach_um,
         )
         errors = {"alias": alias, "nodes": nodes}
         limits = {knob: tolerance for knob in ("alias", "nodes", "modes")}
@@ -639,6 +658,7 @@ class _Problem:
             self.reach_um,
             self.half_um,
             TAIL_SHARE * self.accuracy.tolerance / share,
+            self.reach_um,
         )
         return lag * share, few
 

@@ -35,6 +35,7 @@ def alias_error(bank: FieldBank, oversampling: float, sensor: Sensor, sigma: flo
     band, and what lies above it. Frequencies in cycles per sim sample.
     """
     middle = bank.field(bank.probes[0]).psf[bank.reference]
+    middle = middle / middle.sum(dtype=np.float64)
     return max(
         _alias(bank, middle.sum(axis=axis, dtype=np.float64), oversampling, sensor, sigma, axis)
         for axis in (0, 1)
@@ -129,12 +130,18 @@ def cells_within(
     reach_um: float,
     half_um: tuple[float, float],
     allowed: float,
+    beyond_um: float,
 ) -> tuple[tuple[int, int], float]:
-    """Return the fewest cells between PSF nodes that keep an error, and the error they leave."""
+    """Return the fewest cells between PSF nodes that keep an error, and the error they leave.
+
+    The cells cover the sensor and what its pixels see `beyond_um` around it. They are no larger
+    than half the sensor, for that a node lies where the sensor is.
+    """
     # Linear interpolation's error goes with the spacing squared.
     trial_um = half_um[1] / 4
     trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
-    spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
-    cells = tuple(max(int(np.ceil(2 * half / spacing_um)), 1) for half in half_um)
-    widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))
+    spacing_um = min(trial_um * np.sqrt(allowed / max(trial, 1e-12)), half_um[1])
+    sides = [2 * (half + beyond_um) for half in half_um]
+    cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
+    widest = max(side / count for side, count in zip(sides, cells, strict=True))
     return cells, trial * (widest / trial_um) ** 2

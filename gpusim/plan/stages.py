@@ -11,6 +11,8 @@ from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
 from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.halo import HaloLevel
+from gpusim.plan.stage import PlanStage
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cti_model import Cti
@@ -21,17 +23,6 @@ COLUMNS = 100  # of the plan's text
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 REASON = 60  # of which a reason may take
 CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")
-
-
-@dataclass(frozen=True)
-class PlanStage:
-    """One stage of the chain, or a part of its work: whether it runs, and why."""
-
-    name: str
-    runs: bool
-    reason: str
-    predicted_error: float | None = None
-    predicted_cost_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +47,8 @@ class Plan:
         Whose rates the predictions are made from.
     runners_up : tuple of RunnerUp
         Other ways to convolve, and why each lost.
+    halo : tuple of HaloLevel
+        Levels of the bank's halo that are rendered.
     """
 
     basis: Basis
@@ -66,6 +59,7 @@ class Plan:
     kernels_s: float
     rates: str
     runners_up: tuple[RunnerUp, ...]
+    halo: tuple[HaloLevel, ...] = ()
 
     def runs(self, name: str) -> bool:
         """Return whether a stage runs."""

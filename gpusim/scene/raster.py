@@ -218,19 +218,29 @@ def _summed(values: np.ndarray, weights: np.ndarray, place: np.ndarray) -> np.nd
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """Coefficient planes (M, rows, cols), float32, of a scene's spectra; none negative."""
+    """Coefficient planes (M, rows, cols), float32, of a scene's spectra; none negative.
+
+    ``whole``: bright outliers are samples like others; for what blurs them far beyond a sample.
+    ``half_um``: half the width and height that it covers, whatever the sensor's.
+    """
 
     planes: np.ndarray
+    whole: bool = False
+    half_um: tuple[float, float] | None = None
 
     @functools.cached_property
     def split(self) -> Split:
         """The planes without their bright outliers, and these."""
+        if self.whole:
+            none = np.zeros(0, int)
+            return Split(self.planes, none, none, np.zeros((0, len(self.planes))), math.inf)
         return split_outliers(self.planes)
 
     def pitch_um(self, half_width_um: float, half_height_um: float) -> float:
         """Return the distance between samples where the raster covers the sensor."""
         _, rows, cols = self.planes.shape
-        return 2 * max(half_width_um / cols, half_height_um / rows)
+        width_um, height_um = self.half_um or (half_width_um, half_height_um)
+        return 2 * max(width_um / cols, height_um / rows)
 
     def placed(
         self, half_width_um: float, half_height_um: float, min_pitch_um: float

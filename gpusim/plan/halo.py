@@ -1,0 +1,70 @@
+"""Which levels of a bank's halo a tolerance needs, and how well each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gpusim.lens.field_bank import FieldBank
+from gpusim.plan.accuracy import LARGEST, SMALLEST, Accuracy
+from gpusim.plan.stage import PlanStage
+
+# Signal of a white around a dark patch over the patch's own: what the halo brings there counts so
+# much more. A level is left out where it brings less than this share of the tolerance even then.
+CONTRAST = 20.0
+LEFT_OUT = 0.1
+# Of the tolerance, for what a level may err; its light counts by the contrast that edges of
+# charts have where it matters, between a patch and its neighbours of another brightness.
+SHARE = 0.3
+AROUND = 5.0
+
+
+@dataclass(frozen=True)
+class HaloLevel:
+    """One level of a bank's halo that is rendered.
+
+    Attributes
+    ----------
+    number : int
+        Of the bank's levels.
+    share : float
+        Of the light, at the field and wavelength where it is largest.
+    accuracy : Accuracy
+        With which the level is rendered, relative to its own light.
+    """
+
+    number: int
+    share: float
+    accuracy: Accuracy
+
+
+def halo_levels(bank: FieldBank, accuracy: Accuracy) -> tuple[HaloLevel, ...]:
+    """Return the levels of a bank's halo that a relative tolerance needs."""
+    found = []
+    for number, level in enumerate(bank.levels[1:], start=1):
+        share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
+        if CONTRAST * share < LEFT_OUT * accuracy.tolerance:
+            continue
+        allowed = SHARE * accuracy.tolerance / (AROUND * share)
+        own = Accuracy(min(max(allowed, SMALLEST), LARGEST), probes=0)
+        found.append(HaloLevel(number, share, own))
+    return tuple(found)
+
+
+def describe_halo(levels: tuple[FieldBank, ...], halo: tuple[HaloLevel, ...]) -> PlanStage:
+    """Describe the stage."""
+    if len(levels) == 1:
+        return PlanStage("halo", False, "the bank holds no light beyond its window")
+    if not halo:
+        return PlanStage(
+            "halo", False, "less light lands beyond the window than the tolerance asks"
+        )
+    shares = ", ".join(f"{level.share:.2%}" for level in halo)
+    last = levels[halo[-1].number]
+    reach_um = last.psf.shape[-1] / 2 * last.pitch_um
+    window_um = levels[0].psf.shape[-1] / 2 * levels[0].pitch_um
+    return PlanStage(
+        "halo",
+        True,
+        f"{shares} of the light beyond {window_um:g} um, to {reach_um / 1e3:.3g} mm, on coarse "
+        "grids, once a scene",
+    )

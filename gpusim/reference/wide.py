@@ -1,0 +1,109 @@
+"""The exact model of the halo: light far from its chief ray, where PSFs are wide and smooth.
+
+    N(x) = A sum over cells of H(x - s; s) mean of a over the cell, times the cell's area
+
+with A the pixel's aperture and H of one level of a bank's halo. H hardly changes over a cell, so
+the sum converges with the square of its side; outlines of charts count by points within the cells.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.point_spread import PointSpread
+
+# Side of a cell in samples of the level, and points along it: where the level holds little light,
+# and where rays land in it.
+SMOOTH, STRUCTURED = (2.0, 4), (1.0, 3)
+LITTLE = 0.02  # of the light
+
+
+class Wide:
+    """Exact model of one level of a halo: see ``gpusim.reference.truth.Truth``."""
+
+    def __init__(
+        self, bank: Any, sensor: Any, spectra: np.ndarray, wavelengths_nm: np.ndarray
+    ) -> None:
+        self.bank, self.sensor = bank, sensor
+        self.fields = Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank)
+        self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
+        share = float(bank.psf.sum(axis=(-2, -1), dtype=float).max())
+        step, points = SMOOTH if share < LITTLE else STRUCTURED
+        self.step_um = step * bank.pitch_um
+        reach = bank.psf.shape[-1] / 2 * bank.pitch_um
+        count = int(np.ceil(reach / self.step_um))
+        line = (np.arange(-count, count) + 0.5) * self.step_um
+        t = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        self.t = t[np.hypot(*t.T) < reach]
+        inner = ((np.arange(points) + 0.5) / points - 0.5) * self.step_um
+        self.inner = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
+        self.point_um = self.step_um / points
+        self.painted: tuple[Any, np.ndarray, np.ndarray] | None = None
+        self.area_um2 = sensor.pixel_pitch_um**2 * sensor.fill_factor
+
+    def at(self, placed: Any, pixels: np.ndarray) -> np.ndarray:
+        """Return the true electrons/s (P,) that the level brings to pixels (P, 2) of a scene."""
+        out = np.zeros(len(pixels))
+        pitch = self.sensor.pixel_pitch_um
+        pattern = self.sensor.cfa.pattern
+        for number, (row, col) in enumerate(pixels):
+            middle = np.array([col + 0.5 - self.sensor.cols / 2, row + 0.5 - self.sensor.rows / 2])
+            source = middle * pitch - self.t
+            lit = np.hypot(*(source - self.fields.centre).T) <= self.fields.circle
+            if not lit.any():
+                continue
+            name = pattern[row % len(pattern)][col % len(pattern[0])]
+            channel = list(self.sensor.channels).index(name)
+            t = self.t[lit]
+            light = self.spread.at(channel, self._shares(placed, source[lit]), t, source[lit])
+            out[number] = light.sum() * self.step_um**2 * self.area_um2
+        return out
+
+    def _shares(self, placed: Any, source: np.ndarray) -> np.ndarray:
+        """Return the mean coefficient (P, M) of each spectrum in cells about points (P, 2)."""
+        ideal = self.fields.ideal(source[:, None] + self.inner)
+        if hasattr(placed, "primitives"):
+            first, materials = self._painted(placed)
+            at = np.round((ideal - first) / self.point_um).astype(int)
+            at = np.clip(at, 0, np.array(materials.shape[::-1]) - 1)
+            count = len(self.spread.spectra)
+            cell = np.arange(len(source))[:, None] * count + materials[at[..., 1], at[..., 0]]
+            found = np.bincount(cell.ravel(), minlength=len(source) * count)
+            return found.reshape(len(source), count) / len(self.inner)
+        corner = np.array([placed.x0_um, placed.y0_um])
+        x, y = np.moveaxis((ideal - corner) / placed.pitch_um - 0.5, -1, 0)
+        planes = [
+            map_coordinates(plane, [y, x], order=1, mode="nearest").mean(axis=1)
+            for plane in placed.planes
+        ]
+        return np.stack(planes, axis=1)
+
+    def _painted(self, chart: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first point (2,) of a grid over a chart's primitives, and its materials there.
+
+        Beyond them lies the background, and so it does on the border of the grid.
+        """
+        if self.painted is None or self.painted[0] is not chart:
+            at = np.array([(p.cx, p.cy) for p in chart.primitives]).reshape(-1, 2)
+            reach = np.array([p.reach for p in chart.primitives])[:, None]
+            low = (at - reach).min(axis=0, initial=0.0) - self.point_um
+            high = (at + reach).max(axis=0, initial=0.0) + self.point_um
+            cols, rows = np.ceil((high - low) / self.point_um).astype(int) + 2
+            materials = np.full((rows, cols), chart.background)
+            for shape, place, radius in zip(chart.primitives, at, reach, strict=True):
+                (left, top), (right, bottom) = (
+                    np.round((place + way * radius - low) / self.point_um).astype(int) + way
+                    for way in (-1, 1)
+                )
+                x = low[0] + self.point_um * np.arange(max(left, 0), right + 1)
+                y = low[1] + self.point_um * np.arange(max(top, 0), bottom + 1)[:, None]
+                part = materials[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+                x, y = x[: part.shape[1]], y[: part.shape[0]]
+                part[shape.distance(x, y) <= 0] = shape.material
+            materials[[0, -1]] = materials[:, [0, -1]] = chart.background
+            self.painted = chart, low, materials
+        return self.painted[1:]
