@@ -24,6 +24,8 @@ from gpusim.lens.prescription import Prescription, validated
 # Design programs write an object at infinity as a distance of 1e10 lens units or more. From there
 # the wavefront over a pupil of 50 mm sags by 6e-5 waves.
 INFINITE = 1e10
+# What becomes of a glass of which nd and Vd alone are known.
+ON_LINE = "by a model glass on the normal line"
 # Of the searches for a field. Chief-ray maps are monotone: a step need only stay below the field at
 # which a lens that passes more than that has lost the chief ray.
 _STEP_DEG = 4.0

@@ -91,6 +91,9 @@ class Dispersion(_Strict):
         return range_um
 
 
+# A glass of which nd and Vd alone are known: on the normal line of partial dispersions, or the
+# nearest one of a catalogue.
+ModelGlasses = Literal["normal-line", "nearest"]
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
 
@@ -115,6 +118,7 @@ class Surface(_Strict):
     glass: str | None = Field(None, min_length=1)
     nd: float | None = Field(None, gt=1, lt=5)
     vd: float | None = Field(None, gt=5, lt=150)
+    dpgf: float = Field(0.0, ge=-0.2, le=0.2)
     dispersion: Dispersion | None = None
     conic: float = 0.0
     asphere: Asphere = Asphere()
@@ -137,6 +141,8 @@ class Surface(_Strict):
             raise ValueError("nd and vd need a glass (glass: model uses them as they are)")
         if self.glass == "model" and self.nd is None:
             raise ValueError("a model glass needs nd and vd")
+        if self.glass != "model" and self.dpgf:
+            raise ValueError("dpgf needs a model glass")
         if self.dispersion is not None and self.glass in (None, "model", "constant"):
             raise ValueError("a dispersion needs the name of its glass")
         # In air a step back is a way to place a diaphragm beside the vertex of a lens.
@@ -212,6 +218,7 @@ class Prescription(_Strict):
     notes: str = ""
     units: Literal["mm"]
     glass_catalogues: tuple[str, ...] = ()
+    model_glasses: ModelGlasses = "normal-line"
     design_wavelengths_nm: tuple[float, ...] = Field((486.1327, 587.5618, 656.2725), min_length=1)
     reference_nm: float = Field(587.5618, gt=0)
     f_number: float | None = Field(None, gt=0)
@@ -374,6 +381,15 @@ class Prescription(_Strict):
             f"image plane moved by {shift_um:g} um away from the lens",
             focus_shift_um=self.focus_shift_um + shift_um,
         )
+
+    def with_nearest_glasses(self) -> Prescription:
+        """Return the lens with each model glass by the nearest one of the glass catalogues.
+
+        See ``gpusim.lens.model_glass``; a model glass that has none near it stays.
+        """
+        from gpusim.lens.model_glass import with_nearest
+
+        return with_nearest(self)
 
     def limited(self, max_field_deg: float) -> Prescription:
         """Return the lens used over a smaller field; the glass keeps its size.
