@@ -1,8 +1,9 @@
 """Glasses of which a source states nd and Vd alone: the nearest catalogue glass, and what is open.
 
-A lens file may name no glass but print nd and Vd. Such a glass lies on the normal line
-(`gpusim.lens.glass.model_index`), or is replaced by the nearest one of the catalogues. Which it
-was is not known; what the choice can change is found by tracing the lens with both.
+A lens file may name no glass but print nd and Vd. Such a glass gets the partial dispersions that
+most glasses of that Vd have (`gpusim.lens.glass.model_index`), or is replaced by the nearest one of
+the catalogues. Which it was is not known; what the choice can change is found by tracing the lens
+with both.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from gpusim.lens.glass import (
     F_LINE_NM,
     catalogue_index,
     catalogue_range_nm,
+    mean_dpgf,
     optical_glasses,
 )
 from gpusim.lens.prescription import Prescription
@@ -30,8 +32,8 @@ from gpusim.lens.prescription import Prescription
 # Vd of one type differ by up to 0.002 and 0.3 from maker to maker and melt to melt.
 VD_WEIGHT = 0.01
 NEAR = 0.005
-# Standard deviation of P_g,F from the normal line, over the glasses of Schott, Ohara and Hoya.
-SPREAD_PGF = 0.011
+# Standard deviation of P_g,F from that of the model, over the glasses of Schott, Ohara and Hoya.
+SPREAD_PGF = 0.004
 # The ends of what banks hold by default, and between them.
 _WAVELENGTHS_NM = (400.0, 475.0, 550.0, 625.0, 700.0)
 
@@ -94,7 +96,7 @@ def _swapped(lens: Prescription) -> tuple[Prescription, dict[int, Known | None]]
         surface = surfaces[number - 1]
         found[number] = near = nearest(surface.nd, surface.vd, lens)
         if near is not None:
-            changes = {"glass": near.name, "dpgf": 0.0}
+            changes = {"glass": near.name, "dpgf": None}
             surfaces[number - 1] = surface.model_copy(update=changes)
     return lens.model_copy(update={"surfaces": tuple(surfaces)}), found
 
@@ -104,12 +106,13 @@ def with_nearest(lens: Prescription) -> Prescription:
 
     nd and Vd change with it, and so does the focus of a lens whose image plane is given.
     """
+    state_model_glasses(lens)
     swapped, found = _swapped(lens)
     if not found:
         return lens
     step = f"model glasses by the nearest of the catalogues: {_names(lens, found)}"
     lens.account.substituted("file", step)
-    return lens.derived(step, surfaces=swapped.surfaces, model_glasses="nearest")
+    return lens.derived(step, surfaces=swapped.surfaces, nearest_glasses=True)
 
 
 def _names(lens: Prescription, found: dict[int, Known | None]) -> str:
@@ -168,9 +171,9 @@ def colour(lens: Prescription, wavelengths_nm: np.ndarray) -> Colour:
 def state_model_glasses(lens: Prescription) -> None:
     """Add to the account of a lens what its model glasses leave open, in um; nothing without any.
 
-    Two rows: the lens with its model glasses on the normal line against that with the nearest
-    catalogue glasses, and what the spread of the catalogues about the line amounts to, each glass
-    on its own and the root of the sum of their squares.
+    Two rows: the lens with its model glasses against that with the nearest catalogue glasses, and
+    what the spread of the catalogues about the model amounts to: each glass on its own, and the
+    root of the sum of the squares.
     """
     numbers = model_surfaces(lens)
     if not numbers:
@@ -178,10 +181,10 @@ def state_model_glasses(lens: Prescription) -> None:
     wavelengths = wavelengths_of(lens)
     span = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, {lens.max_field_deg:.4g} deg"
     try:
-        line = colour(lens, wavelengths)
+        model = colour(lens, wavelengths)
         swapped, found = _swapped(lens)
         other = colour(swapped, wavelengths)
-        single = [colour(_shifted(lens, number), wavelengths) - line for number in numbers]
+        single = [colour(_shifted(lens, number), wavelengths) - model for number in numbers]
     except UserError as error:
         lens.account.substituted(
             "file", f"model glasses: what they leave open cannot be traced: {error.problem}"
@@ -190,39 +193,39 @@ def state_model_glasses(lens: Prescription) -> None:
     if any(near is not None for near in found.values()):
         lens.account.substituted(
             "file",
-            f"model glasses on the normal line: {span}: lateral colour {_both(line, other, 0)}; "
-            f"longitudinal colour {_both(line, other, 1)}; against the nearest glasses of the "
+            f"model glasses: {span}: lateral colour {_both(model, other, 0)}; "
+            f"longitudinal colour {_both(model, other, 1)}; against the nearest glasses of the "
             f"catalogues: {_names(lens, found)}",
         )
     else:
         lens.account.substituted(
             "file",
-            f"model glasses on the normal line: no glass of the catalogues is near: "
-            f"{_names(lens, found)}",
+            f"model glasses: no glass of the catalogues is near: {_names(lens, found)}",
         )
     lateral, longitudinal = (
         np.sqrt(sum(one[kind] ** 2 for one in single)).max() for kind in range(2)
     )
     lens.account.substituted(
         "file",
-        f"model glasses: {span}: glasses scatter about the normal line by {SPREAD_PGF:g} in P_g,F "
+        f"model glasses: {span}: glasses scatter about the model by {SPREAD_PGF:g} in P_g,F "
         f"(one standard deviation): +-{lateral:.2g} um of lateral colour, +-{longitudinal:.2g} um "
         "of longitudinal colour",
     )
 
 
 def _shifted(lens: Prescription, number: int) -> Prescription:
-    """Return the lens with one model glass off the line by the spread."""
+    """Return the lens with one model glass off the model by the spread."""
     surfaces = list(lens.surfaces)
     surface = surfaces[number - 1]
-    surfaces[number - 1] = surface.model_copy(update={"dpgf": surface.dpgf + SPREAD_PGF})
+    dpgf = mean_dpgf(surface.vd) if surface.dpgf is None else surface.dpgf
+    surfaces[number - 1] = surface.model_copy(update={"dpgf": dpgf + SPREAD_PGF})
     return lens.model_copy(update={"surfaces": tuple(surfaces)})
 
 
-def _both(line: Colour, other: Colour, kind: int) -> str:
+def _both(model: Colour, other: Colour, kind: int) -> str:
     """Say what two choices of glasses give, and how far they are apart."""
-    apart = np.abs((line - other)[kind]).max()
+    apart = np.abs((model - other)[kind]).max()
     return (
-        f"{np.ptp(line[kind]):.3g} um, {np.ptp(other[kind]):.3g} um with catalogue glasses, at "
+        f"{np.ptp(model[kind]):.3g} um, {np.ptp(other[kind]):.3g} um with catalogue glasses, at "
         f"most {apart:.2g} um apart at a wavelength"
     )

@@ -539,7 +539,7 @@ class _Reader:
         row["glass"], row["nd"], row["vd"] = "model", nd, vd
         if departs := self.number(block, "GLAS", 5):
             row["dpgf"] = departs
-            law = f"by a model glass {departs:+g} off the normal line in P_g,F, as stated"
+            law = f"by a model glass {departs:+g} off the normal line in P_g,F"
         if vd == 0:  # OpticStudio's model glass without dispersion
             del row["vd"]
             row.pop("dpgf", None)
