@@ -304,8 +304,8 @@ def model_index(
     """Return the index of a model glass, shape (L,): through nd and Vd, else as most glasses are.
 
     n = nd + (nd - 1) / Vd q(lambda), with q the mean of glasses of that Vd. Those of Schott, Ohara
-    and Hoya scatter about it by 0.004 in P_g,F, one standard deviation, and by an index of 1.2e-4
-    at the g line, 3.1e-4 at h and 2.3e-4 at t.
+    and Hoya scatter about it by 0.004 in P_g,F, one standard deviation, and by an index of 1.1e-4
+    at the g line, 2.8e-4 at h and 2.2e-4 at t.
 
     Parameters
     ----------

@@ -168,6 +168,17 @@ def colour(lens: Prescription, wavelengths_nm: np.ndarray) -> Colour:
     return Colour(lateral[1:] - lateral[0], longitudinal[1:] - longitudinal[0])
 
 
+def in_one_plane(lens: Prescription) -> Prescription:
+    """Return the lens with its image plane where it is now, whatever its glasses become."""
+    from gpusim.lens.system import build
+
+    system = build(lens)
+    distance = float(system.image_z_mm - system.geometry.vertex_z[-1])
+    last = lens.surfaces[-1].model_copy(update={"thickness": distance})
+    changes = {"focus": "as-given", "focus_shift_um": 0.0}
+    return lens.model_copy(update=changes | {"surfaces": (*lens.surfaces[:-1], last)})
+
+
 def state_model_glasses(lens: Prescription) -> None:
     """Add to the account of a lens what its model glasses leave open, in um; nothing without any.
 
@@ -181,10 +192,11 @@ def state_model_glasses(lens: Prescription) -> None:
     wavelengths = wavelengths_of(lens)
     span = f"{wavelengths[0]:g} to {wavelengths[-1]:g} nm, {lens.max_field_deg:.4g} deg"
     try:
-        model = colour(lens, wavelengths)
-        swapped, found = _swapped(lens)
+        placed = in_one_plane(lens)
+        model = colour(placed, wavelengths)
+        swapped, found = _swapped(placed)
         other = colour(swapped, wavelengths)
-        single = [colour(_shifted(lens, number), wavelengths) - model for number in numbers]
+        single = [colour(_shifted(placed, number), wavelengths) - model for number in numbers]
     except UserError as error:
         lens.account.substituted(
             "file", f"model glasses: what they leave open cannot be traced: {error.problem}"
