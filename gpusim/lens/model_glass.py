@@ -84,9 +84,12 @@ def nearest(nd: float, vd: float, lens: Prescription) -> Known | None:
         for one in known(book)
         if one.low_nm <= wavelengths[0] and one.high_nm >= wavelengths[-1]
     ]
-    apart = [np.hypot(one.nd - nd, VD_WEIGHT * (one.vd - vd)) for one in glasses]
-    place = int(np.argmin(apart))
-    return glasses[place] if apart[place] <= NEAR else None
+
+    def apart(one: Known) -> float:
+        return float(np.hypot(one.nd - nd, VD_WEIGHT * (one.vd - vd)))
+
+    found = min(glasses, key=apart, default=None)
+    return found if found is not None and apart(found) <= NEAR else None
 
 
 def _swapped(lens: Prescription) -> tuple[Prescription, dict[int, Known | None]]:
