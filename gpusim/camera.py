@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
 
+# Where a camera chooses the field of its lens, it goes beyond the sensor's corners by this: the
+# chief ray lands elsewhere at the bank's wavelengths than at the lens's own.
+CORNER_SPARE = 1.02
 PRESETS = Path(__file__).parent / "data" / "cameras"
 
 
@@ -50,7 +53,8 @@ class LensChoice(_Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
     A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
-    field, and out of focus; the others are what they are.
+    field, and out of focus, and may get catalogue glasses for its model glasses; the others are
+    what they are.
     """
 
     prescription: str | None = None
@@ -60,6 +64,7 @@ class LensChoice(_Strict):
     f_number: float | None = Field(default=None, gt=0)
     max_field_deg: float | None = Field(default=None, gt=0)
     focus_shift_um: float | None = Field(default=None, allow_inf_nan=False)
+    nearest_glasses: bool | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -68,7 +73,8 @@ class LensChoice(_Strict):
             raise ValueError(
                 "give exactly one of prescription, bank (ready-made PSFs) and mtf (an MTF table)"
             )
-        for name in ("focal_length_mm", "f_number", "max_field_deg", "focus_shift_um"):
+        changes = set(type(self).model_fields) - {"prescription", "bank", "mtf"}
+        for name in sorted(changes):
             if given != ["prescription"] and getattr(self, name) is not None:
                 raise ValueError(
                     f"{name} goes with a prescription: the PSFs of lens.{given[0]} hold for one "
@@ -86,7 +92,10 @@ class SensorChoice(_Strict):
 
 
 class CameraFile(_Strict):
-    """Fields of a camera file; its filters stand in front of the lens."""
+    """Fields of a camera file; its filters stand in front of the lens.
+
+    ``lens`` and ``sensor`` may each be a name or a file alone, too: see ``load_camera``.
+    """
 
     title: str
     lens: LensChoice
@@ -152,11 +161,15 @@ def presets() -> list[str]:
 def load_camera(name_or_path: str | Path) -> Camera:
     """Load a camera file, or a preset by its name.
 
+    A file's ``lens`` is a mapping (``LensChoice``) or the name or file of a lens, whose kind is
+    recognised; its ``sensor`` a mapping (``SensorChoice``) or the name or file of a sensor.
+
     Raises
     ------
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
+    from gpusim.lens.ready import load_ready
     from gpusim.sensor.filters_model import load_filters
     from gpusim.sensor.load import load_sensor
 
@@ -171,7 +184,9 @@ def load_camera(name_or_path: str | Path) -> Camera:
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
     try:
-        fields = CameraFile.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        named = data.get("lens") if isinstance(data, dict) else None
+        fields = CameraFile.model_validate(_spelled_out(data))
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"The camera file cannot be read: {error}", file=path) from error
     except yaml.YAMLError as error:
@@ -184,20 +199,44 @@ def load_camera(name_or_path: str | Path) -> Camera:
             field=".".join(str(part) for part in first["loc"]) or "(top level)",
             value=first["input"],
             allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg, "
-            "focus_shift_um} or "
-            "lens {bank} or lens {mtf}, sensor {preset, rows, cols}, filters",
+            "focus_shift_um, nearest_glasses} or lens {bank} or lens {mtf} or lens NAME-or-FILE, "
+            "sensor {preset, rows, cols} or sensor NAME-or-FILE, filters",
         ) from error
-    lens = _lens(path, fields.lens)
     sensor = load_sensor(_beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)
+    ready = _ready_place(path, named) if isinstance(named, str) else None
+    lens = load_ready(ready) if ready is not None else _lens(path, fields.lens, sensor)
     # Light passes those in front of the lens first: the product is the same.
     filters = [*sensor.filters, *load_filters(fields.filters, path)]
     return Camera(fields.title, lens, sensor.model_copy(update={"filters": filters}))
 
 
-def _lens(camera_file: Path, choice: LensChoice) -> Lens:
-    """Load the lens that a camera file chose."""
+def _spelled_out(data: object) -> object:
+    """Return a camera file's data with a lens or sensor that is a name alone as a mapping."""
+    if not isinstance(data, dict):
+        return data
+    names = {"lens": "prescription", "sensor": "preset"}
+    named = {
+        key: {name: data[key]} for key, name in names.items() if isinstance(data.get(key), str)
+    }
+    return data | named
+
+
+def _ready_place(camera_file: Path, name: str) -> str | None:
+    """Return where a ready-made lens is that goes by a name alone; None for a prescription."""
+    from gpusim.lens.ready import is_ready
+
+    places = (str(camera_file.parent / name), _beside(camera_file, name))
+    return next((place for place in places if is_ready(place)), None)
+
+
+def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
+    """Load the lens that a camera file chose.
+
+    A lens whose file states the axis alone is used to the corners of the sensor.
+    """
+    from gpusim.lens.imported import with_field_to
     from gpusim.lens.prescription import load_prescription
     from gpusim.lens.ready import MTF_TABLE, load_ready
 
@@ -215,11 +254,18 @@ def _lens(camera_file: Path, choice: LensChoice) -> Lens:
             )
         return lens
     lens = load_prescription(_beside(camera_file, choice.prescription))
+    if choice.nearest_glasses:
+        lens = lens.with_nearest_glasses()
     if choice.focal_length_mm is not None:
         lens = lens.scaled(choice.focal_length_mm)
+    if lens.states_axis_alone and choice.max_field_deg is None:
+        corner_px = math.hypot(sensor.rows, sensor.cols) / 2
+        lens = with_field_to(lens, CORNER_SPARE * 1e-3 * sensor.pixel_pitch_um * corner_px)
+    elif lens.states_axis_alone:
+        lens = lens.limited(choice.max_field_deg)
     if choice.f_number is not None:
         lens = lens.stopped(choice.f_number)
-    if choice.max_field_deg is not None:
+    if choice.max_field_deg is not None and not lens.states_axis_alone:
         lens = lens.limited(choice.max_field_deg)
     if choice.focus_shift_um is not None:
         lens = lens.defocused(choice.focus_shift_um)

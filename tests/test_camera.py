@@ -48,6 +48,55 @@ def test_a_camera_takes_every_kind_of_lens(tmp_path):
     assert shifted.lens.focus_shift_um == -20
 
 
+def test_a_lens_or_a_sensor_may_be_a_name_or_a_file_alone(tmp_path):
+    made_bank().save(tmp_path / "a.nc")
+    (tmp_path / "folder").mkdir()
+    write_isetcam(tmp_path / "folder")
+    (tmp_path / "zemax").mkdir()
+    write_zemax(tmp_path / "zemax")
+    lenses, sensors = Path("gpusim/data/lenses"), Path("gpusim/data/sensors")
+    (tmp_path / "mine.yaml").write_bytes((lenses / "cooke-triplet.yaml").read_bytes())
+    (tmp_path / "chip.yaml").write_bytes((sensors / "imx477.yaml").read_bytes())
+    (tmp_path / "table.yaml").write_bytes(
+        Path("gpusim/data/mtf/diffraction-limited.yaml").read_bytes()
+    )
+    for plain_name, spelled_out in {
+        "double-gauss": "{prescription: double-gauss}",
+        "mine.yaml": "{prescription: mine.yaml}",
+        "a.nc": "{bank: a.nc}",
+        "folder": "{bank: folder}",
+        "zemax/lens.yaml": "{bank: zemax/lens.yaml}",
+        "diffraction-limited": "{mtf: diffraction-limited}",
+        "table.yaml": "{mtf: table.yaml}",
+    }.items():
+        one, two = (load_camera(camera(tmp_path, name)) for name in (plain_name, spelled_out))
+        assert type(one.lens) is type(two.lens)
+        assert one.lens.model_dump() == two.lens.model_dump()
+    file = tmp_path / "camera.yaml"
+    for plain_name, spelled_out in (
+        ("imx249-mono", "{preset: imx249-mono}"),
+        ("chip.yaml", "{preset: chip.yaml}"),
+    ):
+        found = []
+        for sensor in (plain_name, spelled_out):
+            file.write_text(f"title: a camera\nlens: double-gauss\nsensor: {sensor}\n")
+            found.append(load_camera(file).sensor)
+        assert found[0] == found[1]
+    for wrong, word in (("lens: nonsense", "nonsense"), ("sensor: nonsense", "nonsense")):
+        both = {"lens": "double-gauss", "sensor": "imx477"} | dict([wrong.split(": ")])
+        file.write_text("title: a camera\n" + "".join(f"{k}: {v}\n" for k, v in both.items()))
+        with pytest.raises(UserError, match=word):
+            load_camera(file)
+
+
+def test_a_camera_may_ask_for_the_nearest_glasses(tmp_path):
+    asked = load_camera(camera(tmp_path, "{prescription: tessar, nearest_glasses: true}")).lens
+    as_it_is = load_camera(camera(tmp_path, "tessar")).lens
+    assert as_it_is.surfaces[6].glass == "model"
+    assert "/" in asked.surfaces[6].glass
+    assert "by the nearest of the catalogues: surface 7" in asked.history[-1]
+
+
 def test_a_camera_takes_a_saved_bank_over_both_directions_of_the_field(tmp_path):
     made = plane_bank(boresight_um=(5.0, -3.0))
     made.save(tmp_path / "plane.nc")
@@ -75,6 +124,7 @@ def test_a_camera_takes_a_saved_bank_over_both_directions_of_the_field(tmp_path)
         ("{bank: a.nc, focal_length_mm: 8}", ["focal_length_mm", "lens.bank", "traced again"]),
         ("{bank: a.nc, focus_shift_um: 8}", ["focus_shift_um", "lens.bank"]),
         ("{bank: a.nc, f_number: 8}", ["f_number", "lens.bank"]),
+        ("{bank: a.nc, nearest_glasses: true}", ["nearest_glasses", "lens.bank"]),
         ("{mtf: diffraction-limited, f_number: 8}", ["f_number", "lens.mtf"]),
         ("{mtf: diffraction-limited, max_field_deg: 8}", ["max_field_deg", "lens.mtf"]),
         ("{mtf: a.nc}", ["no table of an MTF", "lens.bank for this file"]),

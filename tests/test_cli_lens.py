@@ -279,3 +279,33 @@ def test_a_command_that_fails_leaves_the_old_file(
     assert gpusim(*DEMO, "--out", tmp_path / "lens.png").code == 130
     assert (tmp_path / "lens.png").read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["lens.png"]
+
+
+def test_model_glasses_say_what_they_leave_open(small_banks, tmp_path):
+    out = tmp_path / "page.html"
+    ran = gpusim("lens", "tessar", "--out", out)
+    assert ran.code == 0, ran.err
+    shown = " ".join(ran.out.split())
+    for words in (
+        r"lateral colour [\d.]+ um, [\d.]+ um with catalogue glasses, at most [\d.]+ um apart",
+        r"longitudinal colour \d+ um, \d+ um with catalogue glasses",
+        r"surface 7 HOYA/\S+ \(nd [+-]0\.00\d+, Vd [+-]\d\.\d+\)",
+        r"\+-[\d.]+ um of lateral colour",
+    ):
+        assert re.search(words, shown), words
+    page = out.read_text(encoding="utf-8")
+    assert "with catalogue glasses" in page
+    assert "of longitudinal colour" in page
+    # The rest of a published lens's account is in its file.
+    assert "read " not in ran.out.split("surface  ")[-1]
+    nearest = gpusim("lens", "tessar", "--nearest-glasses")
+    assert nearest.code == 0, nearest.err
+    assert "by the nearest of the catalogues" in " ".join(nearest.out.split())
+    assert figure(nearest.out, "lateral colour") != figure(ran.out, "lateral colour")
+    without = gpusim("lens", "double-gauss")
+    assert "catalogue glasses" not in without.out
+
+
+def figure(text: str, name: str) -> str:
+    """Return what stands beside a name."""
+    return re.search(rf"^{name} +(\S+)", text, re.MULTILINE)[1]

@@ -168,6 +168,13 @@ def lens(
         float | None,
         typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
     ] = None,
+    nearest_glasses: Annotated[
+        bool,
+        typer.Option(
+            "--nearest-glasses",
+            help="Take the nearest catalogue glass where the file knows nd and Vd alone.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="PSF bank as .nc, or one page as .png or .html."),
@@ -179,7 +186,7 @@ def lens(
     """
     from gpusim.cli.lens import run
 
-    run(name, focal_length, f_number, focus_shift, out)
+    run(name, focal_length, f_number, focus_shift, nearest_glasses, out)
 
 
 @app.command()

@@ -16,6 +16,7 @@ from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.bank import cached_bank
+from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import KINDS as LENS_KINDS
 from gpusim.lens.prescription import Prescription, load_prescription, presets
@@ -39,6 +40,7 @@ def run(
     focal_length_mm: float | None,
     f_number: float | None,
     focus_shift_um: float | None,
+    nearest_glasses: bool,
     out: Path | None,
 ) -> None:
     """Show the data of a lens; write its bank or its page where `out` asks for them.
@@ -47,7 +49,8 @@ def run(
     states is not met, the exit code is 1, after everything was shown and written.
     """
     if name is None:
-        if any(one is not None for one in (focal_length_mm, f_number, focus_shift_um, out)):
+        given = (focal_length_mm, f_number, focus_shift_um, nearest_glasses or None, out)
+        if any(one is not None for one in given):
             raise UserError(
                 "the options need a lens", field="LENS", allowed=", ".join(presets()) + ", a file"
             )
@@ -58,6 +61,7 @@ def run(
             "--focal-length": focal_length_mm,
             "--f-number": f_number,
             "--focus-shift": focus_shift_um,
+            "--nearest-glasses": nearest_glasses or None,
         }
         for option, value in changes.items():
             if value is not None:
@@ -73,7 +77,15 @@ def run(
     lens = load_prescription(name)
     # The source's figures hold for the lens as published.
     checks = checked(lens)
-    account = Account() if name in presets() else lens.account
+    # What is said of a lens of the package's own is of what comes now.
+    account = lens.account if name not in presets() else Account()
+    said = len(lens.account.rows)
+    if nearest_glasses:
+        lens = lens.with_nearest_glasses()
+    else:
+        state_model_glasses(lens)
+    if account is not lens.account:
+        account.rows += lens.account.rows[said:]
     if focal_length_mm is not None:
         lens = lens.scaled(focal_length_mm)
     if f_number is not None:

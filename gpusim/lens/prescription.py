@@ -99,9 +99,11 @@ class Surface(_Strict):
     """One surface and the space behind it.
 
     ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface (in air it
-    may be a step back); ``glass`` behind it (absent: air; ``model``: nd and vd rule; ``constant``:
-    nd at every wavelength, for sources without dispersion; else a glass of a catalogue, or one with
-    its own ``dispersion``, beside which nd and vd record what the source printed).
+    may be a step back); ``glass`` behind it (absent: air; ``model``: nd and vd rule, with
+    ``dpgf``, how far P_g,F lies above the normal line, by default as most glasses of that vd;
+    ``constant``: nd at every wavelength, for sources without dispersion; else a glass of a
+    catalogue, or one with its own ``dispersion``, beside which nd and vd record what the source
+    printed).
 
     ``decentre_mm`` [x, y] moves the vertex off the axis, then ``tilt_deg`` [ax, ay] turns the
     surface about its own vertex: by ax about x, then by ay about the y axis that was turned with
@@ -115,6 +117,7 @@ class Surface(_Strict):
     glass: str | None = Field(None, min_length=1)
     nd: float | None = Field(None, gt=1, lt=5)
     vd: float | None = Field(None, gt=5, lt=150)
+    dpgf: float | None = Field(None, ge=-0.2, le=0.2)
     dispersion: Dispersion | None = None
     conic: float = 0.0
     asphere: Asphere = Asphere()
@@ -137,6 +140,8 @@ class Surface(_Strict):
             raise ValueError("nd and vd need a glass (glass: model uses them as they are)")
         if self.glass == "model" and self.nd is None:
             raise ValueError("a model glass needs nd and vd")
+        if self.glass != "model" and self.dpgf is not None:
+            raise ValueError("dpgf needs a model glass")
         if self.dispersion is not None and self.glass in (None, "model", "constant"):
             raise ValueError("a dispersion needs the name of its glass")
         # In air a step back is a way to place a diaphragm beside the vertex of a lens.
@@ -212,6 +217,7 @@ class Prescription(_Strict):
     notes: str = ""
     units: Literal["mm"]
     glass_catalogues: tuple[str, ...] = ()
+    nearest_glasses: bool = False  # in place of model glasses, of which nd and Vd alone are known
     design_wavelengths_nm: tuple[float, ...] = Field((486.1327, 587.5618, 656.2725), min_length=1)
     reference_nm: float = Field(587.5618, gt=0)
     f_number: float | None = Field(None, gt=0)
@@ -231,6 +237,7 @@ class Prescription(_Strict):
     _file: Path | None = PrivateAttr(None)
     _history: tuple[str, ...] = PrivateAttr(())
     _account: Account = PrivateAttr(default_factory=Account)
+    _states_axis_alone: bool = PrivateAttr(False)
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -262,6 +269,11 @@ class Prescription(_Strict):
     def account(self) -> Account:
         """What the reader made of the file: rows of surface number or "file", what, how."""
         return self._account
+
+    @property
+    def states_axis_alone(self) -> bool:
+        """Whether its file states no field but the axis, so that a use may choose one."""
+        return self._states_axis_alone
 
     @property
     def history(self) -> tuple[str, ...]:
@@ -375,8 +387,19 @@ class Prescription(_Strict):
             focus_shift_um=self.focus_shift_um + shift_um,
         )
 
+    def with_nearest_glasses(self) -> Prescription:
+        """Return the lens with each model glass by the nearest one of the glass catalogues.
+
+        See ``gpusim.lens.model_glass``; a model glass that has none near it stays.
+        """
+        from gpusim.lens.model_glass import with_nearest
+
+        return with_nearest(self)
+
     def limited(self, max_field_deg: float) -> Prescription:
         """Return the lens used over a smaller field; the glass keeps its size.
+
+        A lens whose file states the axis alone takes any field that it passes.
 
         Raises
         ------
@@ -385,6 +408,10 @@ class Prescription(_Strict):
         """
         from gpusim.lens.system import with_clear_apertures
 
+        if self.states_axis_alone and 0 < max_field_deg < 90:
+            return self.derived(
+                f"field of {max_field_deg:g} deg chosen", max_field_deg=float(max_field_deg)
+            )
         if not 0 <= max_field_deg <= self.max_field_deg:
             raise UserError(
                 "the field lies beyond the lens",
@@ -510,7 +537,14 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
             file=path,
             allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}",
         ) from error
-    return reader(content, path)
+    lens = reader(content, path)
+    if lens.nearest_glasses:
+        lens = lens.with_nearest_glasses()
+    if lens.max_field_deg == 0:
+        from gpusim.lens.imported import with_small_field
+
+        lens = with_small_field(lens)
+    return lens
 
 
 KINDS = ".yaml, .zmx, .seq or .dat"

@@ -17,7 +17,7 @@ from pathlib import Path
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.glass import BOOKS, catalogue
-from gpusim.lens.imported import INFINITE, Beam, Fields, finished, radial_angle_deg
+from gpusim.lens.imported import INFINITE, ON_LINE, Beam, Fields, finished, radial_angle_deg
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.text import decoded, finite
 
@@ -522,7 +522,7 @@ class _Reader:
             nd = 1 + int(nd_digits) / 10 ** len(nd_digits)
             vd = int(vd_digits) / 10 ** (len(vd_digits) - 2)
             self.account.substituted(
-                row.number, f"glass {row.glass}: nd {nd:g}, Vd {vd:g} by Cauchy's two-term law"
+                row.number, f"glass {row.glass}: nd {nd:g}, Vd {vd:g} {ON_LINE}"
             )
             return {"glass": "model", "nd": nd, "vd": vd}
         bare, underscore, book = name.rpartition("_")

@@ -16,7 +16,7 @@ from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.agf import read_agf
 from gpusim.lens.glass import BOOKS, catalogue
-from gpusim.lens.imported import INFINITE, Beam, Fields, finished, radial_angle_deg
+from gpusim.lens.imported import INFINITE, ON_LINE, Beam, Fields, finished, radial_angle_deg
 from gpusim.lens.prescription import ASPHERE_POWERS, Prescription
 from gpusim.lens.text import decoded, finite
 
@@ -39,6 +39,16 @@ _REFUSED_SURFACE_KEYS = {
     "UDAD": "an aperture from a file is not modelled",
     "OBDC": "a decentred aperture is not modelled",
     "SCBD": "a tilted or decentred surface is not modelled",
+}
+# Fields and vignetting factors in files of about 2003 and before.
+_OLD_KEYS = {
+    "XFLD": "XFLN",
+    "YFLD": "YFLN",
+    "ZVDX": "VDXN",
+    "ZVDY": "VDYN",
+    "ZVCX": "VCXN",
+    "ZVCY": "VCYN",
+    "ZVAN": "VANN",
 }
 _EVEN_TERMS = 8  # PARM 1 to 8 of an even asphere: r^2 to r^16
 # What OpticStudio writes as nd and Vd beside a glass of which it recorded none.
@@ -81,6 +91,7 @@ class _Reader:
                     )
                 self.surfaces.append(_Block(len(self.surfaces)))
                 continue
+            key = _OLD_KEYS.get(key, key)
             # Only indented lines belong to a surface; operands and settings may follow the last.
             indented = line[0] in " \t" and self.surfaces
             block = self.surfaces[-1] if indented else self.head
@@ -129,7 +140,7 @@ class _Reader:
         if "RAIM" in head.lines:
             self.account.substituted("file", "RAIM: every ray is aimed at the real stop")
             used.add("RAIM")
-        for key in sorted(head.lines):
+        for key in sorted(set(head.lines) - {"WWGT"} if "WAVL" in used else head.lines):
             if key in used:
                 self.account.read("file", key)
             else:
@@ -173,20 +184,29 @@ class _Reader:
         )
 
     def _wavelengths(self, used: set[str]) -> dict[str, object]:
+        """Read ``WAVM i um weight`` lines, or the one ``WAVL um um ...`` of old files."""
         head = self.head
-        count = self.number(head, "FTYP", 3, 1)
+        key = "WAVL" if "WAVL" in head.lines and "WAVM" not in head.lines else "WAVM"
+        if key == "WAVL":
+            listed = [[str(i), word] for i, word in enumerate(head.first("WAVL"), start=1)]
+        else:
+            listed = head.lines.get("WAVM", [])
+        # Old files do not say how many: as many as the line has.
+        count = self.number(head, "FTYP", 3, len(listed) if key == "WAVL" else 1)
         wavelengths = []
-        for values in head.lines.get("WAVM", []):
+        for values in listed:
             try:
                 order, micrometres = int(values[0]), finite(values[1])
             except (IndexError, ValueError) as error:
                 raise self.refuse(
-                    "a wavelength is not a number", "WAVM", " ".join(values), "WAVM i um weight"
+                    "a wavelength is not a number", key, " ".join(values), "a number of um"
                 ) from error
             if order <= count:
                 wavelengths.append(micrometres * 1e3)
         if not wavelengths:
-            raise self.refuse("the file states no wavelength", "WAVM", None, "WAVM i um weight")
+            raise self.refuse(
+                "the file states no wavelength", key, None, "WAVM i um weight, or WAVL um um ..."
+            )
         primary = int(self.number(head, "PWAV", 0, 1))
         if not 1 <= primary <= len(wavelengths):
             raise self.refuse(
@@ -195,8 +215,9 @@ class _Reader:
                 primary,
                 f"1 to {len(wavelengths)}",
             )
-        self.account.ignored("file", "WAVM weights: spectra are given where a bank is used")
-        used |= {"WAVM", "PWAV"}
+        weights = "WWGT" if key == "WAVL" else "WAVM weights"
+        self.account.ignored("file", f"{weights}: spectra are given where a bank is used")
+        used |= {key, "PWAV"}
         return {
             "design_wavelengths_nm": tuple(wavelengths),
             "reference_nm": wavelengths[primary - 1],
@@ -221,7 +242,7 @@ class _Reader:
                 "an object-space telecentric lens", "FTYP", " ".join(head.first("FTYP")), "0"
             )
         stated = max(len(head.first("XFLN") or []), len(head.first("YFLN") or []))
-        count = int(min(self.number(head, "FTYP", 2, 1), stated))
+        count = int(min(self.number(head, "FTYP", 2, stated), stated))
         if count < 1:
             raise self.refuse("the file states no field", "YFLN", None, "YFLN values")
         at = [(self.number(head, "XFLN", i), self.number(head, "YFLN", i)) for i in range(count)]
@@ -514,13 +535,17 @@ class _Reader:
                 )
             row["glass"] = name
             return
-        law = "Cauchy's two-term law"
+        law = ON_LINE
         row["glass"], row["nd"], row["vd"] = "model", nd, vd
+        if departs := self.number(block, "GLAS", 5):
+            row["dpgf"] = departs
+            law = f"by a model glass {departs:+g} off the normal line in P_g,F"
         if vd == 0:  # OpticStudio's model glass without dispersion
             del row["vd"]
-            row["glass"], law = "constant", "one index at every wavelength"
+            row.pop("dpgf", None)
+            row["glass"], law = "constant", "by one index at every wavelength"
         what = "model glass" if name == "___BLANK" else f"{name}, which no catalogue has here,"
-        self.account.substituted(block.number, f"GLAS: {what} nd {nd:g}, Vd {vd:g} by {law}")
+        self.account.substituted(block.number, f"GLAS: {what} nd {nd:g}, Vd {vd:g} {law}")
 
     def _aperture_of(self, block: _Block, row: dict[str, object]) -> None:
         """DIAM is the semi-diameter; CLAP a ring, of which only the outer edge is modelled."""

@@ -1,5 +1,7 @@
 """A .zmx file of our own writing gives the same lens; what is not modelled is refused by name."""
 
+import re
+
 import numpy as np
 import pytest
 from lens.made import lens, model
@@ -96,6 +98,73 @@ def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
     assert first_order(read) == first_order(original)
     assert read.surfaces[1].thickness == 30.0
     assert any("model glass nd 1.52" in text for text in read.account.listed("substituted"))
+
+
+def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path):
+    rows = [{"radius": 20.0, "thickness": 3.0, **model(1.52)}, {"radius": -20.0}]
+    text = zmx_text(lens(rows), 18.0)
+    for number, dpgf in (("0.0125", 0.0125), ("-3.0E-3", -0.003), ("0", None)):
+        changed = text.replace("149.0 0 0", f"149.0 {number} 0", 1)
+        read = parse_zmx(changed.encode("cp1252"), tmp_path / "a.zmx")
+        assert read.surfaces[0].dpgf == dpgf
+        (said,) = [one for one in read.account.listed("substituted") if "GLAS" in one]
+        assert ("off the normal line" in said) == (dpgf is not None)
+        assert (read.surfaces[0].nd, read.surfaces[0].vd) == (1.52, 149.0)
+
+
+def old_zmx(written, *changes):
+    """Return the file as programs of about 2003 write it: a line of wavelengths, XFLD and YFLD."""
+    text = re.sub(r"WAVM .*\r\n", "", text_of(written).decode())
+    text = re.sub(r"FTYP .*\r\n", "FTYP 0 0\r\n", text)
+    for key, old in (("XFLN", "XFLD"), ("YFLN", "YFLD"), ("VDYN", "ZVDY"), ("VCYN", "ZVCY")):
+        text = text.replace(key, old)
+    for before, after in (
+        ("PWAV 2", "WAVL 4.861327E-001 5.875618E-001 6.562725E-001\r\nWWGT 1 2 1\r\nPWAV 2"),
+        *changes,
+    ):
+        assert before in text
+        text = text.replace(before, after, 1)
+    return text.encode("cp1252")
+
+
+def test_the_line_of_wavelengths_of_old_files_is_read(tmp_path, written):
+    new = parse_zmx(text_of(written), tmp_path / "new.zmx")
+    old = parse_zmx(old_zmx(written), tmp_path / "old.zmx")
+    assert old.design_wavelengths_nm == pytest.approx([486.1327, 587.5618, 656.2725], rel=1e-12)
+    assert old.reference_nm == pytest.approx(587.5618, rel=1e-12)
+    assert old.max_field_deg == new.max_field_deg
+    assert old.surfaces == new.surfaces
+    assert ("file", "WAVL", "read") in old.account.rows
+    weights = [row for row in old.account.rows if "WWGT" in row.what]
+    assert [row.how for row in weights] == ["ignored"]
+    # The primary, and how many count where the file says it.
+    other = parse_zmx(old_zmx(written, ("PWAV 2", "PWAV 3")), tmp_path / "old.zmx")
+    assert other.reference_nm == pytest.approx(656.2725, rel=1e-12)
+    two = parse_zmx(old_zmx(written, ("FTYP 0 0", "FTYP 0 0 3 2")), tmp_path / "old.zmx")
+    assert len(two.design_wavelengths_nm) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("5.875618E-001", "yellow"), ["not a number", "WAVL", "yellow"]),
+        (("PWAV 2", "PWAV 4"), ["primary wavelength", "1 to 3"]),
+        (
+            ("WAVL 4.861327E-001 5.875618E-001 6.562725E-001", "WAVL"),
+            ["no wavelength", "WAVL um um"],
+        ),
+    ],
+)
+def test_a_wrong_line_of_wavelengths_is_refused(tmp_path, written, change, words):
+    with pytest.raises(UserError) as caught:
+        parse_zmx(old_zmx(written, change), tmp_path / "old.zmx")
+    for word in words:
+        assert word in caught.value.screen()
+
+
+def test_vignetting_factors_of_old_files_are_read(tmp_path, written):
+    old = parse_zmx(old_zmx(written, ("ZVCY 0 0 0", "ZVCY 0 0.1 0.3")), tmp_path / "old.zmx")
+    assert any("vignetting factors" in text for text in old.account.listed("substituted"))
 
 
 @pytest.mark.parametrize(
