@@ -70,7 +70,7 @@ def traps(
             room = np.where((slab <= at)[..., None], passed - held, 0.0)
             wanted = _electrons(top, room, density)
             share = np.ones(lines)
-            np.divide(free, wanted, out=share, where=free < wanted)
+            np.divide(free, wanted, out=share, where=(free < wanted) & (wanted > 0))
             share = np.maximum(share, 0)
             held += share[:, None, None] * room
             arrived[packet] = free - share * wanted
