@@ -714,11 +714,13 @@ class _Shot:
         renderer = self.renderer
         rec = Recording(renderer.device)
         outputs = self._outputs(rec, strip, rates, tile)
-        labels = {name: rec.download(outputs[name]) for name in self.planes}
+        # Without noise the electrons are their own mean: one buffer, which comes once.
+        for array in {outputs[name].label: outputs[name] for name in self.planes}.values():
+            rec.download(array)
         result = self._run(rec)
         for name, plane in self.planes.items():
-            part = self._area(name, strip)
-            _part(plane, self._area(name, self.rect), part)[...] = result[labels[name]]
+            part = _part(plane, self._area(name, self.rect), self._area(name, strip))
+            part[...] = result[outputs[name].label]
 
     def _area(self, name: str, rect: Rect) -> Rect:
         """Return what a plane holds of a rectangle: also the pixels around it that it needs."""
@@ -773,7 +775,12 @@ class _ShiftedShot(_Shot):
         light = {"light": np.float32}
         if "rate" in names and renderer.plan.runs("crosstalk"):
             light["rate"] = np.float32
-        super().__init__(renderer, tiled, light, folder, shot)
+        within = (
+            None if folder is None else folder / "light"
+        )  # beside what is wanted of the same name
+        if within is not None:
+            within.mkdir(exist_ok=True)
+        super().__init__(renderer, tiled, light, within, shot)
         self.folder = folder
         self.charge = self._charge("charge")
         self.wanted = rect
@@ -793,8 +800,7 @@ class _ShiftedShot(_Shot):
         if "rate" in self.found:  # none in the overscan
             seen = overlap(self.wanted, self.rect)
             self.found["rate"][...] = 0
-            light = self._light
-            _part(self.found["rate"], self.wanted, seen)[...] = _part(*light, seen)
+            _part(self.found["rate"], self.wanted, seen)[...] = _part(*self._light, seen)
 
     @property
     def _light(self) -> Placed:

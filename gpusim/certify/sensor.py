@@ -267,7 +267,8 @@ def _columns(light: _Light, row: np.ndarray, col: np.ndarray) -> np.ndarray:
         kind = sensor.smear.kind
         if kind == "frame_transfer" and sensor.smear.cleared_by_shift:
             kind = "cleared"
-        mean = smear(spread, mean, kind, sensor.smear.weight_s, limit_e)
+        weight_s = sensor.smear.row_s * (sensor.smear.leak or 1.0)
+        mean = smear(spread, mean, kind, weight_s, limit_e)
     if sensor.bloom:
         mean, _ = bloom(mean, sensor.full_well_e)
     return _transferred(
