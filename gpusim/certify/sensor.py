@@ -272,7 +272,7 @@ def _columns(light: _Light, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     if sensor.bloom:
         mean, _ = bloom(mean, sensor.full_well_e)
     return _transferred(
-        mean, line, row - first, sensor.parallel_cti, sensor.full_well_e, sensor.first_row
+        mean, line, row - first, sensor.parallel_cti, sensor.full_well_e, sensor.first_row, rows
     )
 
 
@@ -281,8 +281,9 @@ def _arrived(sensor: Sensor, charge: Placed, row: np.ndarray, col: np.ndarray) -
     rows, line = np.unique(row, return_inverse=True)
     first, cols = charge.rect[1], charge.rect[3]
     held = charge.at(rows, np.arange(first, first + cols)[:, None])
+    elements = sensor.frame.pixels[3]
     return _transferred(
-        held, line, col - first, sensor.serial_cti, sensor.full_well_e, sensor.first_col
+        held, line, col - first, sensor.serial_cti, sensor.full_well_e, sensor.first_col, elements
     )
 
 
@@ -293,8 +294,13 @@ def _transferred(
     model: Cti | None,
     well_e: float,
     before: int,
+    elements: int,
 ) -> np.ndarray:
-    """Return what arrives (P,) of packets of the lines of a charge (packets, lines)."""
+    """Return what arrives (P,) of packets of the lines of a charge (packets, lines).
+
+    ``elements`` hold photosites, and as many packets as there are in a whole line; ``before`` lie
+    between the first of them and the read-out.
+    """
     if model is None:
         return charge[packet, line]
     if model.traps:
@@ -304,8 +310,9 @@ def _transferred(
             well_fill_power=model.well_fill_power,
             well_e=model.well_e or well_e,
             notch_e=model.notch_e,
-            groups=min(model.groups, before + len(charge)),
+            groups=min(model.groups, before + elements),
             before=before,
+            overscan=len(charge) - elements,
         )
         return arrived[packet, line]
     # Only so many packets before each one matter; before the first one of the line there are none.

@@ -32,7 +32,7 @@ def traps(
     before : int
         Sites between packet 0 and the read-out.
     overscan : int
-        Last packets that have no site of their own.
+        Last packets that have no site of their own; below 0, sites beyond the last packet.
 
     Returns
     -------

@@ -213,7 +213,9 @@ def record_rows(
         charge = record_border(rec, charge, held, given, label="framed charge")
     electrons, origin = charge, sensor.frame.on_chip(rect)
     if runs("serial cti"):
-        electrons = _shifted(rec, charge, sensor.serial_cti, sensor, overscan, serial=True)
+        # The register is as long as the sensor, however much of it a tile needs.
+        beyond = charge.shape[1] - sensor.frame.pixels[3]
+        electrons = _shifted(rec, charge, sensor.serial_cti, sensor, beyond, serial=True)
     if runs("coupling"):
         kernels, frame = sensor.crosstalk.electrical, sensor.frame.read
         electrons = record_crosstalk(
