@@ -18,7 +18,12 @@ The engine's error at the electrons is no larger than at the rates, where it is 
 pixel has after cross-talk, smear and transfer is a sum of light around it with shares that are not
 negative, so that its relative error is a mean of theirs, weighted with their light, and no larger
 than the largest of them. Response and exposure scale signal and error alike, and dark current adds
-to the signal alone.
+to the signal alone. Traps and blooming are not linear, but pass on of a change of the charge no
+more than there is of it.
+
+Blooming halves an excess to whole electrons, for it is made for charge that was drawn: where the
+excess of a mean comes within a rounding of an even number, the two chains may send one electron to
+different ends.
 """
 
 from __future__ import annotations

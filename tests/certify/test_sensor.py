@@ -350,6 +350,10 @@ def test_beyond_the_full_well_no_sigmas_are_counted():
     assert share_of(1.003, sigma, full_well_e=1001.0, temporal_dark_noise_e=0.0).worst == (
         pytest.approx(1 / np.sqrt(1000))
     )
+    # 800 electrons are shown of 900; and so much noise has the full well.
+    assert share_of(0.8, sigma, full_well_e=900.0, temporal_dark_noise_e=0.0).worst == (
+        pytest.approx(100 / 30)
+    )
     assert share_of(1.003, Accuracy(1e-2, 4), full_well_e=900.0).worst == pytest.approx(0.003)
 
 
