@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
-from gpusim.certify import Certificate, certify
+from gpusim.certify import Certificate, MeanSignal, Placed, Share, certify, sensor_share
 from gpusim.errors import UserError
 from gpusim.gpu import (
     Array,
@@ -57,7 +57,7 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.ccd import ReadOut, needed, record_tile
+from gpusim.sensor.ccd import ReadOut, needed, record_tile, taking
 from gpusim.sensor.frame import overlap, parts_around
 from gpusim.sensor.planes import planes_of
 from gpusim.sensor.readout import Shot, record_readout, rects_of
@@ -366,7 +366,7 @@ class Renderer:
             _check("tile-size", tile_px, tile_px >= self.period, f"{self.period} or more")
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
         if self.accuracy.probes:
-            names["rate"] = np.float32
+            names |= dict.fromkeys(("rate", "mean"), np.float32)
         if temperature_c is None:
             temperature_c = sensor.reference_temperature_c
         sensor.dark_current_at(temperature_c)  # refuses what is none
@@ -386,22 +386,32 @@ class Renderer:
         if self.accuracy.probes:
             seen = overlap(rect, sensor.frame.lit)
             top, left = seen[0] - rect[0], seen[1] - rect[1]
+
+            def readout(pixels: np.ndarray) -> tuple[Share, str]:
+                with self.device.pool.within(self.memory_bytes):
+                    made = shot.mean_signal()
+                noise = self.plan.runs("noise")
+                return sensor_share(
+                    sensor, made, pixels, exposure_s, temperature_c, noise, self.accuracy
+                )
+
             certificate = certify(
                 self.lens_bank,
                 sensor,
                 self.scene,
                 self.placed,
-                shot.planes["rate"][top : top + seen[2], left : left + seen[3]],
+                shot.on_rect("rate")[top : top + seen[2], left : left + seen[3]],
                 self.glare,
                 exposure_s,
                 self.accuracy,
                 lambda done, total: report("certify", done, total),
                 origin=seen[:2],
+                readout=readout,
             )
         return Capture(
-            raw=shot.planes["dn"],
-            rate=shot.planes["rate"] if "rate" in keep else None,
-            electrons=shot.planes.get("electrons"),
+            raw=shot.on_rect("dn"),
+            rate=shot.on_rect("rate") if "rate" in keep else None,
+            electrons=shot.on_rect("electrons") if "electrons" in keep else None,
             white_e=self._white_e(exposure_s),
             transmission=np.interp(
                 WAVELENGTHS_NM, self.bank.wavelengths_nm, self.bank.transmission
@@ -620,7 +630,8 @@ class _Shot:
     ) -> None:
         self.renderer, self.rect, self.shot = renderer, rect, shot
         self.planes = {
-            name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
+            name: _on_host(name, self._area(name, rect)[2:], dtype, folder)
+            for name, dtype in names.items()
         }
         self.times_s: dict[str, float] = defaultdict(float)
         self.work = {"tiles": 0, "blocks": 0}
@@ -763,11 +774,27 @@ class _Shot:
         renderer = self.renderer
         rec = Recording(renderer.device)
         outputs = self._outputs(rec, strip, rates, tile)
-        labels = {name: rec.download(outputs[name]) for name in self.planes}
+        # Without noise the electrons are their own mean: one buffer, which comes once.
+        for array in {outputs[name].label: outputs[name] for name in self.planes}.values():
+            rec.download(array)
         result = self._run(rec)
-        row, col = strip[0] - self.rect[0], strip[1] - self.rect[1]
         for name, plane in self.planes.items():
-            plane[row : row + strip[2], col : col + strip[3]] = result[labels[name]]
+            part = _part(plane, self._area(name, self.rect), self._area(name, strip))
+            part[...] = result[outputs[name].label]
+
+    def _area(self, name: str, rect: Rect) -> Rect:
+        """Return what a plane holds of a rectangle: also the pixels around it that it needs."""
+        collecting, taking = rects_of(rect, self.renderer.camera.sensor, self.renderer.plan.runs)
+        return {"rate": taking, "mean": collecting}.get(name, rect)
+
+    def on_rect(self, name: str) -> np.ndarray:
+        """Return a plane, of the rectangle alone."""
+        return _part(self.planes[name], self._area(name, self.rect), self.rect)
+
+    def mean_signal(self) -> MeanSignal:
+        """Return the light and the mean electrons that the certificate compares."""
+        placed = [Placed(self.planes[n], self._area(n, self.rect)) for n in ("rate", "mean")]
+        return MeanSignal(*placed)
 
     def _outputs(
         self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
@@ -783,7 +810,6 @@ class _Shot:
             tile,
             self.shot,
             renderer.plan.runs,
-            self.planes,
         )
 
     def _run(self, rec: Recording) -> Result:
@@ -847,38 +873,81 @@ class _ShiftedShot(_Shot):
         light = {"light": np.float32}
         if "rate" in names and renderer.plan.runs("crosstalk"):
             light["rate"] = np.float32
-        super().__init__(renderer, tiled, light, folder, shot)
-        size = sensor.frame.read[2], tiled[3]
-        self.charge = _on_host("charge", size, np.float32, folder)
+        within = (
+            None if folder is None else folder / "light"
+        )  # beside what is wanted of the same name
+        if within is not None:
+            within.mkdir(exist_ok=True)
+        super().__init__(renderer, tiled, light, within, shot)
+        self.folder = folder
+        self.charge = self._charge("charge")
         self.wanted = rect
         self.found = {
-            name: _on_host(name, rect[2:], dtype, folder) for name, dtype in names.items()
+            name: _on_host(name, rect[2:], dtype, folder)
+            for name, dtype in names.items()
+            if name != "mean"  # made when it is asked for
         }
 
     def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
         """Render the light of all tiles; then read out."""
         super().render(tile_px, progress)
-        renderer, light = self.renderer, self.planes["light"]
-        read_out = ReadOut(
-            renderer.device,
-            renderer.camera.sensor,
-            self.shot,
-            renderer.plan.runs,
-            renderer.memory_bytes // STRIP_SHARE,
-            self._run,
-        )
-        read_out.columns(light, self.rect, self.charge)
+        read_out = self._read_out(self._run)
+        read_out.columns(self.planes["light"], self.rect, self.charge)
         drawn = {name: plane for name, plane in self.found.items() if name != "rate"}
         read_out.rows(self.charge, self.rect[1], self.wanted, drawn)
         if "rate" in self.found:  # none in the overscan
-            row, col, rows, cols = overlap(self.wanted, self.rect)
-            top, left = row - self.rect[0], col - self.rect[1]
+            seen = overlap(self.wanted, self.rect)
             self.found["rate"][...] = 0
-            self.found["rate"][
-                row - self.wanted[0] : row - self.wanted[0] + rows,
-                col - self.wanted[1] : col - self.wanted[1] + cols,
-            ] = self.planes.get("rate", light)[top : top + rows, left : left + cols]
-        self.planes = self.found
+            _part(self.found["rate"], self.wanted, seen)[...] = _part(*self._light, seen)
+
+    @property
+    def _light(self) -> Placed:
+        """The rate of the pixels."""
+        name = "rate" if "rate" in self.planes else "light"
+        return Placed(self.planes[name], self._area(name, self.rect))
+
+    def _area(self, name: str, rect: Rect) -> Rect:
+        sensor, runs = self.renderer.camera.sensor, self.renderer.plan.runs
+        return taking(rect, sensor, runs) if name == "rate" else rect
+
+    def _charge(self, name: str) -> np.ndarray:
+        """Return room for the charge of whole columns."""
+        size = self.renderer.camera.sensor.frame.read[2], self.rect[3]
+        return _on_host(name, size, np.float32, self.folder)
+
+    def _read_out(
+        self, run: Callable[[Recording], Result], without: Collection[str] = ()
+    ) -> ReadOut:
+        renderer, runs = self.renderer, self.renderer.plan.runs
+        return ReadOut(
+            renderer.device,
+            renderer.camera.sensor,
+            self.shot,
+            lambda name: name not in without and runs(name),
+            renderer.memory_bytes // STRIP_SHARE,
+            run,
+        )
+
+    def on_rect(self, name: str) -> np.ndarray:
+        """Return a plane, of the rectangle alone."""
+        return self.found[name]
+
+    def mean_signal(self) -> MeanSignal:
+        """Return light, mean charge of whole columns, and mean electrons that arrive.
+
+        The light goes through the read-out once more, and no noise is drawn.
+        """
+        read = self.renderer.camera.sensor.frame.read
+        columns = read[0], self.rect[1], read[2], self.rect[3]
+        charge = self._charge("mean_charge")
+        self._read_out(Recording.run, ("noise",)).columns(self.planes["light"], self.rect, charge)
+        # Whole rows: the serial register is as long as the frame itself found it.
+        seen = overlap(self.wanted, self.rect)
+        rows = seen[0], self.rect[1], seen[2], self.rect[3]
+        mean = _on_host("mean", rows[2:], np.float32, self.folder)
+        later = ("noise", "coupling", "defects")  # what comes once the charge has arrived
+        self._read_out(Recording.run, later).rows(charge, rows[1], rows, {"electrons": mean})
+        return MeanSignal(self._light, Placed(mean, rows), Placed(charge, columns))
 
     def _outputs(
         self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
@@ -898,6 +967,12 @@ def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None
         with file.open("r+b") as opened:
             os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
     return array
+
+
+def _part(plane: np.ndarray, area: Rect, rect: Rect) -> np.ndarray:
+    """Return the part of a plane, which is that of an area, on a rectangle of it."""
+    row, col = rect[0] - area[0], rect[1] - area[1]
+    return plane[row : row + rect[2], col : col + rect[3]]
 
 
 def _rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:

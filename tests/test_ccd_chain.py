@@ -237,6 +237,21 @@ def test_a_tile_is_that_part_of_the_whole(shifting: Renderer, whole: Capture, ti
         assert_close(getattr(found, name), part.copy(), atol=0)
 
 
+def test_traps_of_the_serial_register_are_as_many_for_a_tile():
+    one = renderer(ccd(serial_cti=TRAPS), noise=False)
+    whole = one.capture(EXPOSURE_S, keep=KEEP)
+    part = one.capture(EXPOSURE_S, tile=(5, 3, 20, 33), keep=KEEP)
+    one.release()
+    assert_close(part.electrons, whole.electrons[3:36, 5:25].copy(), atol=0)
+
+
+def test_planes_in_files_are_those_in_memory(shifting: Renderer, whole: Capture, tmp_path: Path):
+    """With overscan and cross-talk: the rate that is kept is not the one that is read out."""
+    found = shifting.capture(EXPOSURE_S, seed=5, keep=KEEP, folder=tmp_path)
+    for name in ("raw", *KEEP):
+        assert_close(np.array(getattr(found, name)), getattr(whole, name), atol=0)
+
+
 def test_strips_change_not_one_bit(shifting: Renderer, whole: Capture, monkeypatch):
     monkeypatch.setattr("gpusim.sensor.ccd.PLANES", shifting.memory_bytes // 16 // (4 * 60 * 7))
     found = shifting.capture(EXPOSURE_S, seed=5, keep=KEEP)

@@ -62,7 +62,12 @@ def test_the_light_is_that_of_the_sensor_without_a_border(kind):
     outside[LIT] = 0
     assert_close(outside, np.zeros((75, 97)), atol=0)
     assert framed.certificate.met
-    assert replace(framed.certificate, seconds=0) == replace(bare.certificate, seconds=0)
+    # The engine's part is the same; of the sensor's, the border moves the fixed pattern's keys.
+    engines = [
+        [getattr(one.certificate, name) for name in ("engine_rms", "engine_worst", "points")]
+        for one in shots
+    ]
+    assert engines[0] == engines[1]
 
 
 def test_the_border_is_dark(whole: Capture):

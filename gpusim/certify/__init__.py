@@ -3,14 +3,18 @@
 from gpusim.certify.budget import Certificate, Probe, Share, compare
 from gpusim.certify.engine import certify, glare_at, true_rates
 from gpusim.certify.probes import choose_probes
+from gpusim.certify.sensor import MeanSignal, Placed, sensor_share
 
 __all__ = [
     "Certificate",
+    "MeanSignal",
+    "Placed",
     "Probe",
     "Share",
     "certify",
     "choose_probes",
     "compare",
     "glare_at",
+    "sensor_share",
     "true_rates",
 ]

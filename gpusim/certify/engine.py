@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.certify.budget import Certificate, compare
+from gpusim.certify.budget import EXACT, Certificate, Share, compare
 from gpusim.certify.probes import choose_probes
 from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
@@ -100,6 +100,7 @@ def certify(
     accuracy: Accuracy,
     progress: Callable[[int, int], None] | None = None,
     origin: tuple[int, int] = (0, 0),
+    readout: Callable[[np.ndarray], tuple[Share, str]] | None = None,
 ) -> Certificate:
     """Compare a render with the truth model at probe pixels.
 
@@ -118,14 +119,19 @@ def certify(
         Called with (done, total) probes.
     origin : (int, int)
         Row and column of the rectangle's first pixel.
+    readout : callable, optional
+        Returns the sensor's part at pixels (P, 2), and a note on it; without it there is none.
     """
     started = time.perf_counter()
     there = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
     pixels = there + origin
     truth = true_rates(bank, sensor, scene, placed, pixels, progress)
     truth += glare_at(sensor, glare, pixels)
+    share, *notes = (EXACT,) if readout is None else readout(pixels)
     seconds = time.perf_counter() - started
-    return compare(sensor, pixels, truth, rate[tuple(there.T)], exposure_s, accuracy, seconds)
+    found = rate[tuple(there.T)]
+    given = sensor, pixels, truth, found, exposure_s, accuracy, seconds
+    return compare(*given, readout=share, notes=tuple(notes))
 
 
 def glare_at(sensor: Sensor, glare: np.ndarray, pixels: np.ndarray) -> np.ndarray:

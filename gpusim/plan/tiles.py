@@ -12,8 +12,8 @@ Rect = tuple[int, int, int, int]  # first row and column, rows and columns
 # around a block of 88 x 88 pixels some megabytes, and the more of them are at hand the better.
 TILE_SHARE = 8  # an eighth for the planes of a tile
 STRIP_SHARE = 16  # a sixteenth for a strip on its way through the sensor
-# Rate, framed, mean, electrons, numbers, up to three of them on their way out; and what cross-talk
-# makes of the rate and of the charge, and the rate without it.
+# Rate, framed, mean, electrons, numbers, up to four of them on their way out; and what cross-talk
+# makes of the rate and of the charge.
 STRIP_PLANES = 12
 RESERVE_BYTES = 1 << 20  # for the parameters and the clocks of one line of blocks
 SMALLEST_PX = 64  # side of the smallest tile: below it only the kernels count

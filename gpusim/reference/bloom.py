@@ -1,4 +1,4 @@
-"""Float64 twin of the bloom stage: each photosite's excess sent on its way by itself."""
+"""Float64 twin of the bloom stage: flows along a column as queues, in closed form."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ def bloom(
     charge: np.ndarray, full_well_e: float, photosites: slice = slice(None)
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the charge (rows, cols) after blooming, and what left (2, cols) at row 0 and the end.
+
+    With x what a photosite adds to a flow less its room, the flow behind it is max(flow + x, 0): it
+    is that of a queue, S - min(0, min S) over all sums S of x so far (Lindley 1952, "The theory of
+    queues with a single server", eq. 1).
 
     Parameters
     ----------
@@ -24,14 +28,12 @@ def bloom(
     inner -= excess
     left = np.zeros((2, held.shape[1]))
     halves = np.floor(excess / 2)
-    for end, step, parts in ((1, 1, excess - halves), (0, -1, halves)):
-        # Flows of one direction may go in any order: what they fill together is the same.
-        for row, col in zip(*np.nonzero(parts), strict=True):
-            flow, at = parts[row, col], row + step
-            while flow > 0 and 0 <= at < len(inner):
-                filled = min(flow, full_well_e - inner[at, col])
-                inner[at, col] += filled
-                flow -= filled
-                at += step
-            left[end, col] += flow
+    for end, way, parts in ((1, slice(None), excess - halves), (0, slice(None, None, -1), halves)):
+        given, room = parts[way], (full_well_e - inner)[way]
+        sums = np.cumsum(given - room, axis=0)
+        flow = sums - np.minimum(np.minimum.accumulate(sums), 0)
+        arriving = np.zeros_like(flow)
+        arriving[1:] = flow[:-1]
+        inner[way] += arriving + given - flow
+        left[end] = flow[-1]
     return held, left

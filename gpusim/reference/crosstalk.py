@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -52,6 +52,60 @@ def crosstalk(
                 given += kernel[i, j] * moved
             total += np.where(names == taker, given, 0.0)
     return total[half : rows + half, half : cols + half]
+
+
+def crosstalk_at(
+    row: np.ndarray,
+    col: np.ndarray,
+    signal: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    pattern: Sequence[Sequence[str]],
+    between: Callable[[str, str], np.ndarray],
+    frame: tuple[int, int, int, int],
+) -> np.ndarray:
+    """Spread the signal to some pixels alone: each takes its shares from those around it.
+
+    out(p) = sum_o k[c(p - o) > c(p)](o) s(p - o), with the kernel k from the giver's channel to the
+    taker's: what `crosstalk` makes of the whole sensor.
+
+    Parameters
+    ----------
+    row, col : ndarray of int
+        Of the pixels, in shapes that go together.
+    signal : callable
+        Returns what pixels (row, col) hold.
+    pattern : sequence of sequences of str
+        Channels of the sites; it begins at pixel (0, 0).
+    between : callable
+        Returns the kernel (side, side) from a channel to another.
+    frame : (row, col, rows, cols)
+        All pixels; beyond them the nearest ones of the same sites count.
+
+    Returns
+    -------
+    ndarray, float64
+        In the unit of the signal.
+    """
+    names = sorted({name for line in pattern for name in line})
+    channel = np.array([[names.index(name) for name in line] for line in pattern])
+    kernels = np.array([[between(giver, taker) for taker in names] for giver in names])
+    side = kernels.shape[-1]
+
+    def nearest(at: np.ndarray, axis: int) -> np.ndarray:
+        period, first, count = channel.shape[axis], frame[axis], frame[axis + 2]
+        before = -(np.minimum(at - first, 0) // period)
+        beyond = -(np.minimum(first + count - 1 - at, 0) // period)
+        # A sensor of less than a pattern has no such pixel: then its last one.
+        return np.clip(at + (before - beyond) * period, first, first + count - 1)
+
+    def channel_of(at: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        return channel[at[0] % channel.shape[0], at[1] % channel.shape[1]]
+
+    total = np.zeros(np.broadcast_shapes(np.shape(row), np.shape(col)))
+    for i, j in np.ndindex(side, side):
+        giver = row - (i - side // 2), col - (j - side // 2)
+        share = kernels[channel_of(giver), channel_of((row, col)), i, j]
+        total += share * signal(nearest(giver[0], 0), nearest(giver[1], 1))
+    return total
 
 
 def autocorrelation(kernel: np.ndarray) -> np.ndarray:

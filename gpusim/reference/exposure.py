@@ -26,6 +26,25 @@ def exposure(
     rate: np.ndarray,
     exposure_s: float,
     *,
+    origin: tuple[int, int] = (0, 0),
+    limit_e: float = np.inf,
+    **law: float | np.ndarray,
+) -> np.ndarray:
+    """Return the mean electrons of a rectangle of pixels from rates in electrons/s.
+
+    ``law`` is that of `exposed`.
+    """
+    row, col = np.indices(rate.shape)
+    mean = exposed(rate, row + origin[0], col + origin[1], exposure_s, **law)
+    return np.minimum(mean, limit_e)
+
+
+def exposed(
+    rate: np.ndarray,
+    row: np.ndarray,
+    col: np.ndarray,
+    exposure_s: float,
+    *,
     prnu: float,
     dark_current_e_per_s: float,
     serial_number: int,
@@ -33,12 +52,9 @@ def exposure(
     prnu_column: float = 0.0,
     dcnu: float = 0.0,
     mask: np.ndarray | float = 1.0,
-    origin: tuple[int, int] = (0, 0),
-    limit_e: float = np.inf,
 ) -> np.ndarray:
-    """Return the mean electrons of a rectangle of pixels from rates in electrons/s."""
-    row, col = np.indices(rate.shape)
-    row, col = row + origin[0], col + origin[1]
+    """Return the mean electrons of pixels anywhere, in the shape of rate, row and col together."""
+    row, col = np.broadcast_arrays(row, col)
     key = serial_number
     response = 1 + prnu * deviate(row, col, 0, PRNU, key)
     response += prnu_row * row_deviate(row, 0, PRNU_ROW, key)
@@ -48,4 +64,4 @@ def exposure(
     z = deviate(row, col, 0, DARK_CURRENT, key)
     dark = dark_current_e_per_s * np.exp(np.sqrt(variance) * z - variance / 2)
     light = np.maximum(rate * mask * response, 0)
-    return np.minimum(exposure_s * (light + dark), limit_e)
+    return exposure_s * (light + dark)

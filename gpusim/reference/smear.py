@@ -1,4 +1,4 @@
-"""Float64 twin of the smear stage: each packet followed on its way, row by row."""
+"""Float64 twin of the smear stage: the rows that each packet passes on its way."""
 
 from __future__ import annotations
 
@@ -16,18 +16,16 @@ def passed(rate: np.ndarray, kind: str) -> np.ndarray:
         shifting before the exposure. Charge moves towards row 0.
     """
     rate = np.asarray(rate, np.float64)
-    rows = len(rate)
-    found = np.zeros_like(rate)
-    for row in range(rows):
-        after = range(row)
-        before = range(row + 1, rows)
-        ways = {
-            "interline": [*before, row, *after],
-            "frame_transfer": [*after],
-            "cleared": [*before, *after],
-        }
-        found[row] = rate[ways[kind]].sum(axis=0)
-    return found
+    after = np.zeros_like(rate)  # the rows between a packet and the read-out, which it passes last
+    after[1:] = np.cumsum(rate[:-1], axis=0)
+    before = np.zeros_like(rate)  # those above it, which its empty well came through
+    before[:-1] = np.cumsum(rate[:0:-1], axis=0)[::-1]
+    ways = {
+        "interline": before + rate + after,
+        "frame_transfer": after,
+        "cleared": before + after,
+    }
+    return ways[kind]
 
 
 def smear(

@@ -32,7 +32,7 @@ def traps(
     before : int
         Sites between packet 0 and the read-out.
     overscan : int
-        Last packets that have no site of their own.
+        Last packets that have no site of their own; below 0, sites beyond the last packet.
 
     Returns
     -------
@@ -44,33 +44,44 @@ def traps(
     groups = groups or sites
     density, release = np.array(species, np.float64).T
     kept = np.exp(-1 / release)
-    trapped = np.zeros(arrived.shape[1])
-    for line in range(arrived.shape[1]):
-        for group in reversed(range(groups)):
-            first, end = group * sites // groups, (group + 1) * sites // groups
-            edges = np.array([0.0, 1.0])  # of the volume
-            held = np.zeros((1, len(density)))  # between them: electrons in all sites, by density
-            for packet in range(max(first - before, 0), len(arrived)):
-                passed = min(packet + before + 1, end) - first
-                width = np.diff(edges)[:, None]
-                released = float((density * held * (1 - kept) * width).sum())
-                held = held * kept
-                # The cloud half-way through: after (passed + 1) / 2 of the releases.
-                seen = arrived[packet, line] + released * (passed + 1) / (2 * passed)
-                free = arrived[packet, line] + released
-                fill = np.clip((seen - notch_e) / (well_e - notch_e), 0, 1) ** well_fill_power
-                if fill > 0:
-                    at = np.searchsorted(edges, fill)
-                    if edges[at] != fill:
-                        edges = np.insert(edges, at, fill)
-                        held = np.insert(held, at, held[at - 1], axis=0)
-                    room = passed - held[:at]
-                    wanted = float((density * room * np.diff(edges)[:at, None]).sum())
-                    share = min(1.0, free / wanted) if wanted > 0 else 1.0
-                    held[:at] += share * room
-                    free -= share * wanted
-                    if share == 1:
-                        edges, held = np.delete(edges, np.s_[1:at]), held[at - 1 :]
-                arrived[packet, line] = free
-            trapped[line] += float((density * held * np.diff(edges)[:, None]).sum())
+    lines = arrived.shape[1]
+    trapped = np.zeros(lines)
+    for group in reversed(range(groups)):
+        first, end = group * sites // groups, (group + 1) * sites // groups
+        # Slabs of the volume, by line and upwards: their upper edges, and what is held in all sites
+        # of the group, by density. Slabs of no height are none.
+        top = np.ones((lines, 1))
+        held = np.zeros((lines, 1, len(density)))
+        for packet in range(max(first - before, 0), len(arrived)):
+            passed = min(packet + before + 1, end) - first
+            released = _electrons(top, held * (1 - kept), density)
+            held = held * kept
+            # The cloud half-way through: after (passed + 1) / 2 of the releases.
+            seen = arrived[packet] + released * (passed + 1) / (2 * passed)
+            free = arrived[packet] + released
+            fill = np.clip((seen - notch_e) / (well_e - notch_e), 0, 1) ** well_fill_power
+            # The slab in which the cloud ends becomes two.
+            at = (top < fill[:, None]).sum(axis=1)[:, None]
+            slab = np.arange(top.shape[1] + 1)
+            whole = slab - (slab > at)
+            top = np.take_along_axis(top, whole, axis=1)
+            held = np.take_along_axis(held, whole[..., None], axis=1)
+            np.put_along_axis(top, at, fill[:, None], axis=1)
+            room = np.where((slab <= at)[..., None], passed - held, 0.0)
+            wanted = _electrons(top, room, density)
+            share = np.ones(lines)
+            np.divide(free, wanted, out=share, where=(free < wanted) & (wanted > 0))
+            share = np.maximum(share, 0)
+            held += share[:, None, None] * room
+            arrived[packet] = free - share * wanted
+            # Where all traps are filled, the slabs up to the cloud's end are one.
+            top = np.where((slab < at) & (share == 1)[:, None], 0.0, top)
+            used = int((top > 0).argmax(axis=1).min())
+            top, held = top[:, used:], held[:, used:]
+        trapped += _electrons(top, held, density)
     return arrived, trapped
+
+
+def _electrons(top: np.ndarray, held: np.ndarray, density: np.ndarray) -> np.ndarray:
+    """Return the electrons (lines,) in slabs of so much volume."""
+    return (np.diff(top, axis=1, prepend=0.0)[..., None] * held * density).sum(axis=(1, 2))

@@ -74,6 +74,13 @@ def _around(sensor: Sensor, runs: Callable[[str], bool]) -> int:
     return reach(sensor.crosstalk.electrical, sensor.period) if runs("coupling") else 0
 
 
+def taking(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
+    """Return the pixels whose light a rectangle takes: with what optical cross-talk needs."""
+    if not runs("crosstalk"):
+        return rect
+    return grown(rect, reach(sensor.crosstalk.optical, sensor.period), sensor.frame.pixels)
+
+
 def record_tile(
     rec: Recording,
     sites: Array,
@@ -88,19 +95,15 @@ def record_tile(
     Returns
     -------
     dict of str to Array (rows, cols), f32
-        ``rate``, and ``light``, which is the rate with optical cross-talk: electrons/s.
+        ``rate`` of the pixels whose light the rectangle takes, and ``light`` of the rectangle,
+        which is the rate with optical cross-talk: electrons/s.
     """
-    if not runs("crosstalk"):
-        rate = record_light(rec, sites, glare, sensor, rect, lit, runs)
-        return {"rate": rate, "light": rate}
-    optical = sensor.crosstalk.optical
-    frame = sensor.frame.pixels
-    taking = grown(rect, reach(optical, sensor.period), frame)
-    around = record_light(rec, sites, glare, sensor, taking, lit, runs)
-    return {
-        "rate": record_light(rec, sites, glare, sensor, rect, lit, runs, "own rate"),
-        "light": record_crosstalk(rec, around, optical, sensor, taking, rect, frame=frame),
-    }
+    around, frame = taking(rect, sensor, runs), sensor.frame.pixels
+    light = rate = record_light(rec, sites, glare, sensor, around, lit, runs)
+    if runs("crosstalk"):
+        optical = sensor.crosstalk.optical
+        light = record_crosstalk(rec, rate, optical, sensor, around, rect, frame=frame)
+    return {"rate": rate, "light": light}
 
 
 def record_columns(
@@ -134,6 +137,7 @@ def record_columns(
     read = frame.read[0], rect[1], frame.read[2], rect[3]
     overscan = read[2] - rect[2]
     clipped = {} if runs("noise") or runs("bloom") else {"limit_e": sensor.full_well_e}
+    at_once = {} if runs("smear") else clipped
     mean = record_exposure(
         rec,
         rate,
@@ -142,11 +146,11 @@ def record_columns(
         temperature_c=shot.temperature_c,
         origin=frame.on_chip(rect),
         runs=runs,
-        **({} if runs("smear") else clipped),
+        **at_once,
     )
     if runs("defects"):
         warm = {"temperature_c": shot.temperature_c, "origin": frame.on_chip(rect)}
-        record_defects(rec, mean, sensor, shot.exposure_s, **warm)
+        record_defects(rec, mean, sensor, shot.exposure_s, **warm, **at_once)
     if overscan:
         rate = record_border(rec, rate, rect, read, label="framed rate")
         mean = record_border(rec, mean, rect, read, label="framed mean")
@@ -209,7 +213,9 @@ def record_rows(
         charge = record_border(rec, charge, held, given, label="framed charge")
     electrons, origin = charge, sensor.frame.on_chip(rect)
     if runs("serial cti"):
-        electrons = _shifted(rec, charge, sensor.serial_cti, sensor, overscan, serial=True)
+        # The register is as long as the sensor, however much of it a tile needs.
+        beyond = charge.shape[1] - sensor.frame.pixels[3]
+        electrons = _shifted(rec, charge, sensor.serial_cti, sensor, beyond, serial=True)
     if runs("coupling"):
         kernels, frame = sensor.crosstalk.electrical, sensor.frame.read
         electrons = record_crosstalk(

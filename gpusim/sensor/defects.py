@@ -24,6 +24,7 @@ def record_defects(
     *,
     temperature_c: float | None = None,
     origin: tuple[int, int] = (0, 0),
+    limit_e: float = F32_MAX,
 ) -> None:
     """Record the dead and hot pixels of a rectangle, in place, before the noise.
 
@@ -38,6 +39,8 @@ def record_defects(
         Of the sensor: further dark current doubles as the others' does.
     origin : (int, int)
         Row and column of the first pixel.
+    limit_e : float
+        Where a hot pixel is clipped, electrons: the full well where no noise is drawn after it.
     """
     dark_e = exposure_s * sensor.dark_current_at(temperature_c)
     scale = exposure_s * sensor.dark_current_factor(temperature_c)
@@ -46,7 +49,7 @@ def record_defects(
         for place, (kind, value) in defects_of(sensor).items()
         if kind != "stuck"
     }
-    _record(rec, mean, sensor, changes, origin, "unlit")
+    _record(rec, mean, sensor, changes, origin, "unlit", limit_e)
 
 
 def record_stuck(
@@ -78,6 +81,7 @@ def _record(
     changes: dict[Place, tuple[float, float]],
     origin: tuple[int, int],
     label: str,
+    limit_e: float = F32_MAX,
 ) -> None:
     """Record the changes (what is kept, what is added) of the pixels inside the plane, if any."""
     rows, cols = plane.shape
@@ -96,7 +100,7 @@ def _record(
         buffers[name] = rec.buffer(f"{label} {name} of {plane.label}", len(inside), values.dtype)
         rec.upload(buffers[name], np.ascontiguousarray(values))
     kernel = Kernel("sensor/defects")
-    params = {"count": len(inside), "limit_e": F32_MAX}
+    params = {"count": len(inside), "limit_e": limit_e}
     kernel.record(rec, kernel.cover(len(inside)), params, plane=plane, **buffers)
 
 

@@ -21,7 +21,7 @@ slope of the photon transfer; all that moves charge before all that is added whe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from gpusim.gpu import Array, Recording
@@ -126,7 +126,6 @@ def record_readout(
     lit: Rect,
     shot: Shot,
     runs: Callable[[str], bool],
-    keep: Collection[str] = (),
 ) -> dict[str, Array]:
     """Record what the sensor makes of the light on a rectangle of pixels.
 
@@ -145,13 +144,13 @@ def record_readout(
     shot : Shot
     runs : callable
         Whether a stage runs, by its name in the plan.
-    keep : collection of str
-        With "rate", the light on the rectangle is returned also where it is not met on the way.
 
     Returns
     -------
     dict of str to Array
-        ``rate`` (electrons/s) and ``electrons``, f32, and ``dn``, u32: each (rows, cols).
+        ``electrons``, f32, and ``dn``, u32, of the rectangle; ``mean`` electrons, f32, of the
+        pixels that collect charge for it, and ``rate``, electrons/s, f32, of those whose light they
+        take: see `rects_of`.
     """
     frame = sensor.frame
     optical, electrical = _kernels(sensor, runs)
@@ -159,14 +158,13 @@ def record_readout(
     spread = rate = record_light(rec, sites, glare, sensor, taking, lit, runs)
     if optical:
         spread = record_crosstalk(rec, rate, optical, sensor, taking, collecting)
-    if "rate" in keep and taking != rect:
-        rate = record_light(rec, sites, glare, sensor, rect, lit, runs, "own rate")
     origin = frame.on_chip(collecting)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
     warm = {"origin": origin, "temperature_c": shot.temperature_c}
-    electrons = record_exposure(rec, spread, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
+    mean = record_exposure(rec, spread, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
     if runs("defects"):
-        record_defects(rec, electrons, sensor, shot.exposure_s, **warm)
+        record_defects(rec, mean, sensor, shot.exposure_s, **warm, **clipped)
+    electrons, light = mean, {"rate": rate, "mean": mean}
 
     def once(name: str) -> bool:
         return runs(name) and not (runs("merge") and name in EACH_READ)
@@ -187,11 +185,11 @@ def record_readout(
         if runs("noise") and any(map(once, READ_OUT.values())):
             electrons = record_noise(rec, electrons, sensor, shot=False, **keyed, **warm)
     if runs("merge"):
-        return {"rate": rate} | _two_reads(rec, electrons, sensor, shot, origin, runs)
+        return light | _two_reads(rec, electrons, sensor, shot, origin, runs)
     if runs("defects"):
         record_stuck(rec, electrons, sensor, origin=origin)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
-    return {"rate": rate, "electrons": electrons, "dn": dn}
+    return light | {"electrons": electrons, "dn": dn}
 
 
 def _two_reads(

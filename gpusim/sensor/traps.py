@@ -42,7 +42,8 @@ def record_traps(
     before : int
         Elements between the first packet and the read-out.
     overscan : int
-        How many of the last packets have no element of their own.
+        How many of the last packets have no element of their own; below 0, how many elements lie
+        beyond the last packet.
     label : str
         Of the buffer that is returned first.
 

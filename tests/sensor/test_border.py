@@ -109,7 +109,7 @@ def read_out(
         return has(name) and name not in without
 
     found = record_readout(rec, sites, glare, sensor, rect, (0, 0, 20, 30), shot, runs)
-    labels = {name: rec.download(array) for name, array in found.items()}
+    labels = {name: rec.download(found[name]) for name in ("rate", "electrons", "dn")}
     result = rec.run()
     return {name: result[label].astype(float) for name, label in labels.items()}
 

@@ -63,6 +63,17 @@ def test_what_arrives_is_what_the_transfers_make(inefficiency: float, shape: tup
     )
 
 
+def test_lines_may_lie_at_unlike_distances_from_the_read_out():
+    """Of the reference; where the distance is negative, empty packets come first."""
+    charge = packets(12, 3).astype(float)
+    charge[:4, 2] = 0
+    found = cti(charge, 0.05, before=np.array([0, 30, -4]))
+    for line, before in ((0, 0), (1, 30)):
+        assert_close(found[:, line], cti(charge[:, line], 0.05, before), rtol=1e-13)
+    assert_close(found[4:, 2], cti(charge[4:, 2], 0.05), rtol=1e-13)
+    assert not found[:4, 2].any()
+
+
 @pytest.mark.parametrize("inefficiency", [1e-8, 1e-5, 1e-2])
 def test_ten_thousand_transfers(inefficiency: float):
     charge = packets(200, 3)
