@@ -92,7 +92,7 @@ def test_the_light_at_photosites_is_that_of_the_splines(device: Device, pitches:
 
 
 def rates(device: Device, camera: object, stage: Halo, rect: tuple[int, int, int, int]):
-    row, col, rows, cols = rect
+    _, _, rows, cols = rect
     rec = Recording(device)
     planes = rec.buffer("rates", (4, rows // 2, cols // 2), "f4")
     rec.clear(planes)
