@@ -284,7 +284,7 @@ class PlaceWeights:
             half = len(left) // 2 if place in places.opposite else 0
             table = np.concatenate([np.ones((len(left), 1)), left[:, :rank]], axis=1)
             splines.append(around(np.roll(table, -half, axis=0)))
-            shapes = np.tensordot(left[:, :rank].T, answer, axes=1)
+            shapes = np.tensordot(left[:, :rank].T, answer - mean, axes=1)
             terms.append(self._rates(np.concatenate([mean[None], shapes])))
         return terms, TurnedHeights(places, tuple(splines)) if rank else places
 

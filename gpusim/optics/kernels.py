@@ -327,7 +327,7 @@ def sampled_kernels(
     # Those of a sample side by side. Made by Fourier transforms, splines go on periodically.
     splines = np.empty((n + 1, n + 1, planes * channels))
     splines[:n, :n] = sum(
-        weight * kernels.splines[field, :planes].transpose(2, 3, 0, 1).reshape(n, n, -1)
+        np.float64(weight) * kernels.splines[field, :planes].transpose(2, 3, 0, 1).reshape(n, n, -1)
         for field, weight in zip(fields, weights, strict=True)
     )
     splines[n], splines[:, n] = splines[0], splines[:, 0]

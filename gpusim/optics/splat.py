@@ -41,10 +41,9 @@ HIGHLIGHT = np.dtype(
         ("place", "<f4", 2),
         ("axis", "<f4", 2),
         ("padding", "<u4", 2),
-        ("tables", "<u4", 16),
-        ("shares", "<f4", 16),
     ]
 )
+PART = np.dtype([("table", "<u4"), ("share", "<f4")])
 SQUARE = 16  # CFA cells along a side of the squares for which highlights are listed
 LARGEST = 2.0  # pixels along a side of a highlight, of which one PSF is taken; others are cut up
 # Angles in 90 degrees at which tables are made, for a tolerance of 1e-3. Mixing between them errs
@@ -323,7 +322,6 @@ class Splat:
         while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
             mixed = mixture(places, squares, self.bins, kernels.turns)
-        count = mixed.shares.shape[1]
         self.kernel = Kernel(
             "optics/splat",
             S=self.planes,
@@ -331,7 +329,7 @@ class Splat:
             C=len(channels),
             FOURS=self.fours,
             N=kernels.side,
-            MIXED=count,
+            MIXED=mixed.shares.shape[1],
         )
         used, tables = distinct(mixed.keys)
         opposite = np.isin(used[:, 0], places.opposite)
@@ -368,12 +366,14 @@ class Splat:
             rows["pixel"] = np.floor(position)
             rows["place"] = position - np.floor(position) - 0.5
             rows["axis"] = mixed.axis[chosen] * sensor.pixel_pitch_um / bank.pitch_um
-            rows["tables"][:, :count] = local.reshape(-1, count)
-            rows["shares"][:, :count] = mixed.shares[chosen]
+            parts = np.zeros(mixed.shares[chosen].shape, PART)
+            parts["table"] = local.reshape(parts.shape)
+            parts["share"] = mixed.shares[chosen]
             reach = kernels.reach_um / (sensor.pixel_pitch_um * self.period)
             starts, near = lists(position / self.period, reach, (self.across, self.down))
             arrays = {
                 "highlights": rows.view(np.uint32),
+                "parts": parts.view(np.uint32),
                 "radiance": in_fours(squares.light[chosen]),
                 "starts": starts,
                 "near": near,
@@ -433,7 +433,7 @@ class Mixture(NamedTuple):
     Attributes
     ----------
     keys : ndarray (N, K, 2) of int
-        Tables, by place of their field in the list and by angle; 16 at most.
+        Tables, by place of their field in the list and by angle.
     shares : ndarray (N, K)
         Of the tables; sum 1.
     axis : ndarray (N, 2)

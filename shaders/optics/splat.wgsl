@@ -21,7 +21,7 @@ override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels
 override FOURS: u32 = 1u;     // ceil(M/4) for M spectra of the scene
 override N: u32 = 320u;       // side of a table, samples
-override MIXED: u32 = 4u;     // tables of a highlight, 16 at most
+override MIXED: u32 = 8u;     // tables of a highlight
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square
@@ -36,8 +36,12 @@ struct Highlight {
     pixel: vec2i,             // column, row of the pixel in which its centre lies
     place: vec2f,             // of the centre in it, from the pixel's centre
     axis: vec2f,              // the radial unit vector, times table samples per pixel
-    tables: array<vec4u, 4>,
-    shares: array<vec4f, 4>,
+    padding: vec2u,
+}
+
+struct Part {
+    table: u32,
+    share: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -47,6 +51,7 @@ struct Highlight {
 @group(0) @binding(4) var<storage, read> near: array<u32>;
 @group(0) @binding(5) var<storage, read> tables: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> rates: array<f32>;
+@group(0) @binding(7) var<storage, read> parts: array<Part>;      // (highlights, MIXED)
 
 fn channel_of(site: u32) -> u32 {
     return (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
@@ -59,9 +64,9 @@ fn row_sum(at: u32, weights: vec4f) -> vec4f {
 
 // Light of one highlight on a pixel of a channel, electrons/s.
 fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
-    let axis = highlights[i].axis;
-    let d = vec2f(pixel - highlights[i].pixel) - highlights[i].place;
-    let v = vec2f(dot(axis, d), axis.x * d.y - axis.y * d.x);
+    let h = highlights[i];
+    let d = vec2f(pixel - h.pixel) - h.place;
+    let v = vec2f(dot(h.axis, d), h.axis.x * d.y - h.axis.y * d.x);
     if (dot(v, v) > params.reach2) {
         return 0.0;
     }
@@ -74,9 +79,9 @@ fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
     for (var q = 0u; q < FOURS; q++) {
         var spread = vec4f(0.0);
         for (var k = 0u; k < MIXED; k++) {
-            let table = highlights[i].tables[k / 4u][k % 4u];
-            let first = ((table * C + channel) * FOURS + q) * N * N + corner;
-            spread += highlights[i].shares[k / 4u][k % 4u] * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
+            let part = parts[i * MIXED + k];
+            let first = ((part.table * C + channel) * FOURS + q) * N * N + corner;
+            spread += part.share * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
                 + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx));
         }
         sum += dot(radiance[i * FOURS + q], spread);

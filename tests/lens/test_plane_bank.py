@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray
 from harness import assert_close
-from optics.made import at_lines
 from lens.made import lens, model
+from optics.made import at_lines
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError

@@ -130,14 +130,14 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
         kernel = sampled_kernels(kernels, x_um, y_um, 0.5, 40, 1)[0, 0]
         expected = 0.25 * (2.0 * at / 165.0 + coma)
         expected = expected + at * colours[place] + steps[place] * np.array(prism)
-        # Bilinear in angle, of what is linear in its tangent: (h / 2)^2 tan'' / 2 with h = 0.04 rad
-        # is 2e-5 of a focal length of 1000 um, of which colour and coma take a hundredth. The ends
-        # of splines and windows (16 um): 1e-3 um. A field with 5 % more light weighs more: half of
-        # that times the 0.24 um by which colour and coma of two fields differ.
-        assert_close(0.5 * centroid(kernel), expected, atol=8e-3)
+        # Bicubic in angle, of what is linear in its tangent, times light that goes with its square.
+        # The ends of splines and windows (16 um): 1e-3 um.
+        assert_close(0.5 * centroid(kernel), expected, atol=1.5e-3)
         light = 1 - 0.3 * (at @ at) / 165.0**2 * (1, 1.05, 1.1)[place]
-        # Of a square bilinear interpolation errs by (h / 2)^2 along x and y each: h = 41 um.
-        assert kernel.sum() == pytest.approx(light, abs=0.33 * 2 * 20.5**2 / 165.0**2)
+        # Of the square of the tangent bicubic interpolation in angle errs by its fourth derivative,
+        # 16, times 9 / 384 h^4 with h = 0.04 rad along x and y each: 2e-6 (1000 / 165)^2 of 0.33.
+        # Sums in f32: 1e-6.
+        assert kernel.sum() == pytest.approx(light, abs=3e-5)
         assert light < 0.95 or not at.any()
 
 
@@ -265,9 +265,15 @@ def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_go_on_
     def at(height: float) -> np.ndarray:
         return sampled_kernels(kernels, height, 0.0, 0.6, 20, 2)
 
-    for lower in range(3):
+    # At the fields, and at the second beyond the axis: seen from there, turned by half a turn.
+    fields = [at(-radius[1]), *(at(one) for one in radius)]
+    nodes = np.array([-radius[1], *radius])
+    for lower, first in ((0, 0), (1, 1), (2, 1)):
         height = 0.7 * radius[lower] + 0.3 * radius[lower + 1]
-        mixed = 0.7 * at(radius[lower]) + 0.3 * at(radius[lower + 1])
+        near = slice(first, first + 4)
+        # The cubic through four.
+        shares = np.linalg.solve(np.vander(nodes[near] / 100).T, np.vander([height / 100], 4)[0])
+        mixed = np.tensordot(shares, fields[near], axes=1)
         assert_close(at(height), mixed, atol=1e-6 * mixed.max())  # sums of float32 splines
     step = radius[-1] - radius[-2]
     onwards = 1.4 * at(radius[-1]) - 0.4 * at(radius[-2])

@@ -348,7 +348,8 @@ def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
     # A ring 15 um off, as bright everywhere or growing with the field.
     halo = np.abs(distances_um(n, 0.5) - 15.0) < 1.0
     halo = halo / halo.sum()
-    grows = (places.radius_um / places.radius_um[-1])[:, None, None, None, None] ** 2
+    heights = np.append(places.radius_um, places.radius_um[1])  # the last beyond the axis
+    grows = (heights / places.radius_um[-1])[:, None, None, None, None] ** 2
     energy = images.sum(axis=(3, 4), keepdims=True)
     found = [
         cells_within(
