@@ -243,7 +243,7 @@ class Bank:
         radius = np.hypot(x_um, y_um)
         heights = Heights(self.real_height_um[:, self.reference])
         light = heights.even(self.relative_illumination, radius.ravel())
-        return light.T.reshape(-1, *radius.shape)
+        return light.T.reshape(len(self.wavelengths_nm), *radius.shape)
 
     @property
     def distortion(self) -> np.ndarray:
