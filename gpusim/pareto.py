@@ -223,7 +223,7 @@ def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
     corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
     farthest_um = corner_um + math.sqrt(2) * _reach_um(renderer)
     basis = renderer.plan.basis
-    return field_images(bank, basis.weights, farthest_um, elsewhere=basis.elsewhere)
+    return field_images(bank, basis.rates, farthest_um, elsewhere=basis.elsewhere)
 
 
 def _reach_um(renderer: Renderer) -> float:

@@ -8,7 +8,7 @@ from optics.angled import angled, eqe_map, following, lens, plane_lens, round_pi
 from optics.made import FLAT, RED, StubCamera, bank, scene, sensor, shapes
 
 from gpusim.chain import Capture, Renderer
-from gpusim.optics.angular import AngularResponse, PlaceWeights, TurnedHeights
+from gpusim.optics.angular import AngularResponse, TurnedHeights
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.signal import brightest_e
@@ -54,8 +54,8 @@ def test_tiles_change_not_one_bit():
 
 
 def on_the_axis(self, number):
-    """Return the weights of the axis for every field."""
-    return TRUE_FIELD(self, self.response.bank.probes[0])
+    """Return what the axis sees for every field."""
+    return TRUE_QE(self, self.bank.probes[0])
 
 
 def swapped(self, x_um, y_um):
@@ -64,12 +64,12 @@ def swapped(self, x_um, y_um):
     return blend._replace(weights=TRUE_AT(self, -x_um, -y_um).weights)
 
 
-TRUE_FIELD, TRUE_AT = PlaceWeights.of_field, TurnedHeights.at
+TRUE_QE, TRUE_AT = AngularResponse.qe, TurnedHeights.at
 
 
 @pytest.mark.parametrize(
     ("kind", "name", "planted"),
-    [(PlaceWeights, "of_field", on_the_axis), (TurnedHeights, "at", swapped)],
+    [(AngularResponse, "qe", on_the_axis), (TurnedHeights, "at", swapped)],
 )
 def test_wrong_angles_are_seen_by_the_certificate(monkeypatch, kind, name, planted):
     monkeypatch.setattr(kind, name, planted)

@@ -198,7 +198,7 @@ def test_the_psfs_of_the_frames_stay_those_of_a_lens_with_an_axis(jobs: ModuleTy
             return replace(whole, psf=np.full_like(whole.psf, 1 / 128**2))
 
     bank = jobs.FrameCamera(made.sensor(*SMALL), Even()).bank()
-    images, places = field_images(bank, np.ones((1, 1, 3)), 1e9)
+    images, places = field_images(bank, made.at_lines(bank, np.ones((1, 1, 3))), 1e9)
     assert mirrored(images[:, 0], places)
     assert bank.psf.sum(axis=(2, 3)) == pytest.approx(1, abs=1e-5)
 

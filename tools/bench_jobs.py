@@ -433,7 +433,8 @@ def scale_of(grid: SimGrid) -> Scale:
     """Return a scale with kernels of one plane and three channels, alike over the field."""
     line = (np.arange(96) - 48) * 0.5
     blob = np.exp(-(line**2 + line[:, None] ** 2) / (2 * 2.0**2)).astype(np.float32)
-    kernels = FieldKernels(np.tile(blob, (2, 1, 3, 1, 1)), Heights(np.array([0.0, 1e4])), 0.5)
+    heights = Heights(np.array([0.0, 1e4, 2e4]))  # any place is made of four fields
+    kernels = FieldKernels(np.tile(blob, (4, 1, 3, 1, 1)), heights, 0.5)
     return Scale("bench", grid, SIM_PITCH_UM, SIGMA, kernels)
 
 

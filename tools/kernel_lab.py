@@ -38,10 +38,9 @@ def scale_of(grid: SimGrid, planes: int, sigma_um: float) -> Scale:
     """Return a scale with Gaussian PSFs, alike over the field."""
     line = (np.arange(192) - 96) * 0.5
     blob = np.exp(-(line**2 + line[:, None] ** 2) / (2 * sigma_um**2)).astype(np.float32)
-    kernels = np.tile(blob, (2, planes, 3, 1, 1))
-    return Scale(
-        "lab", grid, PITCH_UM, 0.0, FieldKernels(kernels, Heights(np.array([0.0, 1e4])), 0.5)
-    )
+    kernels = np.tile(blob, (4, planes, 3, 1, 1))
+    heights = Heights(np.array([0.0, 1e4, 2e4]))  # any place is made of four fields
+    return Scale("lab", grid, PITCH_UM, 0.0, FieldKernels(kernels, heights, 0.5))
 
 
 def stages(device: Device, pixels: int, planes: int, reach: int) -> Iterator[tuple[str, object]]:

@@ -15,11 +15,14 @@ from typing import Self, TypeVar
 import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from scipy.interpolate import make_interp_spline
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
 from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
+from gpusim.lens.lines import CUBIC
+from gpusim.lens.places import Heights, half_turned
 
 # The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
 # odd terms through a table leave it room to follow the inverse.
@@ -159,6 +162,7 @@ def make_bank(
     provenance: dict[str, str],
     file: Path,
     outside_energy: np.ndarray | None = None,
+    spectral_degree: int = CUBIC,
 ) -> Bank:
     """Make a bank of PSFs and chief rays at the fields of a table.
 
@@ -182,13 +186,16 @@ def make_bank(
         For error texts.
     outside_energy : ndarray (F, L), optional
         Share of the light outside the circle; what the PSFs hold there, where it is left out.
+    spectral_degree : int
+        As in ``Bank``.
 
     Notes
     -----
     Chief rays follow an odd polynomial of up to six terms (``odd_fit``), fitted to the table for
     each wavelength: printed digits and few fields would make a spline through them wave. Fields
-    are divided, PSFs and illumination linear between them, until there are as many as in a computed
-    bank, so that the spline of the bank follows that polynomial.
+    are divided, PSFs cubic between them (``Heights``) and illumination an even spline
+    (``_even_spline``), until there are as many as in a computed bank, so that the spline of the
+    bank follows that polynomial.
 
     Raises
     ------
@@ -222,14 +229,17 @@ def make_bank(
     nodes = np.arange(len(ideal_height_um))
     # Where each field lies between the table's: 0, 1 / steps, 2 / steps ...
     at = np.arange((len(nodes) - 1) * steps + 1) / steps
-    lower = np.minimum(at.astype(int), len(nodes) - 2)
-    upper_share = at - lower
     ideal = np.interp(at, nodes, ideal_height_um)
     window = window.astype(np.float32)
-
-    def between(table: np.ndarray) -> np.ndarray:
-        share = upper_share.reshape(-1, *[1] * (table.ndim - 1)).astype(table.dtype)
-        return (1 - share) * table[lower] + share * table[lower + 1]
+    if steps > 1:
+        numbers, weights = Heights(ideal_height_um).blended(ideal)
+        both = np.concatenate([window, half_turned(window[1:2])])
+        window = np.stack(
+            [
+                np.tensordot(own.astype(np.float32), both[place], axes=1)
+                for place, own in zip(numbers, weights, strict=True)
+            ]
+        )
 
     count = len(wavelengths_nm)
     unknown = np.full((len(at), count), np.nan)
@@ -240,17 +250,20 @@ def make_bank(
         field_deg=np.degrees(np.arctan(1e-3 * ideal / stated.efl_mm)),
         ideal_height_um=ideal,
         real_height_um=np.stack([function(ideal) for function, _ in fits], axis=1),
-        psf=window if steps == 1 else between(window),
-        relative_illumination=between(np.asarray(relative_illumination, float)),
+        psf=window,
+        relative_illumination=_even_spline(ideal_height_um, relative_illumination, ideal),
         projected_solid_angle_sr=np.full(count, solid_angle),
         transmission=per_wavelength(stated.transmission, count, file, "transmission"),
-        outside_energy=between(outside_energy),
+        outside_energy=np.stack(
+            [np.interp(ideal, ideal_height_um, column) for column in outside_energy.T], axis=1
+        ),
         folded_energy=unknown,
         fit_residual_waves=unknown,
         failed_rays=unknown,
         efl_mm=stated.efl_mm,
         f_number=stated.f_number,
         pitch_um=float(pitch_um),
+        spectral_degree=spectral_degree,
         provenance={
             "title": stated.title,
             "patent": "none",
@@ -270,6 +283,21 @@ def make_bank(
     if stated.exit_pupil_mm is None:
         return bank
     return with_exit_pupil(bank, stated.exit_pupil_mm)
+
+
+def _even_spline(height: np.ndarray, light: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return light (F, L) at other heights: splines through it and its mirror image, never below 0.
+
+    Of degree 7 (Schoenberg's cardinal splines: errors of 1.3e-4 h^8 d^8/dr^8, with steps h); of few
+    fields the polynomial through them. Of cos^4 in steps of an eighth of the focal length cubics
+    err by 4e-4, these by 2e-6 between the inner ones.
+    """
+    spline = make_interp_spline(
+        np.concatenate([-height[:0:-1], height]),
+        np.concatenate([light[:0:-1], light]).astype(float),
+        k=min(7, 2 * len(height) - 2),
+    )
+    return np.maximum(spline(at), 0.0)
 
 
 def _refuse_aliases(psf: np.ndarray, pitch_um: float, file: Path) -> None:

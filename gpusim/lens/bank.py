@@ -27,7 +27,8 @@ from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.halo import distances_um, fall, halo_of
-from gpusim.lens.places import FieldPsfs, Heights
+from gpusim.lens.lines import CUBIC, STRAIGHT, line_shares
+from gpusim.lens.places import FieldPsfs, Heights, half_turned
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.sampling import window
 from gpusim.lens.system import System, build, first_order, transmission
@@ -123,6 +124,14 @@ _HALO = {
         "light that window and levels together had too much of, before the levels were scaled",
     ),
 }
+# Where a file lacks it: cubic.
+_BETWEEN = {
+    "spectral_degree": (
+        (),
+        "1",
+        "between wavelengths: 3 cubic splines in 1 / lambda, 1 straight lines in lambda",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
@@ -169,6 +178,8 @@ class Bank:
         Levels of coarser samples that hold what lands farther out: see ``gpusim.lens.halo``. They
         take over where the window's light is let out softly: see ``levels``.
     beyond_energy, halo_misfit : ndarray, shape (F, L), or None
+    spectral_degree : int
+        Of what lies between the wavelengths: see ``gpusim.lens.lines``.
     """
 
     wavelengths_nm: np.ndarray
@@ -194,6 +205,7 @@ class Bank:
     halo_pitch_um: np.ndarray | None = None
     beyond_energy: np.ndarray | None = None
     halo_misfit: np.ndarray | None = None
+    spectral_degree: int = CUBIC
 
     @functools.cached_property
     def levels(self) -> tuple[Bank, ...]:
@@ -256,8 +268,9 @@ class Bank:
     def places(self, reach_um: float) -> tuple[tuple[int, ...], Heights]:
         """Return the fields as far as image points up to `reach_um` off the axis need them."""
         radius_um = self.real_height_um[:, self.reference]
-        count = min(int(np.searchsorted(radius_um, reach_um)) + 1, len(radius_um))
-        return tuple(range(count)), Heights(radius_um[:count])
+        # Two beyond a point are of the nearest four.
+        count = min(int(np.searchsorted(radius_um, reach_um)) + 2, len(radius_um))
+        return (*range(count), 1), Heights(radius_um[:count])
 
     def ideal_points(
         self, x_um: np.ndarray, y_um: np.ndarray
@@ -270,9 +283,10 @@ class Bank:
 
     def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
         """Return the relative illumination at real image points, by wavelength first."""
-        heights = self.real_height_um[:, self.reference]
         radius = np.hypot(x_um, y_um)
-        return np.stack([np.interp(radius, heights, row) for row in self.relative_illumination.T])
+        heights = Heights(self.real_height_um[:, self.reference])
+        light = heights.even(self.relative_illumination, radius.ravel())
+        return light.T.reshape(len(self.wavelengths_nm), *radius.shape)
 
     @property
     def distortion(self) -> np.ndarray:
@@ -293,7 +307,7 @@ class Bank:
         return {}
 
     def _map(self, wavelength_nm: float | None) -> FieldMap:
-        """Return the map of a wavelength, linear between the bank's nearest two."""
+        """Return the map of a wavelength."""
         wavelength = self.reference_nm if wavelength_nm is None else float(wavelength_nm)
         lines = self.wavelengths_nm
         if not lines[0] <= wavelength <= lines[-1]:
@@ -304,7 +318,7 @@ class Bank:
                 allowed=f"{lines[0]:g} to {lines[-1]:g}",
             )
         if wavelength not in self._maps:
-            share = np.array([np.interp(wavelength, lines, row) for row in np.eye(len(lines))])
+            share = line_shares(lines, self.spectral_degree, wavelength)
             self._maps[wavelength] = FieldMap(
                 np.radians(self.field_deg), self.real_height_um @ share, 1e3 * self.efl_mm
             )
@@ -392,9 +406,10 @@ class Bank:
     ) -> Bank:
         """Return the bank at other wavelengths and fields, within its own.
 
-        PSFs are mixed linearly between the nearest wavelengths, and between the nearest fields in
-        image height, each about its own chief ray; chief rays come from the maps in field angle.
-        (A change of focus is no resampling: see ``bank_of``.)
+        PSFs, each about its own chief ray, and illumination as the chain interpolates them: see
+        ``gpusim.lens.lines`` and ``gpusim.lens.places``. Rays and what says how good the PSFs are
+        go linearly between the nearest two; chief rays come from the maps in field angle. (A change
+        of focus is no resampling: see ``bank_of``.)
 
         Parameters
         ----------
@@ -423,33 +438,43 @@ class Bank:
                     allowed=f"rising, {own[0]:g} to {own[-1]:g}, with {needed:g}",
                 )
         heights = self.height_from_angle(angles)[0]
-        own_heights = self.real_height_um[:, self.reference]
-        over_lines = np.array(
-            [np.interp(lines, self.wavelengths_nm, row) for row in np.eye(len(self.wavelengths_nm))]
+        own = Heights(self.real_height_um[:, self.reference])
+        near_lines = line_shares(self.wavelengths_nm, STRAIGHT, lines)
+        near_fields = np.array(
+            [np.interp(heights, own.radius_um, row) for row in np.eye(len(own.radius_um))]
         )
-        over_fields = np.array(
-            [np.interp(heights, own_heights, row) for row in np.eye(len(own_heights))]
-        )
+        over_lines = line_shares(self.wavelengths_nm, self.spectral_degree, lines)
+        numbers, weights = own.blended(heights)
+        over_fields = np.zeros((len(own.radius_um) + 1, len(heights)))
+        np.add.at(over_fields, (numbers.T, np.arange(len(heights))), weights.T)
 
-        def mixed(values: np.ndarray) -> np.ndarray:
-            return np.einsum("fl...,fg,lm->gm...", values, over_fields, over_lines, optimize=True)
+        def mixed(values: np.ndarray, fields: np.ndarray, lines: np.ndarray) -> np.ndarray:
+            return np.einsum("fl...,fg,lm->gm...", values, fields, lines, optimize=True)
 
         both = {
-            name: mixed(getattr(self, name))
+            name: mixed(getattr(self, name), near_fields, near_lines)
             for name, (dims, *_) in self._variables().items()
-            if dims[:2] == ("field", "wavelength") and name not in ("psf", "real_height_um")
+            if dims[:2] == ("field", "wavelength")
+            and name not in ("psf", "real_height_um", "relative_illumination")
         }
+
+        def blended(psf: np.ndarray) -> np.ndarray:
+            across = np.concatenate([psf, half_turned(psf[1:2])])
+            return mixed(across, over_fields, over_lines).astype(np.float32)
+
         if self.halo is not None:
-            both["halo"] = np.stack([mixed(level) for level in self.halo]).astype(np.float32)
+            both["halo"] = np.stack([blended(level) for level in self.halo])
         both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
-        provenance = self.provenance | {"resampled": "linear in wavelength and in image height"}
+        light = own.even(self.relative_illumination, heights) @ over_lines
+        provenance = self.provenance | {"resampled": "as interpolated in wavelength and height"}
         return replace(
             self,
             wavelengths_nm=lines,
             field_deg=angles,
             ideal_height_um=_ideal_height_um(self.efl_mm, angles),
             real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
-            psf=mixed(self.psf).astype(np.float32),
+            psf=blended(self.psf),
+            relative_illumination=light,
             projected_solid_angle_sr=self.projected_solid_angle_sr @ over_lines,
             transmission=self.transmission @ over_lines,
             provenance=provenance,
@@ -458,7 +483,7 @@ class Bank:
 
     def _variables(self) -> dict[str, tuple]:
         rays = {} if self.cone is None else _RAYS
-        return _VARIABLES | rays | ({} if self.halo is None else _HALO)
+        return _VARIABLES | _BETWEEN | rays | ({} if self.halo is None else _HALO)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""
@@ -493,7 +518,7 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO | _BETWEEN))
 
 
 def no_rays(provenance: dict[str, str]) -> UserError:

@@ -34,6 +34,8 @@ class FieldBank(Protocol):
         Largest distance between the chief rays of two wavelengths at a field.
     probes : tuple of int
         Fields that stand for all, the middle first.
+    spectral_degree : int
+        Of what lies between the wavelengths: see `gpusim.lens.lines`.
     """
 
     wavelengths_nm: np.ndarray
@@ -43,6 +45,7 @@ class FieldBank(Protocol):
     projected_solid_angle_sr: np.ndarray
     transmission: np.ndarray
     centre_um: tuple[float, float]
+    spectral_degree: int
 
     @property
     def levels(self) -> tuple[FieldBank, ...]:
@@ -81,7 +84,10 @@ class FieldBank(Protocol):
         """
 
     def places(self, reach_um: float) -> tuple[tuple[int, ...], Places]:
-        """Return the numbers of the fields that image points so far out need, and their places."""
+        """Return the numbers of the fields that image points so far out need, and their places.
+
+        The list that the places go with: a number occurs again where its field does, turned.
+        """
 
     def ideal_points(
         self, x_um: np.ndarray, y_um: np.ndarray

@@ -30,8 +30,9 @@ YAML file; gpusim/data/mtf holds one as an example:
 Between its frequencies the table is interpolated by monotone cubics (PCHIP, Fritsch and Carlson
 1980): no overshoot, and no contrast that the table does not have. Beyond the last it goes on as a
 straight line with the slope of the last interval until it meets zero; where that slope does not
-fall, the table must be longer. Between fields and wavelengths PSFs are linear, and so are MTFs;
-inside a colour band they are constant, and beyond the first and last wavelength too.
+fall, the table must be longer. Between fields PSFs are cubic (``places.py``), and so are MTFs;
+between wavelengths linear. Inside a colour band they are constant, and beyond the first and last
+wavelength too.
 
 An MTF that ends abruptly has a PSF that rings and dips below zero, as that of a sharpened image
 does. It is kept: cutting it would change the MTF. (An MTF alone does not say what the phase was: a
@@ -53,6 +54,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from gpusim.errors import UserError
 from gpusim.lens.assemble import Stated, make_bank, per_wavelength, validated
 from gpusim.lens.bank import REFERENCE_NM, Bank
+from gpusim.lens.lines import STRAIGHT
 from gpusim.lens.sampling import PITCH_UM, SIZE
 
 # Samples in a period of the finest detail: splines of degree 3 on the bank's grid interpolate it to
@@ -281,6 +283,7 @@ def read_mtf(data: dict[str, object], file: Path) -> Bank:
         pitch_um=pitch_um,
         relative_illumination=np.stack(illumination)[:, rows],
         outside_energy=outside.reshape(shape)[:, rows],
+        spectral_degree=STRAIGHT,
         provenance={
             "lens_model": "MTF only: rotationally symmetric at each field, no coma, astigmatism, "
             "lateral colour or phase",

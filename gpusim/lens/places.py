@@ -1,7 +1,9 @@
 """Where the fields of a bank lie on the image plane, and how the PSFs between them are made.
 
-Of a lens that is symmetric about its axis: heights, between which PSFs are linear in height and
-turned to their azimuth. Of any other: a grid, between whose corners they are bilinear, as they lie.
+By the cubics through the nearest four (Lagrange). Of a lens that is symmetric about its axis:
+heights, and PSFs that are turned to their azimuth. Beyond the axis lie the same fields again, at
+-r, turned by half a turn: what is even in the height has no cusp there, and coma no jump. Of any
+other lens: a grid, and PSFs as they lie.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
+
+NEAREST = 4  # fields of a cubic
 
 
 class FieldPsfs(NamedTuple):
@@ -62,38 +66,120 @@ class Places(Protocol):
         if only the PSFs are symmetric about their x axis.
     main : slice
         Of the list, the fields that hold the light: others only change how it is spread.
+    opposite : tuple of int
+        Of the list, the fields that stand beyond the axis: their PSFs are turned by half a turn.
     """
 
     probes: tuple[int, ...]
     quadrants: tuple[tuple[int, int], ...]
     main: slice
+    opposite: tuple[int, ...]
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
+
+
+def half_turned(images: np.ndarray) -> np.ndarray:
+    """Return images (..., n, n) turned by half a turn about sample n / 2, n even."""
+    return np.roll(images[..., ::-1, ::-1], 1, axis=(-2, -1))
+
+
+def lagrange(nodes: np.ndarray, at: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """Return which nodes make up a function's values at points, and how much each counts.
+
+    The polynomial through the nearest four, two on either side; at the ends the outer four; of
+    fewer nodes through all (Lagrange; Abramowitz and Stegun 1964, eq. 25.2.1).
+
+    Parameters
+    ----------
+    nodes : ndarray (N,)
+        Rising.
+    at : array_like (...)
+
+    Returns
+    -------
+    numbers : ndarray (..., min(4, N)) of int
+    weights : ndarray (..., min(4, N))
+        Sum 1.
+    """
+    at = np.asarray(at, float)
+    count = min(NEAREST, len(nodes))
+    first = np.clip(np.searchsorted(nodes, at, "right") - count // 2, 0, len(nodes) - count)
+    numbers = first[..., None] + np.arange(count)
+    own = nodes[numbers]
+    weights = np.ones(numbers.shape)
+    for place, other in np.ndindex(count, count):
+        if place != other:
+            apart = own[..., place] - own[..., other]
+            weights[..., place] *= (at - own[..., other]) / apart
+    return numbers, weights
 
 
 @dataclass(frozen=True)
 class Heights:
-    """Fields at image heights, rising from 0.
+    """Fields at image heights, rising from 0, and last in the list the second of them at -r.
 
-    Beyond the last they go on along a straight line for as far as it is from the one before, and
+    Beyond the largest they go on along a straight line for as far as it is from the one before, and
     then stay: nothing shines there, but nodes that lie there belong to cells that reach in.
     """
 
     radius_um: np.ndarray
-    probes = (0, -1)
     quadrants = ((1, 1),)
-    main = slice(None)
+
+    @property
+    def probes(self) -> tuple[int, ...]:
+        """The axis and the rim."""
+        return (0, len(self.radius_um) - 1)
+
+    @property
+    def main(self) -> slice:
+        """All but the one beyond the axis, which is there already."""
+        return slice(len(self.radius_um))
+
+    @property
+    def opposite(self) -> tuple[int, ...]:
+        """The last."""
+        return (len(self.radius_um),)
+
+    def blended(self, radius_um: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+        """Return numbers in the list and weights (..., 3 or 4) at heights up to the largest."""
+        nodes = np.concatenate([-self.radius_um[1:2], self.radius_um])
+        numbers, weights = lagrange(nodes, radius_um)
+        return (numbers - 1) % len(nodes), weights
+
+    def even(self, table: np.ndarray, radius_um: np.ndarray) -> np.ndarray:
+        """Return values that are alike on both sides of the axis at heights.
+
+        Parameters
+        ----------
+        table : ndarray (F, ...)
+            At the fields.
+        radius_um : ndarray (P,)
+            Beyond the largest height: as there.
+
+        Returns
+        -------
+        ndarray (P, ...)
+        """
+        numbers, weights = self.blended(np.minimum(radius_um, self.radius_um[-1]))
+        both = np.concatenate([table, table[1:2]])
+        # Of one after the other: maps are large.
+        return sum(
+            one.reshape(-1, *[1] * (table.ndim - 1)) * both[number]
+            for number, one in zip(numbers.T, weights.T, strict=True)
+        )
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
         radius = float(np.hypot(x_um, y_um))
-        upper = int(np.clip(np.searchsorted(self.radius_um, radius), 1, len(self.radius_um) - 1))
-        lower = upper - 1
-        span = self.radius_um[upper] - self.radius_um[lower]
-        t = min((radius - self.radius_um[lower]) / span, 2.0)
         cos, sin = (x_um / radius, y_um / radius) if radius > 0 else (1.0, 0.0)
-        return Blend((lower, upper), (1 - t, t), cos, sin)
+        last = len(self.radius_um) - 1
+        before, edge = self.radius_um[-2:]
+        if radius > edge:
+            t = min((radius - before) / (edge - before), 2.0)
+            return Blend((last - 1, last), (1 - t, t), cos, sin)
+        numbers, weights = self.blended(radius)
+        return Blend(tuple(numbers.tolist()), tuple(weights.tolist()), cos, sin)
 
 
 @dataclass(frozen=True)
@@ -113,6 +199,7 @@ class FieldGrid:
     field_deg: Callable[[float, float], tuple[float, float]]
     quadrants = ((1, 1), (-1, 1), (-1, -1), (1, -1))
     main = slice(None)
+    opposite = ()
 
     @cached_property
     def probes(self) -> tuple[int, ...]:
@@ -123,15 +210,18 @@ class FieldGrid:
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
-        parts = []
-        for angle, axis in zip(self.field_deg(x_um, y_um), (self.x_deg, self.y_deg), strict=True):
-            place = float(np.interp(angle, axis, np.arange(len(axis))))
-            first = min(int(place), len(axis) - 2)
-            parts.append(((first, 1 - (place - first)), (first + 1, place - first)))
-        corners = [
-            (row * len(self.x_deg) + col, down * across)
-            for row, down in parts[1]
-            for col, across in parts[0]
-        ]
-        fields, weights = zip(*corners, strict=True)
-        return Blend(fields, weights, 1.0, 0.0)
+        numbers, weights = self.blended(x_um, y_um)
+        return Blend(tuple(numbers.tolist()), tuple(weights.tolist()), 1.0, 0.0)
+
+    def blended(self, x_um: np.ndarray, y_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return numbers and weights (..., up to 16) of the fields at real image points (...)."""
+        (col, across), (row, down) = (
+            lagrange(axis, np.clip(angle, axis[0], axis[-1]))
+            for angle, axis in zip(
+                self.field_deg(x_um, y_um), (self.x_deg, self.y_deg), strict=True
+            )
+        )
+        numbers = row[..., :, None] * len(self.x_deg) + col[..., None, :]
+        weights = down[..., :, None] * across[..., None, :]
+        flat = (*numbers.shape[:-2], -1)
+        return numbers.reshape(flat), weights.reshape(flat)

@@ -1,8 +1,8 @@
 """A bank over both directions of the field, for lenses that are not symmetric about an axis.
 
 Elements may be decentred and tilted. Computed in float64 from the whole pupil, stored as NetCDF-4.
-The chain renders with it as with a symmetric one (``bank.py``): PSFs are bilinear between the
-fields of the grid, as they lie, and nothing is turned. x and y are those of the prescription; on
+The chain renders with it as with a symmetric one (``bank.py``): PSFs are bicubic between the fields
+of the grid, as they lie, and nothing is turned. x and y are those of the prescription; on
 the sensor x points right and y down.
 """
 
@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
@@ -32,6 +31,7 @@ from gpusim.lens.bank import (
     save_dataset,
 )
 from gpusim.lens.cone import FieldRays, cone_of
+from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import FieldGrid, FieldPsfs
 from gpusim.lens.plane_map import PlaneMap
 from gpusim.lens.prescription import Prescription
@@ -179,6 +179,8 @@ class PlaneBank:
     chief: np.ndarray | None = None
     cone: np.ndarray | None = None
 
+    spectral_degree = CUBIC  # what the chain asks of a bank: see gpusim.lens.field_bank
+
     @property
     def reference(self) -> int:
         """Index of the reference wavelength."""
@@ -256,8 +258,9 @@ class PlaneBank:
         rim = self.field_deg(reach_um * np.cos(turn), reach_um * np.sin(turn))
         x, y = (
             np.arange(
-                max(int(np.searchsorted(axis, angle.min(), "right")) - 1, 0),
-                min(int(np.searchsorted(axis, angle.max())), len(axis) - 1) + 1,
+                # Two on either side of a point are of the nearest four.
+                max(int(np.searchsorted(axis, angle.min(), "right")) - 2, 0),
+                min(int(np.searchsorted(axis, angle.max())) + 2, len(axis)),
             )
             for axis, angle in zip((self.field_x_deg, self.field_y_deg), rim, strict=True)
         )
@@ -302,18 +305,14 @@ class PlaneBank:
 
     def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
         """Return the relative illumination at real image points, by wavelength first."""
-        indices = [
-            np.interp(angle, axis, np.arange(len(axis)))
-            for angle, axis in zip(
-                self.field_deg(x_um, y_um), (self.field_x_deg, self.field_y_deg), strict=True
-            )
-        ]
-        return np.stack(
-            [
-                map_coordinates(share, indices[::-1], order=1)
-                for share in np.moveaxis(self.relative_illumination, -1, 0)
-            ]
+        grid = FieldGrid(self.field_x_deg, self.field_y_deg, self.field_deg)
+        table = self.relative_illumination.reshape(-1, len(self.wavelengths_nm))
+        numbers, weights = grid.blended(x_um, y_um)
+        # Of one after the other: maps are large.
+        light = sum(
+            weights[..., one, None] * table[numbers[..., one]] for one in range(weights.shape[-1])
         )
+        return np.moveaxis(light, -1, 0)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the bank as a dataset with units and meaning on every variable."""

@@ -7,8 +7,7 @@ and shares s_d of the projected solid angle (`gpusim.lens.cone`). What a channel
 
 with R(psi) the turn to the azimuth psi of the image point, and m the direction from which the
 shifted micro-lenses there send light where the middle one sends that along the normal. Between the
-fields the light is linear (`gpusim.lens.places`), and so is the product of q, relative illumination
-and PSF.
+fields the product of q, relative illumination and PSF is interpolated (`gpusim.lens.places`).
 
 A pixel that answers alike from all sides has no psi. Of any other behind a lens with an axis, the
 weights of a field become a sum over few terms: their mean over psi, and what a singular value
@@ -18,13 +17,13 @@ decomposition finds of the rest, each a function of psi times weights of its own
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from gpusim.errors import UserError
 from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.lines import line_shares
 from gpusim.lens.places import Blend, Heights, Places
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import passed
@@ -141,13 +140,14 @@ class AngularResponse:
     def at(self, x_um: float, y_um: float) -> np.ndarray:
         """Return the mean quantum efficiency (C, 61) at a real image point, for figures."""
         lines = self.bank.wavelengths_nm
-        tents = [np.interp(WAVELENGTHS_NM, lines, row) for row in np.eye(len(lines))]
+        shares = line_shares(lines, self.bank.spectral_degree, WAVELENGTHS_NM)
         blend = self.places.at(x_um, y_um)
-        azimuth = np.arctan2(blend.sin, blend.cos) % (2 * np.pi)
+        azimuth = np.arctan2(blend.sin, blend.cos)
         total = np.zeros((len(self.table), WAVELENGTHS_NM.size))
         for field, weight in zip(blend.fields, blend.weights, strict=True):
-            of_field = np.einsum("aclw,lw->acw", self.qe(self.fields[field]), tents)
-            total += weight * around(of_field)(azimuth)
+            of_field = np.einsum("aclw,lw->acw", self.qe(self.fields[field]), shares)
+            there = azimuth + np.pi * (field in self.places.opposite)
+            total += weight * around(of_field)(there % (2 * np.pi))
         return total
 
     @property
@@ -177,21 +177,30 @@ class TurnedHeights:
     gains: tuple[CubicSpline, ...]
     quadrants = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
-    @cached_property
+    @property
     def probes(self) -> tuple[int, ...]:
         """The mean over the azimuths, on the axis and at the rim."""
-        return (0, len(self.heights.radius_um) - 1)
+        return self.heights.probes
 
     @property
     def main(self) -> slice:
         """The means over the azimuths, which hold the light."""
-        return slice(len(self.heights.radius_um))
+        return self.heights.main
+
+    @property
+    def opposite(self) -> tuple[int, ...]:
+        """The fields beyond the axis, in each term."""
+        count = len(self.gains)
+        terms = len(self.gains[0](0.0))
+        return tuple(
+            field + term * count for term in range(terms) for field in self.heights.opposite
+        )
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the kernel at a real image point is made."""
         blend = self.heights.at(x_um, y_um)
         azimuth = float(np.arctan2(blend.sin, blend.cos)) % (2 * np.pi)
-        count = len(self.heights.radius_um)
+        count = len(self.gains)
         parts = [
             (field + term * count, float(weight * gain))
             for field, weight in zip(blend.fields, blend.weights, strict=True)
@@ -239,16 +248,25 @@ class PlaceWeights:
         return self._splines[number](azimuth % (2 * np.pi))
 
     def terms(self, fields: tuple[int, ...], places: Places) -> tuple[list[np.ndarray], Places]:
-        """Return the terms (R, J, C, L) of the weights of fields, and the places of all terms.
+        """Return the terms (R, J, C, L, 61) of the rates of fields, and the places of all terms.
 
-        Places of one term are those given.
+        Their sums over the samples of WAVELENGTHS_NM are those of the weights. Places of one term
+        are those given.
+
+        Parameters
+        ----------
+        fields : tuple of int
+            By number, as the places list them.
+        places : Places
         """
-        weights = [self.of_field(number) for number in fields]
-        means = [one.mean(axis=0) for one in weights]
+        answers = [self.response.qe(number) for number in fields]
+        means = [one.mean(axis=0) for one in answers]
         if not self.response.turning:
-            return [mean[None] for mean in means], places
-        gains, shapes, rank = [], [], 0
-        for one, mean in zip(weights, means, strict=True):
+            return [self._rates(mean[None]) for mean in means], places
+        gains, rank = [], 0
+        for number in fields:
+            one = self.of_field(number)
+            mean = one.mean(axis=0)
             rest = (one - mean).reshape(len(one), -1)
             left, size, right = np.linalg.svd(rest, full_matrices=False)
             allowed = self.error * np.abs(mean).sum(axis=-1)
@@ -260,16 +278,19 @@ class PlaceWeights:
                 own += 1
             rank = max(rank, own)
             gains.append(left)
-            shapes.append((size[:, None] * right).reshape(-1, *mean.shape))
-        splines = []
-        for left in gains:
+        splines, terms = [], []
+        for place, (left, answer, mean) in enumerate(zip(gains, answers, means, strict=True)):
+            # Seen from beyond the axis, the azimuth is half a turn on.
+            half = len(left) // 2 if place in places.opposite else 0
             table = np.concatenate([np.ones((len(left), 1)), left[:, :rank]], axis=1)
-            splines.append(around(table))
-        terms = [
-            np.concatenate([mean[None], shape[:rank]])
-            for mean, shape in zip(means, shapes, strict=True)
-        ]
+            splines.append(around(np.roll(table, -half, axis=0)))
+            shapes = np.tensordot(left[:, :rank].T, answer - mean, axes=1)
+            terms.append(self._rates(np.concatenate([mean[None], shapes])))
         return terms, TurnedHeights(places, tuple(splines)) if rank else places
+
+    def _rates(self, answers: np.ndarray) -> np.ndarray:
+        """Return electrons/s of each plane (..., J, C, L, 61) for what channels answer."""
+        return self.per_plane[:, None] * answers[:, None]
 
     def at(self, x_um: float, y_um: float) -> np.ndarray:
         """Return electrons/s of each plane (J, C, L) at a real image point, with the fall of light.
@@ -283,7 +304,8 @@ class PlaceWeights:
         for field, weight in zip(blend.fields, blend.weights, strict=True):
             number = self.response.fields[field]
             light = weight * bank.field(number).relative_illumination
-            total = total + light * self.of_field_at(number, azimuth)
+            there = azimuth + np.pi * (field in self.response.places.opposite)
+            total = total + light * self.of_field_at(number, there)
         return total
 
 

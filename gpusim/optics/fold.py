@@ -1,8 +1,9 @@
 """Fold wavelengths, quantum efficiency and scene spectra, so that few planes need to be convolved.
 
-Before the shot noise the chain is linear. The PSF is taken as linear in wavelength between those of
-the bank, so the integral over wavelength reduces to one weight per colour channel, scene spectrum
-and bank wavelength.
+Before the shot noise the chain is linear. The PSF about its own chief ray is a spline in wavelength
+through those of the bank (`gpusim.lens.lines`), so the integral over wavelength reduces to one
+weight per colour channel, scene spectrum and bank wavelength; where chief rays go with the
+wavelength, to as many as there are samples of it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.lines import line_shares
 from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
@@ -30,7 +32,7 @@ def spectral_weights(bank: FieldBank, sensor: Sensor, qe: np.ndarray | None = No
 
     N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1,
     with the irradiance of an extended source, E = L Omega), by the trapezoidal rule, shared out
-    between the two nearest wavelengths of the bank.
+    between the wavelengths of the bank.
 
     Parameters
     ----------
@@ -49,21 +51,13 @@ def spectral_weights(bank: FieldBank, sensor: Sensor, qe: np.ndarray | None = No
     step[[0, -1]] /= 2
     area_m2 = sensor.fill_factor * (sensor.pixel_pitch_um * 1e-6) ** 2
     photons_per_joule = WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_M_S)
-    collected_sr = np.interp(
-        WAVELENGTHS_NM, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
-    )
+    shares = line_shares(bank.wavelengths_nm, bank.spectral_degree, WAVELENGTHS_NM)
+    collected_sr = (bank.projected_solid_angle_sr * bank.transmission) @ shares
     if qe is None and sensor.eqe_map is not None:
         qe = AngularResponse(bank, sensor).on_axis
     elif qe is None:
         qe = np.stack([sensor.qe[channel] for channel in sensor.channels])[:, None]
-    response = qe * photons_per_joule * area_m2 * collected_sr * step
-    tents = np.stack(
-        [
-            np.interp(WAVELENGTHS_NM, bank.wavelengths_nm, row)
-            for row in np.eye(len(bank.wavelengths_nm))
-        ]
-    )
-    return response * tents
+    return qe * photons_per_joule * area_m2 * collected_sr * step * shares
 
 
 @dataclass(frozen=True)
@@ -83,6 +77,8 @@ class Basis:
         Root mean square of these errors over spectra and channels.
     spectra : ndarray (J, 61)
         Of the planes, W m^-2 sr^-1 nm^-1.
+    response : ndarray (C, L, 61)
+        As `spectral_weights` returns it.
     elsewhere : PlaceWeights, optional
         Where the quantum efficiency goes with the place, `weights` off the axis.
     """
@@ -92,7 +88,16 @@ class Basis:
     residual: float
     rms: float
     spectra: np.ndarray
+    response: np.ndarray
     elsewhere: PlaceWeights | None = None
+
+    @property
+    def rates(self) -> np.ndarray:
+        """Electrons/s of each plane (J, C, L, 61) by bank wavelength and sample of WAVELENGTHS_NM.
+
+        Their sums over the samples are the weights.
+        """
+        return self.spectra[:, None, None] * self.response
 
 
 def edge_responses(bank: FieldBank) -> np.ndarray:
@@ -152,6 +157,7 @@ def camera_basis(
     return replace(
         basis,
         weights=basis.weights[:, : len(weights)],
+        response=weights,
         elsewhere=PlaceWeights(response, per_photon, basis.spectra, place_error),
     )
 
@@ -214,6 +220,7 @@ def reduce_spectra(
         residual=residual,
         rms=rms,
         spectra=turn.T @ vectors.T @ (material_scale[:, None] * spectra),
+        response=weights,
     )
 
 

@@ -3,12 +3,14 @@
 All in float64 on the host; the spectra are handed to the device in float32. The kernel of plane j
 in channel c at field point s is
 
-    H_cj(x; s) = sum_l weights[j, c, l] K(s, l) h_l(x - (x_l(s) - x_ref(s)); s),
+    H_cj(x; s) = sum_k sum_l rates[j, c, l, k] K(s, l) h_l(x - (x_c(s, k) - x_ref(s)); s),
 
-K the relative illumination, h_l the PSF at bank wavelength l, shifted by its lateral colour and
-interpolated between the bank's fields (`gpusim.lens.places`: in radius and rotated to the azimuth
-of s, or over a grid). Into it are folded the pixel aperture, and the inverse of the Gaussian with
-which the scene was low-passed before it was sampled on the sim grid.
+K the relative illumination, h_l the PSF at bank wavelength l about its chief ray, x_c the chief ray
+at sample k of the spectrum, a spline through those of the bank's wavelengths: colours make a streak
+(`gpusim.lens.lines`). Between the bank's fields the sum is interpolated (`gpusim.lens.places`: in
+radius and rotated to the azimuth of s, or over a grid). Into it are folded the pixel aperture, and
+the inverse of the Gaussian with which the scene was low-passed before it was sampled on the sim
+grid.
 """
 
 from __future__ import annotations
@@ -22,8 +24,10 @@ import scipy.fft
 from scipy.sparse import csr_array
 
 from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import Places
+from gpusim.lens.lines import line_shares
+from gpusim.lens.places import Places, half_turned
 from gpusim.optics.angular import PlaceWeights
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Response
 
 # Pad of the fine grid against wrap-around of shifts and of the inverse Gaussian's ringing, samples
@@ -107,7 +111,7 @@ def interleaved(fields: int, planes: int, channels: int, n: int) -> np.ndarray:
 
 def field_images(
     bank: FieldBank,
-    weights: np.ndarray,
+    rates: np.ndarray,
     reach_um: float,
     force: bool = False,
     elsewhere: PlaceWeights | None = None,
@@ -119,53 +123,94 @@ def field_images(
     Parameters
     ----------
     bank : FieldBank
-    weights : ndarray (J, C, L)
-        Electrons/s of each plane in each channel, by bank wavelength.
+    rates : ndarray (J, C, L, 61)
+        Electrons/s of each plane in each channel, by bank wavelength and sample of WAVELENGTHS_NM.
     reach_um : float
         Largest image height that is needed.
     force : bool
         Shift the PSFs of a field without lateral colour too: for tests.
     elsewhere : PlaceWeights, optional
-        In place of the weights, where they go with the place.
+        In place of the rates, where they go with the place.
 
     Returns
     -------
     images : ndarray of float32 (F', J, C, n, n)
-        On the bank's grid, [y, x]; of weights that are sums of terms, all fields of a term after
+        On the bank's grid, [y, x]; of rates that are sums of terms, all fields of a term after
         those of the one before.
     places : Places
         Of the F' fields.
     """
     n = bank.psf.shape[-1] + 2 * PAD
-    fx, fy = scipy.fft.rfftfreq(n, bank.pitch_um), scipy.fft.fftfreq(n, bank.pitch_um)
-    fields, places = bank.places(reach_um)
-    terms = [weights[None]] * len(fields)
+    fields, listed = bank.places(reach_um)
+    terms, places = [rates[None]] * len(fields), listed
     if elsewhere is not None:
-        terms, places = elsewhere.terms(fields, places)
-    images = np.empty((len(terms[0]), len(fields), *weights.shape[:2], n, n), np.float32)
+        terms, places = elsewhere.terms(fields, listed)
+    images = np.empty((len(terms[0]), len(fields), *rates.shape[:2], n, n), np.float32)
     for place, number in enumerate(fields):
         psf, shift_um, relative_illumination = bank.field(number)
-        share = (terms[place] * relative_illumination).astype(np.float32)
-        if not (shift_um.any() or force):
-            image = images[:, place]
+        light = terms[place] * relative_illumination[:, None]
+        image = images[:, place]
+        if shift_um.any() or force:
+            colours = line_shares(bank.wavelengths_nm, bank.spectral_degree, WAVELENGTHS_NM)
+            image[...] = _streaks(psf, light, shift_um.T @ colours, bank.pitch_um)
+        else:
             image[...] = 0.0
+            share = light.sum(axis=-1).astype(np.float32)
             image[..., PAD : n - PAD, PAD : n - PAD] = np.tensordot(share, psf, axes=1)
-            continue
-        padded = np.pad(psf, ((0, 0), (PAD, PAD), (PAD, PAD)))
-        # The sum over wavelengths is linear; of a lens with an axis the shifts are radial, and a
-        # transform along the rows is enough.
-        lines = scipy.fft.rfft(padded, axis=-1, workers=2)
-        lines *= np.exp(-2j * np.pi * fx * shift_um[:, :1, None]).astype(np.complex64)
-        both = shift_um[:, 1].any()
-        if both:
-            lines = scipy.fft.fft(lines, axis=-2, workers=2, overwrite_x=True)
-            turn = np.exp(-2j * np.pi * fy * shift_um[:, 1:]).astype(np.complex64)
-            lines *= turn[:, :, None]
-        mixed = np.tensordot(share, lines, axes=1)
-        if both:
-            mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)
-        images[:, place] = scipy.fft.irfft(mixed, n, axis=-1, workers=2)
+        if place in listed.opposite:
+            image[...] = half_turned(image)
     return images.reshape(-1, *images.shape[2:]), places
+
+
+def _streaks(
+    psf: np.ndarray, light: np.ndarray, chief_um: np.ndarray, pitch_um: float
+) -> np.ndarray:
+    """Return the sums of PSFs (L, n, n) that move with the wavelength, in a frame of `PAD` samples.
+
+    Parameters
+    ----------
+    psf : ndarray (L, n, n)
+    light : ndarray (..., L, K)
+        How much of each PSF lies at each chief ray.
+    chief_um : ndarray (2, K)
+        x, y of the chief rays.
+    pitch_um : float
+        Of the PSFs.
+
+    Returns
+    -------
+    ndarray (..., n + 2 PAD, n + 2 PAD)
+    """
+    n = psf.shape[-1] + 2 * PAD
+    before, (lines, samples) = light.shape[:-2], light.shape[-2:]
+    turn_x, turn_y = (
+        np.exp(-2j * np.pi * np.outer(at, f)).astype(np.complex64)
+        for at, f in zip(
+            chief_um,
+            (scipy.fft.rfftfreq(n, pitch_um), scipy.fft.fftfreq(n, pitch_um)),
+            strict=True,
+        )
+    )
+    spectra = scipy.fft.rfft(np.pad(psf, ((0, 0), (PAD, PAD), (PAD, PAD))), axis=-1, workers=2)
+    flat = light.reshape(-1, samples).astype(np.float32)
+    half = n // 2 + 1
+    if chief_um[1].any():
+        spectra = scipy.fft.fft(spectra, axis=-2, workers=2, overwrite_x=True)
+        mixed = np.empty((n, len(flat) // lines, half), np.complex64)
+        for of_row, spectrum, turn in zip(mixed, spectra.swapaxes(0, 1), turn_y.T, strict=True):
+            transfer = (flat * turn) @ turn_x
+            np.einsum("alf,lf->af", transfer.reshape(-1, lines, half), spectrum, out=of_row)
+        mixed = scipy.fft.ifft(mixed, axis=0, workers=2, overwrite_x=True).swapaxes(0, 1)
+    else:
+        # Of a lens with an axis the shifts are radial: each frequency along the rows has one
+        # transfer, and a transform along the rows is enough.
+        transfer = (flat @ turn_x).reshape(-1, lines, half)
+        mixed = np.matmul(
+            np.ascontiguousarray(transfer.transpose(2, 0, 1)),
+            np.ascontiguousarray(spectra.transpose(2, 0, 1)),
+        ).transpose(1, 2, 0)
+    mixed = np.ascontiguousarray(mixed).reshape(*before, n, half)
+    return scipy.fft.irfft(mixed, n, axis=-1, workers=2, overwrite_x=True)
 
 
 def field_kernels(
@@ -282,7 +327,7 @@ def sampled_kernels(
     # Those of a sample side by side. Made by Fourier transforms, splines go on periodically.
     splines = np.empty((n + 1, n + 1, planes * channels))
     splines[:n, :n] = sum(
-        weight * kernels.splines[field, :planes].transpose(2, 3, 0, 1).reshape(n, n, -1)
+        np.float64(weight) * kernels.splines[field, :planes].transpose(2, 3, 0, 1).reshape(n, n, -1)
         for field, weight in zip(fields, weights, strict=True)
     )
     splines[n], splines[:, n] = splines[0], splines[:, 0]

@@ -1,10 +1,14 @@
 """Host side of the splat stage: a photograph's highlights, each with the kernels of its own place.
 
-The kernels are tabulated in the frame of the PSFs, at the fields of the bank between which the
-truth itself is linear. Of a lens with an axis the pixel aperture and the highlight's square stand
-at an angle in it, the azimuth modulo 90 degrees: tables are made at `bins` angles, and mixed
-linearly between the nearest two. All sums are of what is not negative, or compact: light ends where
-the PSF does.
+The kernels are tabulated in the frame of the PSFs, at the fields of the bank, and mixed as the
+truth mixes these. Of a lens with an axis the pixel aperture and the highlight's square stand at an
+angle in it, the azimuth modulo 90 degrees: tables are made at `bins` angles, and mixed linearly
+between the nearest two. All sums are of what is not negative, or compact: light ends where the PSF
+does.
+
+Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
+give it (`gpusim.lens.lines`): what aperture and square blur follows the streak between the chief
+rays as closely as cubics do.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import FieldPsfs, Places
+from gpusim.lens.places import FieldPsfs, Places, half_turned
 from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
@@ -37,10 +41,9 @@ HIGHLIGHT = np.dtype(
         ("place", "<f4", 2),
         ("axis", "<f4", 2),
         ("padding", "<u4", 2),
-        ("tables", "<u4", 4),
-        ("shares", "<f4", 4),
     ]
 )
+PART = np.dtype([("table", "<u4"), ("share", "<f4")])
 SQUARE = 16  # CFA cells along a side of the squares for which highlights are listed
 LARGEST = 2.0  # pixels along a side of a highlight, of which one PSF is taken; others are cut up
 # Angles in 90 degrees at which tables are made, for a tolerance of 1e-3. Mixing between them errs
@@ -308,14 +311,6 @@ class Splat:
         channels = sensor.channels
         self.site_channels = packed_channels(planes.channels)
         self.fours = -(-len(spectra) // 4)
-        self.kernel = Kernel(
-            "optics/splat",
-            S=self.planes,
-            PERIOD=self.period,
-            C=len(channels),
-            FOURS=self.fours,
-            N=kernels.side,
-        )
         # Reaches from a table's middle to zeros, and no tap lies beyond its border.
         self.reach2 = (kernels.support + 2) ** 2
         self.across, self.down = (
@@ -327,7 +322,17 @@ class Splat:
         while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
             mixed = mixture(places, squares, self.bins, kernels.turns)
+        self.kernel = Kernel(
+            "optics/splat",
+            S=self.planes,
+            PERIOD=self.period,
+            C=len(channels),
+            FOURS=self.fours,
+            N=kernels.side,
+            MIXED=mixed.shares.shape[1],
+        )
         used, tables = distinct(mixed.keys)
+        opposite = np.isin(used[:, 0], places.opposite)
         # The map changes slowly: those that share a table share the mean of their shapes in it.
         shapes = np.zeros((len(used), 2, 2))
         own = turned(squares.slopes, mixed.axis) * squares.size_um
@@ -341,8 +346,11 @@ class Splat:
             result = []
             for number in chosen:
                 angle = np.pi / 2 * used[number, 1] / self.bins
-                weights = kernels.weights_at(of_field, angle)
-                table = kernels.table(field, spectra, weights, angle, shapes[number])
+                # Beyond the axis everything is half a turn on: aperture and square are as they are.
+                half = np.pi * opposite[number]
+                weights = kernels.weights_at(of_field, angle + half)
+                table = kernels.table(field, spectra, weights, angle + half, shapes[number])
+                table = half_turned(table) if half else table
                 result.append(np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1))
             return np.stack(result)
 
@@ -358,12 +366,14 @@ class Splat:
             rows["pixel"] = np.floor(position)
             rows["place"] = position - np.floor(position) - 0.5
             rows["axis"] = mixed.axis[chosen] * sensor.pixel_pitch_um / bank.pitch_um
-            rows["tables"] = local.reshape(-1, 4)
-            rows["shares"] = mixed.shares[chosen]
+            parts = np.zeros(mixed.shares[chosen].shape, PART)
+            parts["table"] = local.reshape(parts.shape)
+            parts["share"] = mixed.shares[chosen]
             reach = kernels.reach_um / (sensor.pixel_pitch_um * self.period)
             starts, near = lists(position / self.period, reach, (self.across, self.down))
             arrays = {
                 "highlights": rows.view(np.uint32),
+                "parts": parts.view(np.uint32),
                 "radiance": in_fours(squares.light[chosen]),
                 "starts": starts,
                 "near": near,
@@ -422,9 +432,9 @@ class Mixture(NamedTuple):
 
     Attributes
     ----------
-    keys : ndarray (N, 4, 2) of int
+    keys : ndarray (N, K, 2) of int
         Tables, by place of their field in the list and by angle.
-    shares : ndarray (N, 4)
+    shares : ndarray (N, K)
         Of the tables; sum 1.
     axis : ndarray (N, 2)
         Direction of the PSFs' x axis.
@@ -436,28 +446,31 @@ class Mixture(NamedTuple):
 
 
 def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixture:
-    """Mix fields as the truth does, linearly, and angles where PSFs are turned.
+    """Mix fields as the truth does, and, linearly, angles where PSFs are turned.
 
     Tables are the same again after `turns` quarters of a turn.
     """
-    count = len(squares.real_um)
-    result = Mixture(np.zeros((count, 4, 2), int), np.zeros((count, 4)), np.empty((count, 2)))
-    for keys, shares, axis, (x, y) in zip(*result, squares.real_um, strict=True):
+    around = turns * bins
+    found, axis = [], np.empty((len(squares.real_um), 2))
+    for own, (x, y) in zip(axis, squares.real_um, strict=True):
         blend = places.at(x, y)
         angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % float(turns) * bins
-        before, around = int(angle), turns * bins
+        before = int(angle)
         two = ((before % around, 1 - (angle - before)), ((before + 1) % around, angle - before))
-        parts = [
-            ((field, bin_), weight * share)
-            for field, weight in zip(blend.fields, blend.weights, strict=True)
-            for bin_, share in two
-            if share > 0
-        ]
-        keys[:] = parts[0][0]
-        for place, (key, share) in enumerate(parts):
-            keys[place], shares[place] = key, share
-        axis[:] = blend.cos, blend.sin
-    return result
+        found.append(
+            [
+                ((field, bin_), weight * share)
+                for field, weight in zip(blend.fields, blend.weights, strict=True)
+                for bin_, share in two
+                if weight * share != 0
+            ]
+        )
+        own[:] = blend.cos, blend.sin
+    most = max(len(parts) for parts in found)
+    # Those that need fewer take nothing of the first once more.
+    keys = [[key for key, _ in parts] + [parts[0][0]] * (most - len(parts)) for parts in found]
+    shares = [[share for _, share in parts] + [0.0] * (most - len(parts)) for parts in found]
+    return Mixture(np.array(keys), np.array(shares), axis)
 
 
 def turned(slopes: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -467,14 +480,14 @@ def turned(slopes: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the keys (T, 2) that occur among (N, 4, 2), in order, and where each is (N, 4)."""
+    """Return the keys (T, 2) that occur among (N, K, 2), in order, and where each is (N, K)."""
     used, where = np.unique(keys.reshape(-1, 2), axis=0, return_inverse=True)
     return used, where.reshape(keys.shape[:2])
 
 
 def groups(tables: np.ndarray, table_bytes: int) -> list[np.ndarray]:
-    """Cut squares, in order of their tables (N, 4), into lists whose tables one dispatch binds."""
-    most = max(DISPATCH_BYTES // table_bytes, 4)
+    """Cut squares, in order of their tables (N, K), into lists whose tables one dispatch binds."""
+    most = max(DISPATCH_BYTES // table_bytes, tables.shape[1])
     result: list[list[int]] = []
     used: set[int] = set()
     for number in np.argsort(tables[:, 0], kind="stable"):

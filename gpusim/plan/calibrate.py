@@ -172,8 +172,9 @@ def _grid(length: int, period: int) -> SimGrid:
 
 
 def _scale(grid: SimGrid, channels: int = 1) -> Scale:
-    places = Heights(np.array([0.0, 1.0]))
-    nothing = FieldKernels(np.zeros((2, 1, channels, 4, 4), np.float32), places, 0.5)
+    # Any place between the first two is made of four fields.
+    places = Heights(np.array([0.0, 1.0, 2.0]))
+    nothing = FieldKernels(np.zeros((4, 1, channels, 4, 4), np.float32), places, 0.5)
     return Scale("calibration", grid, 1.0, SIGMA, nothing)
 
 
@@ -185,7 +186,7 @@ def _host(device: Device) -> dict[str | int, float]:
     """
     half_size, length = 32, 256
     kernels = _scale(_grid(length, 2)).kernels
-    splines = interleaved(2, 3, 3, 128)
+    splines = interleaved(4, 3, 3, 128)
     splines[...] = 1.0
     kernels = replace(kernels, splines=splines)
 

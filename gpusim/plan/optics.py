@@ -572,7 +572,7 @@ class _Problem:
         # Sources around the sensor count too, and so do the nodes beyond them.
         farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
         basis, lateral = self.basis, LATERAL in self.force
-        return field_images(self.bank, basis.weights, farthest_um, lateral, basis.elsewhere)
+        return field_images(self.bank, basis.rates, farthest_um, lateral, basis.elsewhere)
 
     @property
     def images(self) -> np.ndarray:

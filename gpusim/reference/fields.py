@@ -1,7 +1,8 @@
 """Fields of a bank: where its PSFs stand, which of them a source point needs, and its place.
 
 Of a lens with an axis they are image heights (`Heights`), of one without a grid (`Grid`). Both have
-the image circle: its centre on the sensor, um, and its radius.
+the image circle: its centre on the sensor, um, and its radius. Between fields everything is the
+polynomial of Newton through the nearest four, two on either side, or the outer four.
 """
 
 from __future__ import annotations
@@ -16,8 +17,37 @@ from scipy.interpolate import CubicSpline
 MAP_ERROR_UM = 1e-5
 
 
+def _cubic(axis: np.ndarray, at: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Return the nodes (N,) of an axis that points (P,) within it need, with the share of each.
+
+    From divided differences: the share of a node is the value of the polynomial that is 1 there.
+    """
+    count = min(4, len(axis))
+    above = np.searchsorted(axis, at, side="right")
+    first = np.minimum(np.maximum(above - count // 2, 0), len(axis) - count)
+    found = []
+    for start in np.unique(first):
+        here = first == start
+        x = axis[start : start + count]
+        for node in range(count):
+            table = np.eye(count)[node]
+            for order in range(1, count):
+                table[order:] = (table[order:] - table[order - 1 : -1]) / (x[order:] - x[:-order])
+            value = np.zeros(np.count_nonzero(here))
+            for difference, one in zip(table[::-1], x[::-1], strict=True):
+                value = value * (at[here] - one) + difference
+            share = np.zeros(len(at))
+            share[here] = value
+            found.append((int(start) + node, share))
+    return found
+
+
 class Heights:
-    """Fields at image heights, between which PSFs are linear in height and turned."""
+    """Fields at image heights, between which PSFs are cubic in height and turned.
+
+    At negative heights are the same fields seen from the other side: the points and their PSFs are
+    turned by half a turn about the axis.
+    """
 
     def __init__(self, bank: Any) -> None:
         self.bank = bank
@@ -41,12 +71,13 @@ class Heights:
         radius = np.hypot(*source.T)[:, None]
         return np.where(radius > 0, source / np.maximum(radius, 1e-9), [1.0, 0.0])
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
-        radius = np.hypot(*source.T)
-        position = np.interp(radius, self.radius_um, np.arange(len(self.radius_um)))
-        for field in range(int(position.min()), int(np.ceil(position.max())) + 1):
-            yield field, np.maximum(1 - np.abs(position - field), 0)
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+        radius = np.minimum(np.hypot(*source.T), self.radius_um[-1])
+        both = np.concatenate([-self.radius_um[:0:-1], self.radius_um])
+        middle = len(self.radius_um) - 1
+        for place, share in _cubic(both, radius):
+            yield abs(place - middle), 1 if place >= middle else -1, share
 
     def ideal(self, real: np.ndarray) -> np.ndarray:
         """Return the ideal-plane positions (..., 2) of real ones, um."""
@@ -57,7 +88,7 @@ class Heights:
 
 
 class Grid:
-    """Fields on a grid of field angles, between which PSFs are bilinear.
+    """Fields on a grid of field angles, between which PSFs are bicubic.
 
     The map from the image to the field is a fit of its own to the bank's chief rays: Chebyshev
     products, of total degrees until the largest error is ``MAP_ERROR_UM``.
@@ -108,18 +139,17 @@ class Grid:
         """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
         return np.broadcast_to([1.0, 0.0], source.shape)
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, with the share (P,) of each."""
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
         bank = self.bank
         ideal = self.ideal(source)
         height = np.hypot(*ideal.T)
         angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
-        tents = []
-        for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg)):
-            place = np.interp(at, axis, np.arange(len(axis)))
-            used = range(int(place.min()), int(np.ceil(place.max())) + 1)
-            tents.append([(k, np.maximum(1 - np.abs(place - k), 0)) for k in used])
-        for col, across in tents[0]:
-            for row, down in tents[1]:
-                yield row * len(bank.field_x_deg) + col, across * down
+        across, down = (
+            _cubic(axis, np.clip(at, axis[0], axis[-1]))
+            for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg))
+        )
+        for col, of_col in across:
+            for row, of_row in down:
+                yield row * len(bank.field_x_deg) + col, 1, of_col * of_row

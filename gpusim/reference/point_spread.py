@@ -1,10 +1,13 @@
 """What a source point spreads over the sensor: H of the truth model.
 
-    H_cm(t; s) = sum_l W[c, m, l] K(s, l) h_l(t - (x_l(s) - x_ref(s)); s)
+    H_cm(t; s) = sum_k sum_l R[c, m, l, k] K(s, l) h_l(t - (x_c(s, k) - x_ref(s)); s)
+    R[c, m, l, k] = q_c(k) L_m(k) Omega(k) T(k) (lambda_k / hc) d lambda_k  S_l(lambda_k)
 
-W in electrons/s per unit area of an aperture, by channel, scene spectrum and wavelength of the
-bank. Of a sensor whose quantum efficiency goes with the angle of the light, W goes with the field
-and the azimuth of s (`gpusim.reference.angle`).
+R in electrons/s per unit area of an aperture, by channel, scene spectrum, wavelength l of the bank
+and sample k of the spectra. S_l are the cubic splines in 1 / lambda that are 1 at one wavelength of
+the bank and 0 at the others: by them go the PSF about its own chief ray, the chief ray x_c, and
+Omega T. Of a sensor whose quantum efficiency goes with the angle of the light, q goes with the
+field and the azimuth of s (`gpusim.reference.angle`), and with l.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.reference.angle import NODES, MeanQe
@@ -25,8 +29,8 @@ C_M_S = 299792458.0
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
 # Of banks of 256 samples and 13 wavelengths: kernels of 0.04 MiB, and one in three of 0.8 MiB;
-# fields of 10 MiB. Probes come by height, and each needs two or three heights.
-KEPT_KERNELS, KEPT_FIELDS = 600, 8
+# fields of 10 MiB. Probes come by height, and each needs four or five heights, of a grid 16 fields.
+KEPT_KERNELS, KEPT_FIELDS = 600, {Heights: 10, Grid: 24}
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 
 
@@ -59,41 +63,47 @@ class PointSpread:
         if sensor.eqe_map is not None:
             self.mean_qe = MeanQe(bank, sensor, wavelengths_nm)
         else:
-            qe = np.stack([sensor.qe[name] for name in sensor.channels])
-            self.weights = self._weights([qe] * len(bank.wavelengths_nm))
+            qe = np.stack([sensor.qe[name] for name in sensor.channels], axis=-1)
+            self.qe = qe[None]
+        self.splines = _line_splines(bank, wavelengths_nm)
+        steradian = (bank.projected_solid_angle_sr * bank.transmission) @ self.splines
+        photons = wavelengths_nm * 1e-9 / (H_J_S * C_M_S)
+        of_samples = np.trapezoid(np.eye(len(wavelengths_nm)), wavelengths_nm)
+        # Per um^2 of aperture.
+        self.even = self.splines * steradian * photons * of_samples * 1e-12
+        self.qe_there: dict[tuple[int, int], np.ndarray] = {}
         self.weights_there: dict[tuple[int, int], np.ndarray] = {}
-        self.shifted: dict[int, np.ndarray] = {}
+        self.lights: dict[int, tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = {}
         self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
 
-    def _weights(self, qe: Sequence[np.ndarray]) -> np.ndarray:
-        """Return W (C, M, L): electrons/s per unit area of an aperture.
+    def _qe_at(self, field: int, node: int) -> np.ndarray:
+        """Return q (L or 1, 61, C) at a field of the bank and one of NODES azimuths."""
+        if self.mean_qe is None:
+            return self.qe
+        found = self.qe_there.get((field, node))
+        if found is None:
+            found = self.qe_there[field, node] = self.mean_qe.mean(field, node)
+        return found
 
-        Of quantum efficiencies (C, 61), one for each wavelength of the bank.
-        """
-        bank, spectra, wavelengths_nm = self.bank, self.spectra, self.wavelengths_nm
-        energy_j = H_J_S * C_M_S / (wavelengths_nm * 1e-9)
-        steradian = np.interp(
-            wavelengths_nm, bank.wavelengths_nm, bank.projected_solid_angle_sr * bank.transmission
-        )
-        weights = np.empty((len(qe[0]), len(spectra), len(bank.wavelengths_nm)))
-        for place in range(len(bank.wavelengths_nm)):
-            tent = np.interp(
-                wavelengths_nm, bank.wavelengths_nm, np.eye(len(bank.wavelengths_nm))[place]
-            )
-            integrand = qe[place][:, None] * spectra * tent * steradian / energy_j
-            weights[..., place] = np.trapezoid(integrand, wavelengths_nm, axis=-1)
-        return weights * 1e-12  # per um^2 of aperture
+    def _rates(self, channel: int, spectrum: int, field: int, node: int) -> np.ndarray:
+        """Return R (L, 61) of a channel and spectrum at a field of the bank and an azimuth."""
+        return self._qe_at(field, node)[..., channel] * self.spectra[spectrum] * self.even
 
     def _weights_at(self, field: int, node: int) -> np.ndarray:
-        """Return W (C, M, L) at a field of the bank and one of NODES azimuths."""
-        if self.mean_qe is None:
-            return self.weights
-        found = self.weights_there.get((field, node))
+        """Return the sums of R over the samples (C, M, L) at a field of the bank and an azimuth."""
+        key = (field, node) if self.mean_qe is not None else (0, 0)
+        found = self.weights_there.get(key)
         if found is None:
-            qe = self.mean_qe.mean(field, node)
-            found = self.weights_there[field, node] = self._weights(qe.swapaxes(1, 2))
+            per_photon = self._qe_at(field, node) * self.even[..., None]
+            found = np.einsum("lkc,mk->cml", per_photon, self.spectra)
+            self.weights_there[key] = found
         return found
+
+    def _seen_from(self, side: int, node: int) -> int:
+        """Return the azimuth of a field that is seen at one, from this side or beyond the axis."""
+        turns = self.mean_qe is not None and self.mean_qe.turns
+        return (node + NODES // 2) % NODES if turns and side < 0 else node
 
     def _nodes(self, source: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Yield the azimuths whose weights source points (P, 2) need, with the share (P,) of each.
@@ -118,25 +128,33 @@ class PointSpread:
                 share += np.where((before + step) % NODES == node, of_step, 0.0)
             yield int(node), share
 
-    def _shifted(self, field: int) -> np.ndarray:
-        """Return the PSFs (L, n, n) of one bank field, with lateral colour and illumination."""
-        images = self.shifted.get(field)
-        if images is None:
-            bank = self.bank
-            n = bank.psf.shape[-1] + 2 * PAD
-            images = np.zeros((len(bank.wavelengths_nm), n, n))
-            frequency = scipy.fft.rfftfreq(n, bank.pitch_um)
+    def _light(self, field: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+        """Return what all kernels of one bank field are made of.
+
+        Its PSFs (L, n, n) with illumination, per um^2. If chief rays move with the wavelength: the
+        spectra of these, along x, or along both where they move in y too; and what each sample of
+        the spectra turns at each frequency along x (61, n / 2 + 1), and along y (61, n).
+        """
+        found = self.lights.get(field)
+        if found is None:
+            pitch, n = self.bank.pitch_um, self.bank.psf.shape[-1] + 2 * PAD
+            images, shifts = np.zeros((len(self.splines), n, n)), []
             for place, image in enumerate(images):
                 psf, illumination, shift = self.fields.light(field, place)
-                image[PAD:-PAD, PAD:-PAD] = psf * np.float64(illumination / bank.pitch_um**2)
-                for axis, along in ((1, shift[0]), (0, shift[1])):
-                    if along:
-                        turns = np.exp(-2j * np.pi * frequency * along)
-                        turns = turns if axis else turns[:, None]
-                        lines = scipy.fft.rfft(image, axis=axis) * turns
-                        image[:] = scipy.fft.irfft(lines, n, axis=axis)
-            _keep(self.shifted, field, images, KEPT_FIELDS)
-        return images
+                image[PAD:-PAD, PAD:-PAD] = psf * np.float64(illumination / pitch**2)
+                shifts.append(shift)
+            found = images, None, None
+            if np.any(shifts):
+                x, y = np.transpose(shifts) @ self.splines
+                spectra = scipy.fft.rfft(images)
+                across = np.exp(-2j * np.pi * np.outer(x, scipy.fft.rfftfreq(n, pitch)))
+                down = None
+                if y.any():
+                    spectra = scipy.fft.fft(spectra, axis=1)
+                    down = np.exp(-2j * np.pi * np.outer(y, scipy.fft.fftfreq(n, pitch)))
+                found = spectra, across, down
+            _keep(self.lights, field, found, KEPT_FIELDS[type(self.fields)])
+        return found
 
     def _kernel(self, channel: int, spectrum: int, field: int, node: int, zone: Zone) -> np.ndarray:
         """Return spline coefficients of H at one bank field and azimuth, in its PSFs' frame.
@@ -146,11 +164,23 @@ class PointSpread:
         key = (channel, spectrum, field, node, zone)
         kernel = self.kernels.get(key)
         if kernel is None:
-            weights = self._weights_at(field, node)[channel, spectrum]
-            images = self._shifted(field)
-            middle, half = images.shape[-1] // 2, self._half(zone)
+            rates = self._rates(channel, spectrum, field, node)
+            images, across, down = self._light(field)
+            n = images.shape[1]
+            middle, half = n // 2, self._half(zone)
             there = slice(middle - half, middle + half)
-            density = np.tensordot(weights, images[:, there, there], axes=1)
+            if across is None:
+                density = np.tensordot(rates.sum(axis=1), images[:, there, there], axes=1)
+            else:
+                if down is None:
+                    moved = np.einsum("lx,lyx->yx", rates @ across, images)
+                else:
+                    moved = sum(
+                        ((rate[:, None] * down).T @ across) * image
+                        for rate, image in zip(rates, images, strict=True)
+                    )
+                    moved = scipy.fft.ifft(moved, axis=0)
+                density = scipy.fft.irfft(moved[there], n)[:, there]
             kernel = spline_filter(density, order=zone.degree)
             _keep(self.kernels, key, kernel, KEPT_KERNELS)
         return kernel
@@ -170,16 +200,17 @@ class PointSpread:
     ) -> np.ndarray:
         """Return H (M, P) of spectra at a zone's t (P, 2) from source points (P, 2), per um^2."""
         half = self._half(zone)
-        x, y = (at / self.bank.pitch_um + half for at in self._turned(zone.t, source))
+        x, y = (at / self.bank.pitch_um for at in self._turned(zone.t, source))
         result = np.zeros((len(spectra), len(source)))
         nodes = list(self._nodes(source))
-        for field, of_field in self.fields.shares(source):
-            for node, of_node in nodes:
+        for field, side, of_field in self.fields.shares(source):
+            for here, of_node in nodes:
                 share = of_field * of_node
                 used = np.flatnonzero(share)
                 if not len(used):
                     continue
-                share, where = share[used], np.stack([y[used], x[used]])
+                node = self._seen_from(side, here)
+                share, where = share[used], side * np.stack([y[used], x[used]]) + half
                 for one, spectrum in zip(result, spectra, strict=True):
                     kernel = self._kernel(channel, spectrum, field, node, zone)
                     one[used] += share * map_coordinates(
@@ -190,24 +221,30 @@ class PointSpread:
     def at(self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
         """Return H of spectra (P, M) at t from source (P,): no blend of wavelengths is resampled.
 
-        A shift of the samples by the lateral colour, as `_shifted` has it, rings far beyond the
-        PSF, by 1e-10 of a highlight: more than the shadows next to the sun hold.
+        A shift of the samples by the lateral colour, as `_kernel` has it, rings far beyond the PSF,
+        by 1e-10 of a highlight: more than the shadows next to the sun hold. Here each wavelength of
+        the bank has its light at its own chief ray, sum_l (sum_k R[l, k]) K h_l(t - x_l): the
+        splines between them are of the whole, not of PSF and chief ray apart.
         """
         pitch, half = self.bank.pitch_um, self.bank.psf.shape[-1] // 2 + SPLINE_PAD
         x, y = self._turned(t, source)
         result = np.zeros(len(t))
         nodes = list(self._nodes(source))
-        for field, share in self.fields.shares(source):
-            used = share > 0
+        for field, side, share in self.fields.shares(source):
+            used = share != 0
             if not used.any():
                 continue
             light = sum(
-                of_node[used, None] * (excess[used] @ self._weights_at(field, node)[channel])
+                of_node[used, None]
+                * (excess[used] @ self._weights_at(field, self._seen_from(side, node))[channel])
                 for node, of_node in nodes
             )
             for place, spline in enumerate(self._psf_splines(field)):
                 _, illumination, shift = self.fields.light(field, place)
-                where = [(y[used] - shift[1]) / pitch + half, (x[used] - shift[0]) / pitch + half]
+                where = [
+                    (side * at[used] - along) / pitch + half
+                    for at, along in ((y, shift[1]), (x, shift[0]))
+                ]
                 result[used] += (share[used] * light[:, place] * illumination / pitch**2) * (
                     map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
                 )
@@ -226,6 +263,20 @@ class PointSpread:
                 ]
             )
         return self.psf_splines[field]
+
+
+def _line_splines(bank: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return S (L, 61) of the bank's wavelengths; beyond the first and last they stay as there.
+
+    Not-a-knot; of three wavelengths the parabola, of two the straight line in 1 / lambda. Of a bank
+    that asks for it, straight lines in lambda.
+    """
+    lines = np.asarray(bank.wavelengths_nm, np.float64)
+    each = np.eye(len(lines))
+    if bank.spectral_degree == 1 or len(lines) == 1:
+        return np.stack([np.interp(wavelengths_nm, lines, row) for row in each])
+    within = np.minimum(np.maximum(wavelengths_nm, lines[0]), lines[-1])
+    return CubicSpline(1e3 / lines[::-1], each[::-1], bc_type="not-a-knot")(1e3 / within).T
 
 
 def _keep(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:

@@ -42,7 +42,8 @@ def splat(
         for channel in np.unique(channels):
             own = channels == channel
             kernel = np.tensordot(colour, np.asarray(table[channel], np.float64), axes=1)
-            total[own] += map_coordinates(
+            light = map_coordinates(
                 kernel, where[:, own], order=3, prefilter=False, mode="constant"
             )
+            total[own] += np.maximum(light, 0.0)  # no highlight takes light away
     return total

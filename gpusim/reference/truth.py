@@ -5,12 +5,12 @@
 with p over the pixel's aperture, a_m(s) one where spectrum m lies and zero elsewhere (charts, with
 exact outlines) or its coefficient (rasters), and
 
-    H_cm(t; s) = sum_l W[c, m, l] K(s, l) h_l(t - (x_l(s) - x_ref(s)); s),
+    H_cm(t; s) = sum_k sum_l R[c, m, l, k] K(s, l) h_l(t - (x_c(s, k) - x_ref(s)); s),
 
-the PSF of the bank interpolated linearly in wavelength and in image height, and *rotated* to the
-azimuth of each source point; of a lens without an axis it is bilinear between the fields of a grid,
-and not rotated (`gpusim.reference.point_spread`). No sim grid, no PSF nodes, no reduced basis, no
-transform of the image: nothing that the engine chooses.
+the PSF of the bank interpolated by splines in wavelength about its chief ray, by cubics in image
+height, and *rotated* to the azimuth of each source point; of a lens without an axis it is bicubic
+between the fields of a grid, and not rotated (`gpusim.reference.point_spread`). No sim grid, no PSF
+nodes, no reduced basis, no transform of the image: nothing that the engine chooses.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
 // Adds the light of a photograph's highlights to the photosites. Each is a small square of even radiance, far brighter than
 // what is around it; in transforms of f32 its rounding errors would drown the shadows, so it is summed pixel by pixel:
 //
-//   rates[site, y, x] += sum_i sum_m a_im sum_k share_ik H_k(v),   v = (pixel - highlight_i), turned into the meridional frame
+//   rates[site, y, x] += sum_i max(0, sum_m a_im sum_k share_ik H_k(v))
+//   v = (pixel - highlight_i), turned into the meridional frame
 //   H_k(v) = sum_ab c_k[a, b] beta3(v_x - b) beta3(v_y - a)
 //
 // H_k, of channel and spectrum: the PSF convolved with the pixel aperture and with the square, per unit of spectral radiance.
-// Its spline coefficients c, none negative, end in zeros at the border of the table and go on so: no sum is ever negative.
+// Its spline coefficients c end in zeros at the border of the table and go on so. Of the shares, those of cubics between the
+// fields of a lens, some are below 0: what that makes of a highlight's light is not, for no highlight takes light away.
 // Every pixel takes its highlights in the order of the list, so that tiles repeat the same sums bit for bit.
 // Units: positions in pixels, tables in samples of their own, a in units of the scene's spectra, rates in electrons/s.
 // tables (tables, C, FOURS, N, N, 4), row tangential, column radial, four spectra side by side; N/2 is the chief ray.
@@ -19,6 +21,7 @@ override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels
 override FOURS: u32 = 1u;     // ceil(M/4) for M spectra of the scene
 override N: u32 = 320u;       // side of a table, samples
+override MIXED: u32 = 8u;     // tables of a highlight
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square
@@ -33,8 +36,12 @@ struct Highlight {
     pixel: vec2i,             // column, row of the pixel in which its centre lies
     place: vec2f,             // of the centre in it, from the pixel's centre
     axis: vec2f,              // the radial unit vector, times table samples per pixel
-    tables: vec4u,
-    shares: vec4f,
+    padding: vec2u,
+}
+
+struct Part {
+    table: u32,
+    share: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -44,6 +51,7 @@ struct Highlight {
 @group(0) @binding(4) var<storage, read> near: array<u32>;
 @group(0) @binding(5) var<storage, read> tables: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> rates: array<f32>;
+@group(0) @binding(7) var<storage, read> parts: array<Part>;      // (highlights, MIXED)
 
 fn channel_of(site: u32) -> u32 {
     return (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
@@ -70,14 +78,15 @@ fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
     var sum = 0.0;
     for (var q = 0u; q < FOURS; q++) {
         var spread = vec4f(0.0);
-        for (var k = 0u; k < 4u; k++) {
-            let first = ((h.tables[k] * C + channel) * FOURS + q) * N * N + corner;
-            spread += h.shares[k] * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
+        for (var k = 0u; k < MIXED; k++) {
+            let part = parts[i * MIXED + k];
+            let first = ((part.table * C + channel) * FOURS + q) * N * N + corner;
+            spread += part.share * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
                 + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx));
         }
         sum += dot(radiance[i * FOURS + q], spread);
     }
-    return sum;
+    return max(sum, 0.0);
 }
 
 @compute @workgroup_size(16, 16, 1)

@@ -86,11 +86,16 @@ def test_what_lies_between_the_table_and_the_bank(bank):
     assert bank.reference_nm == 600
     np.testing.assert_array_equal(bank.psf[:, 0], bank.psf[:, 1])
     np.testing.assert_allclose(bank.ideal_height_um, np.linspace(0, 1000, 15))
-    # Linear between fields, PSF and light alike.
-    np.testing.assert_allclose(
-        bank.psf[3, 2], (4 * bank.psf[0, 2] + 3 * bank.psf[7, 2]) / 7, atol=1e-8
-    )
-    assert bank.relative_illumination[3, 2] == pytest.approx((4 * 1 + 3 * 0.88) / 7)
+    # Cubic between fields, beyond the axis the same ones: at t = 3/7, with fields at -1, 0, 1, 2.
+    t = 3 / 7
+    around = t * (t - 1) * (t - 2) / -6 + t * (t + 1) * (t - 2) / -2
+    shares = ((t + 1) * (t - 1) * (t - 2) / 2, around, t * (t + 1) * (t - 1) / 6)
+    mixed = np.tensordot(shares, bank.psf[[0, 7, 14], 2].astype(float), axes=1)
+    np.testing.assert_allclose(bank.psf[3, 2], mixed, atol=1e-8)  # f32 of 0.1
+    # Light: the even polynomial through all.
+    rows = [[1, 0, 0], [1, 1, 1], [1, 4, 16]]
+    terms = np.linalg.solve(rows, bank.relative_illumination[[0, 7, 14], 2])
+    assert bank.relative_illumination[3, 2] == pytest.approx(terms @ [1, t**2, t**4])
     np.testing.assert_allclose(bank.relative_illumination[7], [0.9, 0.9, 0.88])
     # Through the table, and with no lateral colour.
     np.testing.assert_allclose(bank.real_height_um[[7, 14]], [[497.5] * 3, [980.0] * 3])

@@ -292,6 +292,14 @@ class StubCamera:
         return self.lens_bank
 
 
+def at_lines(lens: FieldBank, weights: np.ndarray) -> np.ndarray:
+    """Return rates (J, C, L, 61) of light at the wavelengths of the bank alone."""
+    rates = np.zeros((*weights.shape, WAVELENGTHS_NM.size))
+    for place, line in enumerate(lens.wavelengths_nm):
+        rates[..., place, list(WAVELENGTHS_NM).index(line)] = weights[..., place]
+    return rates
+
+
 FLAT = np.full(WAVELENGTHS_NM.size, 1e-3)  # W m^-2 sr^-1 nm^-1, the order of a lit room
 RED = FLAT * (0.1 + 0.9 / (1 + np.exp((600 - WAVELENGTHS_NM) / 15)))
 BLUE = FLAT * (0.1 + 0.9 / (1 + np.exp((WAVELENGTHS_NM - 480) / 15)))
@@ -323,7 +331,7 @@ def convolve_for(
 ) -> Convolve:
     """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
     nothing = FieldKernels(
-        np.zeros((2, 1, channels, 4, 4), np.float32), Heights(np.array([0.0, 1.0])), 0.5
+        np.zeros((3, 1, channels, 4, 4), np.float32), Heights(np.array([0.0, 1.0])), 0.5
     )
     return Convolve(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, site_channels)
 

@@ -141,7 +141,7 @@ def test_the_reference_finds_the_same_means(made, shift):
 def test_kernels_hold_what_the_mean_says_at_every_place():
     camera, found = angled(unlike()), lens()
     basis = camera_basis(found, camera, np.stack([FLAT, RED, BLUE]), 1e-4, np.arange(3), 1e-5)
-    images, places = field_images(found, basis.weights, 1e9, elsewhere=basis.elsewhere)
+    images, places = field_images(found, basis.rates, 1e9, elsewhere=basis.elsewhere)
     count = len(found.field_deg)
     assert len(images) > count
     assert places.probes == (0, count - 1)
@@ -157,8 +157,8 @@ def test_kernels_hold_what_the_mean_says_at_every_place():
 def test_a_pixel_that_answers_alike_from_all_sides_has_one_term():
     camera, found = angled(eqe_map(R=ONE, Gr=ONE, Gb=ONE, B=ONE)), lens()
     basis = camera_basis(found, camera, np.stack([FLAT, RED]), 1e-3, np.arange(2), 1e-5)
-    images, places = field_images(found, basis.weights, 1e9, elsewhere=basis.elsewhere)
-    assert len(images) == len(found.field_deg)
+    images, places = field_images(found, basis.rates, 1e9, elsewhere=basis.elsewhere)
+    assert len(images) == len(found.field_deg) + 1  # and one beyond the axis
     assert isinstance(places, Heights)
 
 
@@ -190,7 +190,7 @@ def test_a_sensor_without_angles_does_nothing_more(monkeypatch):
     )
     assert with_rays.elsewhere is None
     assert np.array_equal(with_rays.weights, without.weights)
-    pairs = [field_images(one, without.weights, 1e9)[0] for one in (found, plain)]
+    pairs = [field_images(one, without.rates, 1e9)[0] for one in (found, plain)]
     assert np.array_equal(*pairs)
 
 

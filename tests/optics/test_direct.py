@@ -39,7 +39,7 @@ NODES = ("taps_00", "taps_10", "taps_01", "taps_11")
 def stage_for(device: Device, grid: SimGrid, sites: list[int], support: int):
     """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
     places = Heights(np.array([0.0, 1.0]))
-    nothing = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), places, 0.5)
+    nothing = FieldKernels(np.zeros((3, 1, 3, 4, 4), F32), places, 0.5)
     return Direct(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, sites, support)
 
 

@@ -43,16 +43,23 @@ def test_electrons_of_a_flat_spectrum_in_closed_form():
     assert_close(weights.sum(), np.array(exact), rtol=1e-12)
 
 
-def test_a_line_is_shared_by_the_nearest_wavelengths_of_the_bank():
+def test_a_line_is_shared_by_the_wavelengths_of_the_bank():
+    """Of three by the parabola in 1 / lambda: each has 1 at its own, and 0 at the others."""
     weights = spectral_weights(LENS, CAMERA)
-    solid = np.interp(
-        WAVELENGTHS_NM, LENS.wavelengths_nm, LENS.projected_solid_angle_sr * LENS.transmission
+    at = list(WAVELENGTHS_NM).index(475.0)
+    x, (a, b, c) = 1 / 475, 1 / LENS.wavelengths_nm
+    shares = np.array(
+        [
+            (x - b) * (x - c) / ((a - b) * (a - c)),
+            (x - a) * (x - c) / ((b - a) * (b - c)),
+            (x - a) * (x - b) / ((c - a) * (c - b)),
+        ]
     )
-    at = list(WAVELENGTHS_NM).index(475.0)  # midway between 400 and 550 nm
-    assert_close(weights[:, 0, at], weights[:, 1, at].copy(), rtol=1e-12)
-    assert not weights[:, 2, at].any()
-    photons = 475e-9 / (6.62607015e-34 * 299792458.0) * 1.55e-6**2 * 5 * solid[at]
+    assert shares[2] < -0.1  # a control: no mean of the nearest
+    solid = shares @ (LENS.projected_solid_angle_sr * LENS.transmission)
+    photons = 475e-9 / (6.62607015e-34 * 299792458.0) * 1.55e-6**2 * 5 * solid
     green = CAMERA.qe["G"][at] * photons
+    assert_close(weights[1, :, at], green * shares, rtol=1e-12)
     assert_close(weights[1, :, at].sum(), np.array(green), rtol=1e-12)
     assert not weights[:, [0, 2], list(WAVELENGTHS_NM).index(550.0)].any()
 

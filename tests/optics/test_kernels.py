@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import bank, gaussian, plane_bank
+from optics.made import at_lines, bank, gaussian, plane_bank
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
@@ -33,7 +33,7 @@ F64_SPLINE = 2 * 59 * 9 * 2.0**-53
 
 def everything(lens=LENS, weights=WEIGHTS, pitch_um=0.5, reach_um=1e9):
     """Return kernels with the whole PSF, up to the band of a sim grid."""
-    images, places = field_images(lens, weights, reach_um)
+    images, places = field_images(lens, at_lines(lens, weights), reach_um)
     return field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
 
 
@@ -52,7 +52,7 @@ def test_the_band_ends_at_nyquist():
 def test_core_and_tail_make_the_whole():
     r = np.array([0.0, CUT_EDGE, (1 + CUT_EDGE) / 2, 1.0, 2.0]) * 6.0
     assert_close(core_window(r, 6.0), np.array([1, 1, 0.5, 0, 0]), atol=1e-12)
-    images, places = field_images(LENS, WEIGHTS, 1e9)
+    images, places = field_images(LENS, at_lines(LENS, WEIGHTS), 1e9)
     core = core_window(distances_um(images.shape[-1], 0.5), 4.0)
     assert core[64, 64] == 1 and core[64, 64 + 8] == core[64 - 8, 64] == 0  # 8 x 0.5 um, centred
     assert core[64, 64 + 6] == pytest.approx(0.5)
@@ -73,7 +73,7 @@ def test_core_and_tail_make_the_whole():
 
 def test_a_coarse_band_takes_fewer_samples(monkeypatch: pytest.MonkeyPatch):
     """Of every second or fourth sample the same kernels, where three remain to the sim grid's."""
-    images, places = field_images(LENS, WEIGHTS, 1e9)
+    images, places = field_images(LENS, at_lines(LENS, WEIGHTS), 1e9)
 
     def made(ratio: float) -> tuple[float, np.ndarray]:
         pitch_um = 0.5 * ratio
@@ -108,8 +108,9 @@ def test_mirrored_places_have_mirrored_kernels(skew_um: float):
 
 
 def test_images_hold_the_energy_of_their_weights():
-    images, places = field_images(LENS, WEIGHTS, 1e9)
-    expected = np.einsum("jcl,fl->fjc", WEIGHTS, LENS.relative_illumination)
+    images, places = field_images(LENS, at_lines(LENS, WEIGHTS), 1e9)
+    light = LENS.relative_illumination[[0, 1, 2, 3, 1]]
+    expected = np.einsum("jcl,fl->fjc", WEIGHTS, light)
     assert_close(images.sum(axis=(3, 4)), expected, rtol=1e-6)  # PSFs sum to 1 in f32
     assert_close(places.radius_um, LENS.real_height_um[:, 1].copy(), atol=0)
 
@@ -121,7 +122,7 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
     lens = plane_bank(coma_um=2.0, distortion=0.0, axial_coma_um=coma, prism_um=prism)
     weights = np.zeros((1, 1, 3))
     weights[..., place] = 1.0
-    images, places = field_images(lens, weights, 1e9)
+    images, places = field_images(lens, at_lines(lens, weights), 1e9)
     kernels = field_kernels(images, places, 0.5, 0.5, np.ones(images.shape[-2:]))
     steps, colours = (-0.5, 0.0, 0.5), (-0.004, 0.0, 0.003)
     for x_um, y_um in ((0.0, 0.0), (70.0, 20.0), (-30.0, 61.0), (-80.0, -44.0)):
@@ -129,22 +130,24 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
         kernel = sampled_kernels(kernels, x_um, y_um, 0.5, 40, 1)[0, 0]
         expected = 0.25 * (2.0 * at / 165.0 + coma)
         expected = expected + at * colours[place] + steps[place] * np.array(prism)
-        # Bilinear in angle, of what is linear in its tangent: (h / 2)^2 tan'' / 2 with h = 0.04 rad
-        # is 2e-5 of a focal length of 1000 um, of which colour and coma take a hundredth. The ends
-        # of splines and windows (16 um): 1e-3 um. A field with 5 % more light weighs more: half of
-        # that times the 0.24 um by which colour and coma of two fields differ.
-        assert_close(0.5 * centroid(kernel), expected, atol=8e-3)
+        # Bicubic in angle, of what is linear in its tangent, times light that goes with its square.
+        # The ends of splines and windows (16 um): 1e-3 um.
+        assert_close(0.5 * centroid(kernel), expected, atol=1.5e-3)
         light = 1 - 0.3 * (at @ at) / 165.0**2 * (1, 1.05, 1.1)[place]
-        # Of a square bilinear interpolation errs by (h / 2)^2 along x and y each: h = 41 um.
-        assert kernel.sum() == pytest.approx(light, abs=0.33 * 2 * 20.5**2 / 165.0**2)
+        # Of the square of the tangent bicubic interpolation in angle errs by its fourth derivative,
+        # 16, times 9 / 384 h^4 with h = 0.04 rad along x and y each: 2e-6 (1000 / 165)^2 of 0.33.
+        # Sums in f32: 1e-6.
+        assert kernel.sum() == pytest.approx(light, abs=3e-5)
         assert light < 0.95 or not at.any()
 
 
-def test_images_stop_at_the_first_field_beyond_the_reach():
+def test_images_stop_at_the_second_field_beyond_the_reach():
     radius_um = LENS.real_height_um[:, 1]
-    for reach, fields in ((1.0, 2), (radius_um[1] + 1, 3), (radius_um[1] - 1, 2), (1e9, 4)):
-        found = field_images(LENS, WEIGHTS[:1, :1], reach)[1].radius_um
-        assert len(found) == fields and (found[-1] >= reach or fields == 4)
+    for reach, fields in ((1.0, 3), (radius_um[1] + 1, 4), (radius_um[1] - 1, 3), (1e9, 4)):
+        images, places = field_images(LENS, at_lines(LENS, WEIGHTS[:1, :1]), reach)
+        found = places.radius_um
+        assert len(images) == fields + 1  # and one beyond the axis
+        assert len(found) == fields and (found[-2] >= reach or fields == 4)
 
 
 def test_a_sharp_psf_keeps_its_energy_at_every_azimuth():
@@ -167,7 +170,7 @@ def test_a_sharp_psf_keeps_its_energy_at_every_azimuth():
 def test_lateral_colour_moves_the_psf_along_the_radius(place: int):
     weights = np.zeros((1, 1, 3))
     weights[..., place] = 1.0
-    images, _ = field_images(LENS, weights, 1e9)
+    images, _ = field_images(LENS, at_lines(LENS, weights), 1e9)
     for field in range(4):
         at = np.arange(128) - 64
         moved = images[field, 0, 0]
@@ -262,9 +265,15 @@ def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_go_on_
     def at(height: float) -> np.ndarray:
         return sampled_kernels(kernels, height, 0.0, 0.6, 20, 2)
 
-    for lower in range(3):
+    # At the fields, and at the second beyond the axis: seen from there, turned by half a turn.
+    fields = [at(-radius[1]), *(at(one) for one in radius)]
+    nodes = np.array([-radius[1], *radius])
+    for lower, first in ((0, 0), (1, 1), (2, 1)):
         height = 0.7 * radius[lower] + 0.3 * radius[lower + 1]
-        mixed = 0.7 * at(radius[lower]) + 0.3 * at(radius[lower + 1])
+        near = slice(first, first + 4)
+        # The cubic through four.
+        shares = np.linalg.solve(np.vander(nodes[near] / 100).T, np.vander([height / 100], 4)[0])
+        mixed = np.tensordot(shares, fields[near], axes=1)
         assert_close(at(height), mixed, atol=1e-6 * mixed.max())  # sums of float32 splines
     step = radius[-1] - radius[-2]
     onwards = 1.4 * at(radius[-1]) - 0.4 * at(radius[-2])

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from harness import assert_close
-from optics.made import bank
+from optics.made import at_lines, bank
 
 from gpusim.gpu import Device
 from gpusim.optics import nodes as optics_nodes
@@ -32,7 +32,8 @@ class Store(NodeStore):
 
 
 def kernels(skew_um: float = 0.0) -> FieldKernels:
-    images, places = field_images(bank(skew_um=skew_um), WEIGHTS, 1e9)
+    lens = bank(skew_um=skew_um)
+    images, places = field_images(lens, at_lines(lens, WEIGHTS), 1e9)
     return field_kernels(images, places, 0.5, 0.775, np.ones(images.shape[-2:]))
 
 

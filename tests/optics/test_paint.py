@@ -40,7 +40,7 @@ F32 = np.float32
 WEIGHT = 5e-4
 IDENTITY = np.eye(8)[0]
 BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
-NO_KERNELS = FieldKernels(np.zeros((2, 1, 3, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
+NO_KERNELS = FieldKernels(np.zeros((3, 1, 3, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 
 
 def materials(count: int, planes: int) -> np.ndarray:

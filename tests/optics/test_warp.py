@@ -27,7 +27,7 @@ from gpusim.reference.warp import warp
 from gpusim.scene.raster import Raster
 
 F32 = np.float32
-NO_KERNELS = FieldKernels(np.zeros((2, 2, 1, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
+NO_KERNELS = FieldKernels(np.zeros((3, 2, 1, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 IDENTITY = np.eye(8)[0]
 BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
 

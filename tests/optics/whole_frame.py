@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 from harness import assert_close
-from optics.made import bank
+from optics.made import at_lines, bank
 
 from gpusim.gpu import Device, Recording
 from gpusim.lens.bank import Bank
@@ -52,7 +52,7 @@ def source(grid: SimGrid, planes: int) -> dict[tuple[int, int], np.ndarray]:
 def camera(grid: SimGrid, sigma: float, lens: Bank = LENS) -> tuple[Scale, list[int]]:
     """Return a scale of kernels, and the channel of each site."""
     pitch_um = PITCH_UM / grid.oversampling
-    images, places = field_images(lens, WEIGHTS, 1e9)
+    images, places = field_images(lens, at_lines(lens, WEIGHTS), 1e9)
     kernels = field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
     return Scale("test", grid, pitch_um, sigma, kernels), [2, 1, 1, 0, 1, 2, 0, 1] * 2
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from optics.made import BLUE, FLAT, RED, bank, monochrome, scene, sensor, shapes
+from optics.made import BLUE, FLAT, RED, at_lines, bank, monochrome, scene, sensor, shapes
 
 from gpusim import gpu
 from gpusim.errors import UserError
@@ -199,7 +199,7 @@ def test_the_tail_of_the_psf_goes_to_a_coarse_grid_where_that_suffices():
     whole = plan_optics(HALO, sensor(), COLOURED, Accuracy(5e-4)).scales
     assert [scale.name for scale in whole] in (["whole"], ["core", "tail"])
     # Together they hold the PSF: the splines of both, at the first field, are linear in it.
-    images, _ = field_images(HALO, plan.basis.weights, 1e9)
+    images, _ = field_images(HALO, plan.basis.rates, 1e9)
     for part, share in ((core, 0.7), (tail, 0.0)):
         total = part.kernels.splines[0].sum(axis=(2, 3), dtype=float)
         fraction = total / images[0].sum(axis=(2, 3))
@@ -298,8 +298,7 @@ def test_aliases_of_a_gaussian():
 
 
 def test_what_the_coarse_grid_loses_falls_with_the_cut():
-    weights = np.ones((1, 1, 3))
-    images, _ = field_images(HALO, weights, 1e9)
+    images, _ = field_images(HALO, at_lines(HALO, np.ones((1, 1, 3))), 1e9)
     lost = [cut_error(images, 0.5, 3.1, monochrome(), cut) for cut in CUTS_UM[:4]]
     assert lost == sorted(lost, reverse=True) and lost[0] > 1e-6
     finer = cut_error(images, 0.5, 1.55, monochrome(), CUTS_UM[0])
@@ -311,7 +310,7 @@ def test_what_the_coarse_grid_loses_falls_with_the_cut():
 
 
 def first_kernels(lens):
-    images, places = field_images(lens, np.ones((1, 1, 3)), 1e9)
+    images, places = field_images(lens, at_lines(lens, np.ones((1, 1, 3))), 1e9)
     return field_kernels(images, places, 0.5, 0.775, np.ones(images.shape[-2:]))
 
 
@@ -342,13 +341,15 @@ def test_cells_keep_the_error_that_they_are_allowed():
 
 
 def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
-    images, places = field_images(bank(fields=24), np.ones((1, 1, 3)), 1e9)
+    lens = bank(fields=24)
+    images, places = field_images(lens, at_lines(lens, np.ones((1, 1, 3))), 1e9)
     n = images.shape[-1]
     tail = 1 - core_window(distances_um(n, 0.5), 8.0)
     # A ring 15 um off, as bright everywhere or growing with the field.
     halo = np.abs(distances_um(n, 0.5) - 15.0) < 1.0
     halo = halo / halo.sum()
-    grows = (places.radius_um / places.radius_um[-1])[:, None, None, None, None] ** 2
+    heights = np.append(places.radius_um, places.radius_um[1])  # the last beyond the axis
+    grows = (heights / places.radius_um[-1])[:, None, None, None, None] ** 2
     energy = images.sum(axis=(3, 4), keepdims=True)
     found = [
         cells_within(
