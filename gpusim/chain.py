@@ -15,7 +15,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
-from gpusim.certify import Certificate, MeanSignal, Placed, Share, certify, sensor_share
+from gpusim.certify import (
+    Certificate,
+    MeanSignal,
+    Placed,
+    Share,
+    bank_share,
+    certify,
+    sensor_share,
+)
 from gpusim.errors import UserError
 from gpusim.gpu import (
     Array,
@@ -395,18 +403,31 @@ class Renderer:
                     sensor, made, pixels, exposure_s, temperature_c, noise, self.accuracy
                 )
 
+            light = shot.on_rect("rate")[top : top + seen[2], left : left + seen[3]]
             certificate = certify(
                 self.lens_bank,
                 sensor,
                 self.scene,
                 self.placed,
-                shot.on_rect("rate")[top : top + seen[2], left : left + seen[3]],
+                light,
                 self.glare,
                 exposure_s,
                 self.accuracy,
                 lambda done, total: report("certify", done, total),
                 origin=seen[:2],
                 readout=readout,
+                judged=lambda: bank_share(
+                    self.lens_bank,
+                    self.camera.lens,
+                    sensor,
+                    self.scene,
+                    self.placed,
+                    light,
+                    seen[:2],
+                    exposure_s,
+                    self.accuracy,
+                    lambda done, total: report("trace anew", done, total),
+                ),
             )
         return Capture(
             raw=shot.on_rect("dn"),

@@ -1,5 +1,6 @@
 """The certificate: how far a render is from the truth, by probe pixels, in one error budget."""
 
+from gpusim.certify.bank import bank_share
 from gpusim.certify.budget import Certificate, Probe, Share, compare
 from gpusim.certify.engine import certify, glare_at, true_rates
 from gpusim.certify.probes import choose_probes
@@ -11,6 +12,7 @@ __all__ = [
     "Placed",
     "Probe",
     "Share",
+    "bank_share",
     "certify",
     "choose_probes",
     "compare",

@@ -45,6 +45,23 @@ EXACT = Share(0.0, 0.0, 0)
 
 
 @dataclass(frozen=True)
+class Judged:
+    """What the comparison of a bank with its lens found.
+
+    Attributes
+    ----------
+    share : Share
+    window : float
+        Light beyond the last level, in the tolerance's unit.
+    notes : tuple of str
+    """
+
+    share: Share
+    window: float
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Probe:
     """One probe pixel: electrons of truth and render, and the error in two units."""
 
@@ -109,6 +126,29 @@ class Certificate:
     points: tuple[Probe, ...]
 
 
+def errors(
+    sensor: Sensor, truth: np.ndarray, rate: np.ndarray, exposure_s: float, accuracy: Accuracy
+) -> np.ndarray:
+    """Return errors (P,) in the tolerance's unit, of electrons/s truth and rate (P,)."""
+    relative, sigma = _both(sensor, truth * exposure_s, rate * exposure_s)
+    return relative if accuracy.unit == "relative" else sigma
+
+
+def _both(
+    sensor: Sensor, true_e: np.ndarray, render_e: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return errors (P,) relative to the signal, and in sigmas of its temporal noise."""
+    error = np.abs(render_e - true_e)
+    lit = true_e > 0
+    relative = np.where(lit, error / np.where(lit, true_e, 1.0), error > 0)
+    # What the full well cuts off is in no frame.
+    seen_e, shown_e = (np.minimum(value, sensor.full_well_e) for value in (true_e, render_e))
+    noise_e = np.sqrt(np.maximum(seen_e, 0.0) + sensor.temporal_dark_noise_e**2)
+    noisy = noise_e > 0
+    sigma = np.where(noisy, np.abs(shown_e - seen_e) / np.where(noisy, noise_e, 1.0), 0.0)
+    return relative.astype(float), sigma
+
+
 def compare(
     sensor: Sensor,
     pixels: np.ndarray,
@@ -143,26 +183,15 @@ def compare(
     notes : tuple of str
         How these were measured.
     """
-    points = []
-    for (row, col), true_rate, found in zip(pixels.tolist(), truth, rate, strict=True):
-        true_e, render_e = float(true_rate * exposure_s), float(found) * exposure_s
-        # What the full well cuts off is in no frame.
-        seen_e, shown_e = (min(value, sensor.full_well_e) for value in (true_e, render_e))
-        noise_e = np.sqrt(max(seen_e, 0.0) + sensor.temporal_dark_noise_e**2)
-        error = abs(render_e - true_e)
-        points.append(
-            Probe(
-                row,
-                col,
-                true_e,
-                render_e,
-                error / true_e if true_e > 0 else float(error > 0),
-                float(abs(shown_e - seen_e) / noise_e) if noise_e > 0 else 0.0,
-            )
+    exact_e, shown_e = np.asarray(truth, float) * exposure_s, np.asarray(rate, float) * exposure_s
+    relative, sigma = _both(sensor, exact_e, shown_e)
+    points = [
+        Probe(*place, float(one), float(other), float(share), float(noise))
+        for place, one, other, share, noise in zip(
+            pixels.tolist(), exact_e, shown_e, relative, sigma, strict=True
         )
-    judged = np.array([getattr(point, accuracy.unit) for point in points])
-    relative = np.array([point.relative for point in points])
-    sigma = np.array([point.sigma for point in points])
+    ]
+    judged = relative if accuracy.unit == "relative" else sigma
     worst = points[int(judged.argmax())]
     rms, most = float(np.sqrt(np.mean(judged**2))), float(judged.max())
     count = len(points)

@@ -7,14 +7,13 @@ import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from itertools import chain
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.certify.budget import EXACT, Certificate, Share, compare
-from gpusim.certify.probes import choose_probes
+from gpusim.certify.budget import EXACT, Certificate, Judged, Share, compare
+from gpusim.certify.probes import choose_probes, seen_from
 from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
@@ -79,16 +78,6 @@ def true_rates(
     return rates
 
 
-def seen_from(
-    level: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
-) -> Chart | PlacedRaster:
-    """Return what a level of a halo sees: of a photograph, highlights are samples like others."""
-    if isinstance(placed, Chart):
-        return placed
-    half = (side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-    return replace(scene.source, whole=True).placed(*half, level.pitch_um)
-
-
 def certify(
     bank: FieldBank,
     sensor: Sensor,
@@ -101,6 +90,7 @@ def certify(
     progress: Callable[[int, int], None] | None = None,
     origin: tuple[int, int] = (0, 0),
     readout: Callable[[np.ndarray], tuple[Share, str]] | None = None,
+    judged: Callable[[], Judged] | None = None,
 ) -> Certificate:
     """Compare a render with the truth model at probe pixels.
 
@@ -121,6 +111,8 @@ def certify(
         Row and column of the rectangle's first pixel.
     readout : callable, optional
         Returns the sensor's part at pixels (P, 2), and a note on it; without it there is none.
+    judged : callable, optional
+        Returns the bank's part and the window's; without it there is none.
     """
     started = time.perf_counter()
     there = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
@@ -128,10 +120,17 @@ def certify(
     truth = true_rates(bank, sensor, scene, placed, pixels, progress)
     truth += glare_at(sensor, glare, pixels)
     share, *notes = (EXACT,) if readout is None else readout(pixels)
+    of_bank = Judged(EXACT, 0.0, ()) if judged is None else judged()
     seconds = time.perf_counter() - started
     found = rate[tuple(there.T)]
     given = sensor, pixels, truth, found, exposure_s, accuracy, seconds
-    return compare(*given, readout=share, notes=tuple(notes))
+    return compare(
+        *given,
+        bank=of_bank.share,
+        readout=share,
+        window=of_bank.window,
+        notes=(*of_bank.notes, *notes),
+    )
 
 
 def glare_at(sensor: Sensor, glare: np.ndarray, pixels: np.ndarray) -> np.ndarray:

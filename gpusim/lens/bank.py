@@ -471,7 +471,7 @@ class Bank:
             self,
             wavelengths_nm=lines,
             field_deg=angles,
-            ideal_height_um=_ideal_height_um(self.efl_mm, angles),
+            ideal_height_um=ideal_height_um(self.efl_mm, angles),
             real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
             psf=blended(self.psf),
             relative_illumination=light,
@@ -579,7 +579,7 @@ def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.nd
     return fields_deg
 
 
-def _ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
+def ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
     """Return f tan(theta), infinite from 90 deg."""
     below = field_deg < 90
     return np.where(below, 1e3 * efl_mm * np.tan(np.radians(np.where(below, field_deg, 0))), np.inf)
@@ -712,7 +712,7 @@ def bank_of(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),
         field_deg=angles,
-        ideal_height_um=_ideal_height_um(order.efl_mm, angles),
+        ideal_height_um=ideal_height_um(order.efl_mm, angles),
         real_height_um=real,
         psf=psfs,
         relative_illumination=solid_angle / solid_angle[0],
@@ -849,6 +849,7 @@ def from_cache(
     compute: Callable[..., AnyBank],
     prescription: Prescription,
     settings: dict[str, object],
+    name: str = "",
 ) -> AnyBank:
     """Return a bank from the disk cache, or compute and store it.
 
@@ -860,6 +861,8 @@ def from_cache(
         Takes the prescription and the settings.
     prescription : Prescription
     settings : dict
+    name : str
+        What tells it from others of its kind.
 
     Notes
     -----
@@ -871,7 +874,7 @@ def from_cache(
     settings = dict(settings)
     progress = settings.pop("progress", None)
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "banks"
-    path = folder / f"{_key(kind.__name__, prescription, settings)}.nc"
+    path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
     if path.exists():
         try:
             return kind.load(path)

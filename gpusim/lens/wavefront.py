@@ -39,6 +39,7 @@ RAY_OVERSIZE = 1.04
 RAYS_ACROSS = 81
 # The grid is so much wider than the pupil.
 OVERSIZE = 1.12
+BEYOND = 2.0  # reach of nodes that no ray reaches
 # A miss of 1e-9 of the stop radius moves the chief ray by about 1e-9 f: 1e-5 um at f = 8 mm.
 AIM_TOLERANCE = 1e-9
 
@@ -104,6 +105,8 @@ class Pupil:
         Whether the other half, alpha < 0, is the mirror image of this one.
     apodised : ndarray, shape (A, B), or 1
         Amplitude that the stop passes. The field's A is coverage times this.
+    reach : ndarray, shape (A, B), or None
+        (height / clear semi-diameter)^2 at the aperture that is nearest to clipping: 1 at the rim.
     """
 
     alpha: np.ndarray
@@ -113,6 +116,7 @@ class Pupil:
     fit_residual_mm: float
     half: bool = True
     apodised: np.ndarray | float = 1.0
+    reach: np.ndarray | None = None
 
     @property
     def amplitude(self) -> np.ndarray:
@@ -372,7 +376,8 @@ def _pupil(
         if residual < GOOD_FIT_WAVES * wavelength_nm * 1e-6:
             break
 
-    coverage = within_hull(alpha, beta, grid_a, grid_b, samples.half).astype(float)
+    within = within_hull(alpha, beta, grid_a, grid_b, samples.half)
+    coverage = within.astype(float)
     for g in smooth[1:]:
         slope_a, slope_b = np.gradient(g, edge_order=2)
         # Rims that coincide must not count twice, so the least share, not the product.
@@ -387,6 +392,7 @@ def _pupil(
         apodised=np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
         if samples.apodisation
         else 1.0,
+        reach=np.where(within, 1 + np.max(smooth[1:], axis=0), BEYOND) if active else None,
     )
 
 

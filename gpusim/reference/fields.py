@@ -87,6 +87,47 @@ class Heights:
         return real * np.where(radius > 0, ideal / np.maximum(radius, 1e-9), 1.0)[..., None]
 
 
+class OneHeight(Heights):
+    """What a bank makes of one height, taken for every source point: turned, and not changed."""
+
+    def __init__(self, bank: Any, radius_um: float) -> None:
+        super().__init__(bank)
+        at = np.array([[radius_um, 0.0]])
+        self.mixed = [(field, side, share[0]) for field, side, share in super().shares(at)]
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the same fields for all source points (P, 2)."""
+        for field, side, share in self.mixed:
+            yield field, side, np.full(len(source), share)
+
+
+class TracedHeight(OneHeight):
+    """A field that was traced anew, taken for every source point before the map of a bank.
+
+    Parameters
+    ----------
+    bank : gpusim.lens.bank.Bank
+        Whose map from the ideal to the real plane holds.
+    traced : gpusim.lens.bank.Bank
+        Holds the field.
+    field : int
+    radius_um : float
+        Where the bank has the field: lateral colour counts from there.
+    """
+
+    def __init__(self, bank: Any, traced: Any, field: int, radius_um: float) -> None:
+        super().__init__(bank, radius_um)
+        self.mixed = [(field, 1, 1.0)]
+        self.bank, self.own_um = traced, radius_um
+
+    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
+        """Return PSF, illumination and lateral colour (x, y, um) of a wavelength."""
+        traced = self.bank
+        shift = traced.real_height_um[field, place] - self.own_um
+        illumination = traced.relative_illumination[field, place]
+        return traced.psf[field, place], illumination, (shift, 0.0)
+
+
 class Grid:
     """Fields on a grid of field angles, between which PSFs are bicubic.
 

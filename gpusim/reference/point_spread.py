@@ -30,7 +30,7 @@ PAD = 32  # samples around the bank's PSFs, room for their shifts
 KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
 # Of banks of 256 samples and 13 wavelengths: kernels of 0.04 MiB, and one in three of 0.8 MiB;
 # fields of 10 MiB. Probes come by height, and each needs four or five heights, of a grid 16 fields.
-KEPT_KERNELS, KEPT_FIELDS = 600, {Heights: 10, Grid: 24}
+KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 
 
@@ -58,6 +58,7 @@ class PointSpread:
         wavelengths_nm: np.ndarray,
     ) -> None:
         self.bank, self.fields = bank, fields
+        self.kept_fields = KEPT_HEIGHTS if isinstance(fields, Heights) else KEPT_FIELDS
         self.spectra, self.wavelengths_nm = spectra, wavelengths_nm
         self.mean_qe = None
         if sensor.eqe_map is not None:
@@ -153,7 +154,7 @@ class PointSpread:
                     spectra = scipy.fft.fft(spectra, axis=1)
                     down = np.exp(-2j * np.pi * np.outer(y, scipy.fft.fftfreq(n, pitch)))
                 found = spectra, across, down
-            _keep(self.lights, field, found, KEPT_FIELDS[type(self.fields)])
+            _keep(self.lights, field, found, self.kept_fields)
         return found
 
     def _kernel(self, channel: int, spectrum: int, field: int, node: int, zone: Zone) -> np.ndarray:

@@ -58,14 +58,21 @@ class Truth:
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
     wavelengths_nm : ndarray (61,)
         Of the spectra and of the sensor's quantum efficiency.
+    fields : Heights or Grid, optional
+        In place of the bank's own.
     """
 
     def __init__(
-        self, bank: Any, sensor: Any, spectra: np.ndarray, wavelengths_nm: np.ndarray
+        self,
+        bank: Any,
+        sensor: Any,
+        spectra: np.ndarray,
+        wavelengths_nm: np.ndarray,
+        fields: Heights | Grid | None = None,
     ) -> None:
         self.bank = bank
         self.sensor = sensor
-        self.fields = Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank)
+        self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.boxes = self._boxes()

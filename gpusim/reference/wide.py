@@ -26,10 +26,15 @@ class Wide:
     """Exact model of one level of a halo: see ``gpusim.reference.truth.Truth``."""
 
     def __init__(
-        self, bank: Any, sensor: Any, spectra: np.ndarray, wavelengths_nm: np.ndarray
+        self,
+        bank: Any,
+        sensor: Any,
+        spectra: np.ndarray,
+        wavelengths_nm: np.ndarray,
+        fields: Heights | Grid | None = None,
     ) -> None:
         self.bank, self.sensor = bank, sensor
-        self.fields = Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank)
+        self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
         share = float(bank.psf.sum(axis=(-2, -1), dtype=float).max())
         step, points = SMOOTH if share < LITTLE else STRUCTURED
