@@ -20,6 +20,8 @@ from gpusim.reference.point_spread import PointSpread
 # and where rays land in it.
 SMOOTH, STRUCTURED = (2.0, 4), (1.0, 3)
 LITTLE = 0.02  # of the light
+# Charts of more primitives near a pixel are painted once, unless that takes too many points.
+FEW, LARGEST = 8, 4e6
 
 
 class Wide:
@@ -72,11 +74,8 @@ class Wide:
         """Return the mean coefficient (P, M) of each spectrum in cells about points (P, 2)."""
         ideal = self.fields.ideal(source[:, None] + self.inner)
         if hasattr(placed, "primitives"):
-            first, materials = self._painted(placed)
-            at = np.round((ideal - first) / self.point_um).astype(int)
-            at = np.clip(at, 0, np.array(materials.shape[::-1]) - 1)
             count = len(self.spread.spectra)
-            cell = np.arange(len(source))[:, None] * count + materials[at[..., 1], at[..., 0]]
+            cell = np.arange(len(source))[:, None] * count + self._materials(placed, ideal)
             found = np.bincount(cell.ravel(), minlength=len(source) * count)
             return found.reshape(len(source), count) / len(self.inner)
         corner = np.array([placed.x0_um, placed.y0_um])
@@ -87,14 +86,40 @@ class Wide:
         ]
         return np.stack(planes, axis=1)
 
-    def _painted(self, chart: Any) -> tuple[np.ndarray, np.ndarray]:
+    def _materials(self, chart: Any, ideal: np.ndarray) -> np.ndarray:
+        """Return the material at each of the points (P, I, 2)."""
+        low, high = ideal.min(axis=(0, 1)), ideal.max(axis=(0, 1))
+        reach = np.array([p.reach for p in chart.primitives])
+        near = [
+            p
+            for p in chart.primitives
+            if abs(p.cx - (low[0] + high[0]) / 2) < p.reach + (high[0] - low[0]) / 2
+            and abs(p.cy - (low[1] + high[1]) / 2) < p.reach + (high[1] - low[1]) / 2
+        ]
+        if len(near) > FEW and self._area(chart, reach) < LARGEST:
+            first, materials = self._painted(chart, reach)
+            at = np.round((ideal - first) / self.point_um).astype(int)
+            at = np.clip(at, 0, np.array(materials.shape[::-1]) - 1)
+            return materials[at[..., 1], at[..., 0]]
+        found = np.full(ideal.shape[:2], chart.background)
+        for shape in near:
+            found[shape.distance(ideal[..., 0], ideal[..., 1]) <= 0] = shape.material
+        return found
+
+    def _area(self, chart: Any, reach: np.ndarray) -> float:
+        """Return how many points a grid over all primitives has."""
+        at = np.array([(p.cx, p.cy) for p in chart.primitives])
+        sides = (at + reach[:, None]).max(axis=0) - (at - reach[:, None]).min(axis=0)
+        return float(np.prod(sides / self.point_um + 4))
+
+    def _painted(self, chart: Any, reaches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the first point (2,) of a grid over a chart's primitives, and its materials there.
 
-        Beyond them lies the background, and so it does on the border of the grid.
+        On its border lies the background, as beyond.
         """
         if self.painted is None or self.painted[0] is not chart:
             at = np.array([(p.cx, p.cy) for p in chart.primitives]).reshape(-1, 2)
-            reach = np.array([p.reach for p in chart.primitives])[:, None]
+            reach = reaches[:, None]
             low = (at - reach).min(axis=0, initial=0.0) - self.point_um
             high = (at + reach).max(axis=0, initial=0.0) + self.point_um
             cols, rows = np.ceil((high - low) / self.point_um).astype(int) + 2
