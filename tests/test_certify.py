@@ -220,7 +220,7 @@ def test_progress_is_told(monkeypatch):
 
 CAMERA = StubCamera(bank(coma_um=0.6, falloff=0.1), monochrome(48, 64))
 EDGE = scene((Rect(0.1, 0.05, 0.4, 0.35, 0.1, 1),), np.stack([FLAT, 0.2 * FLAT]))
-ACCURACY = Accuracy(tolerance=1e-2, probes=8)
+ACCURACY = Accuracy(tolerance=5e-3, probes=8)
 
 
 def rms(accuracy: Accuracy = ACCURACY) -> float:

@@ -588,7 +588,8 @@ def test_a_rectangle_alone_takes_less_work_and_gives_the_same_bits(subject: Scen
         # Of a lens without mirror images; of one with them the whole frame takes few more.
         every = sum(math.prod(scale.grid.nodes) for scale in full.plan.scales)
         assert part.work["nodes"] < every * 2 / 3
-        assert part.work["nodes"] <= full.work["nodes"] < every / 2
+        # Those on the axes are their own mirror images.
+        assert part.work["nodes"] <= full.work["nodes"] < 0.6 * every
         assert part.memory["peak_bytes"] < full.memory["peak_bytes"]
 
 
@@ -680,7 +681,7 @@ def test_an_adapter_with_less_than_the_budget_gives_the_same_bits(monkeypatch, d
     with rendering(WIDE, subject) as one:
         full = one.capture(EXPOSURE_S, seed=3)
         least = one.least_bytes()
-    adapter = limited(monkeypatch, device, device.pool.in_use + least + (2 << 20))
+    adapter = limited(monkeypatch, device, device.pool.in_use + least + (4 << 20))
     with rendering(WIDE, subject) as one:
         for _ in range(2):
             found = one.capture(EXPOSURE_S, seed=3)

@@ -152,8 +152,11 @@ class AngularResponse:
 
     @property
     def largest(self) -> np.ndarray:
-        """Largest mean quantum efficiency (C, L, 61) of any place."""
-        return np.max([self.qe(number).max(axis=0) for number in self.seen], axis=0)
+        """Largest mean quantum efficiency (C, 1, 61) of any place and bank wavelength.
+
+        One for all of these, for some count less than nothing between them.
+        """
+        return np.max([self.qe(number).max(axis=(0, 2)) for number in self.seen], axis=0)[:, None]
 
     def everywhere(self) -> np.ndarray:
         """Return the mean quantum efficiency (P, C, L, 61) at places that stand for all."""
