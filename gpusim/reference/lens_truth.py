@@ -1,0 +1,336 @@
+"""A judge of renders: what a pixel of a camera with a prescription sees, by brute force in float64.
+
+Electrons/s of a pixel are
+
+    N = A sum_lambda step (lambda / h c) QE T integral L(X; lambda) G(X; lambda) d^2 X
+
+with G what one image point sees (`gpusim.reference.backward`), spread over the pixel's aperture. It
+uses no bank of PSFs, no chief-ray map, no plan, no shader: only the surfaces, the glasses, the
+scene and the sensor's figures.
+
+G is integrated on two grids of X = f w (object directions, as lengths): a fine core, on which the
+aperture is folded in by its transform, and around it cells of some micrometres over one period of
+the sampled pupil, which holds every ray. What diffraction throws farther is a stated share
+(`View.beyond`), and is taken to see the mean of the outer half of the cells.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+
+from gpusim.lens.system import System, first_order, transmission
+from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.reference.backward import (
+    Frame,
+    aperture_of,
+    chief_back,
+    core_of,
+    frame_of,
+    rays_of,
+    trace_back,
+    wide_of,
+)
+
+PLANCK_J_S = 6.62607015e-34  # SI (2019), exact
+LIGHT_M_S = 299792458.0  # SI (2019), exact
+REFERENCE_NM = 550.0  # whose chief ray names the frame: any would do
+CORE_UM = 28.0  # half the width of the fine core
+CELLS = 7  # coarse cells across half the core
+SUB = 4  # points each way in a cell, at which the scene is looked up
+# The sampled pupil's period holds every ray and this share more.
+SPARE = 1.25
+# Nodes across the pupil, at least: of a round pupil the light beyond the period is 0.45 / nodes
+# (2 lambda N / (pi^2 R) beyond a radius R; Born & Wolf, sec. 8.5.2).
+NODES = 768
+FIELD_NODES = 384  # of a field's pupil: its solid angle within 3e-6 of that of 2048 nodes
+NOTHING = -1  # material beyond the image circle
+
+
+@dataclass(frozen=True)
+class View:
+    """What one image point sees at each wavelength.
+
+    Attributes
+    ----------
+    frame : Frame
+    wavelengths_nm : ndarray (L,)
+    solid_angle_sr : ndarray (L,)
+        Of the pupil of the field whose chief ray lands here, as direction cosines: what the chain
+        calls the solid angle on the axis times the relative illumination.
+    radiance_sr : ndarray (L,)
+        Of the light that arrives at this very point: what the radiance theorem asks for. The two
+        differ where rays of one field land apart, by the order of that distance over the one to the
+        exit pupil, over the aperture.
+    core : ndarray (L, n, n)
+        Share of the light per sample at places `at_um`; rows X1, columns X2.
+    at_um : ndarray (n,)
+    wide : ndarray (L, m, m)
+        Share of the light in cells between `edges_um`, 0 where the core lies.
+    edges_um : ndarray (m + 1,)
+    beyond : ndarray (L,)
+        Share of the light outside both.
+    residual_waves : float
+        Worst misfit of the wavefronts.
+    """
+
+    frame: Frame
+    wavelengths_nm: np.ndarray
+    solid_angle_sr: np.ndarray
+    radiance_sr: np.ndarray
+    core: np.ndarray
+    at_um: np.ndarray
+    wide: np.ndarray
+    edges_um: np.ndarray
+    beyond: np.ndarray
+    residual_waves: float
+
+
+def view(
+    system: System,
+    point_um: tuple[float, float],
+    wavelengths_nm: np.ndarray,
+    *,
+    core_um: float = CORE_UM,
+    nodes: int = NODES,
+    finer: float = 1.0,
+) -> View:
+    """Return what an image point sees.
+
+    Parameters
+    ----------
+    system : System
+    point_um : (float, float)
+        x right, y down from the axis.
+    wavelengths_nm : ndarray (L,)
+    core_um : float
+        Half the width of the core.
+    nodes : int
+        Least nodes across the pupil.
+    finer : float
+        Divides the pitch of the core.
+
+    Raises
+    ------
+    ValueError
+        Where no light arrives.
+    """
+    image = np.asarray(point_um, float) * 1e-3
+    focal = first_order(system.prescription, REFERENCE_NM).efl_mm
+    frame = frame_of(system, system.index(np.array([REFERENCE_NM])), image, focal)
+    bundles = [rays_of(system, system.index(np.array([w])), image, frame) for w in wavelengths_nm]
+    extent = max(float(np.ptp(rays.p, axis=1).max()) for rays in bundles)
+    reach = max(float(np.abs(rays.landing_um[:, rays.inside]).max()) for rays in bundles)
+    shortest = float(np.min(wavelengths_nm)) * 1e-3
+    half = max(SPARE * reach, 2 * core_um, nodes * shortest / (2 * extent))
+    # Half a cell more than whole ones of the core, in steps of which everything is laid out.
+    cell = core_um / CELLS
+    while half / cell > 160:  # cells grow with the window
+        cell *= 2
+    inner = max(1, round(core_um / cell))
+    core_um = inner * cell
+    cells = int(np.ceil(half / cell))
+    edges = cell * np.arange(-cells, cells + 1)
+    half = cells * cell
+    # |F|^2 has no frequency beyond extent / lambda: samples at twice that, and a tenth more.
+    count = int(np.ceil(2 * core_um * 2 * 1.1 * finer * extent / shortest / 2)) * 2
+    pitch = 2 * core_um / count
+    at = pitch * (np.arange(count) + 0.5 - count / 2)
+    cores, wides, solid, arriving, residual = [], [], [], [], []
+    apodised = system.prescription.gaussian_apodisation or 0.0
+    hole = slice(cells - inner, cells + inner)
+    for rays, wavelength in zip(bundles, wavelengths_nm, strict=True):
+        aperture = aperture_of(rays, wavelength, half, apodised)
+        core = core_of(aperture, wavelength, at, at) * pitch**2
+        wide = wide_of(aperture, edges)
+        wide[hole, hole] = 0.0
+        cores.append(core)
+        wides.append(wide)
+        arriving.append(aperture.solid_angle_sr)
+        solid.append(_of_field(system, wavelength, image))
+        residual.append(aperture.residual_waves)
+    core, wide = np.stack(cores), np.stack(wides)
+    return View(
+        frame,
+        np.asarray(wavelengths_nm, float),
+        np.array(solid),
+        np.array(arriving),
+        core,
+        at,
+        wide,
+        edges,
+        1 - core.sum(axis=(1, 2)) - wide.sum(axis=(1, 2)),
+        max(residual),
+    )
+
+
+def _of_field(system: System, wavelength_nm: float, image: np.ndarray) -> float:
+    """Return the solid angle of the field whose chief ray lands on an image point (2,), mm."""
+    line = np.array([wavelength_nm])
+    index = system.index(line)
+    chief = trace_back(system, index, image[:, None], chief_back(system, index, image))
+    x, y, z = chief.direction[:, 0]
+    samples = sample_field(system, index, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(x, y)))
+    return pupils(samples, line, 1.0, FIELD_NODES)[0].projected_solid_angle_sr
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Electrons/s of one pixel.
+
+    Attributes
+    ----------
+    rate : float
+        Without veiling glare.
+    beyond : float
+        Share of the light that falls outside both grids: the largest of any wavelength.
+    bound : float
+        By how much that can err: the share times how much the scene's cells differ out there.
+    """
+
+    rate: float
+    beyond: float
+    bound: float
+
+
+class Judge:
+    """Judge of one camera, of a lens with a prescription.
+
+    Parameters
+    ----------
+    system : System
+    sensor : gpusim.sensor.sensor.Sensor
+        With square pixels; without angular response, motion and cross-talk.
+    scene : gpusim.scene.scene.Scene
+    wavelengths_nm : ndarray (61,)
+        Of the scene's spectra and of the quantum efficiency, evenly spaced: the integral is the
+        trapezoidal rule on them.
+    """
+
+    def __init__(self, system: System, sensor: Any, scene: Any, wavelengths_nm: np.ndarray) -> None:
+        self.system, self.sensor, self.scene = system, sensor, scene
+        self.table_nm = wavelengths_nm
+        half_um = [side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows)]
+        self.chart = hasattr(scene.source, "primitives")
+        if self.chart:
+            self.placed = scene.source.placed(half_um[1])
+        else:
+            self.placed = scene.source.placed(*half_um, sensor.pixel_pitch_um)
+            self.coefficients = self.placed.spline_coefficients()
+        self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
+        self.edge_rad = np.radians(system.prescription.max_field_deg)
+
+    def point_um(self, row: int, col: int) -> tuple[float, float]:
+        """Return where a pixel's middle lies, x right and y down from the sensor's middle."""
+        sensor = self.sensor
+        return tuple(
+            (at + 0.5 - side / 2) * sensor.pixel_pitch_um
+            for at, side in ((col, sensor.cols), (row, sensor.rows))
+        )
+
+    def weights(self, row: int, col: int, lines_nm: np.ndarray) -> np.ndarray:
+        """Return electrons/s of a sr of each of the scene's spectra, by wavelength: (M, L).
+
+        N = A sum step (lambda / h c) QE T L Omega (EMVA 1288 R4, eq. 1). PSFs known at fewer
+        wavelengths than the table has are splines between them, which are linear in the values.
+        """
+        pattern = self.sensor.cfa.pattern
+        qe = self.sensor.qe[pattern[row % len(pattern)][col % len(pattern[0])]]
+        table = self.table_nm
+        step = np.gradient(table)
+        step[[0, -1]] /= 2
+        response = qe * transmission(self.system.prescription, table) * step
+        response = response * table * 1e-9 / (PLANCK_J_S * LIGHT_M_S) * (self.side_um * 1e-6) ** 2
+        share = CubicSpline(lines_nm, np.eye(len(lines_nm)))(table)
+        return (response * self.scene.spectra) @ share
+
+    def pixel(self, seen: View, row: int, col: int) -> Judged:
+        """Return the electrons/s of a pixel whose middle's view is given."""
+        core, at = self._over_aperture(seen)
+        inner = self._shares(seen.frame, at, SUB)
+        outer = self._shares(seen.frame, (seen.edges_um[1:] + seen.edges_um[:-1]) / 2, SUB)
+        weight = self.weights(row, col, seen.wavelengths_nm) * seen.solid_angle_sr
+        far = np.hypot(*np.meshgrid(*2 * [(seen.edges_um[1:] + seen.edges_um[:-1]) / 2]))
+        far = far > seen.edges_um[-1] / 2
+        rate = bound = 0.0
+        for spectrum, (near, around) in enumerate(zip(inner, outer, strict=True)):
+            light = np.tensordot(core, near, 2) + np.tensordot(seen.wide, around, 2)
+            mean, spread = around[far].mean(), around[far].std()
+            rate += weight[spectrum] @ (light + seen.beyond * mean)
+            bound += weight[spectrum] @ np.abs(seen.beyond) * spread
+        return Judged(float(rate), float(seen.beyond.max()), float(bound))
+
+    def _over_aperture(self, seen: View) -> tuple[np.ndarray, np.ndarray]:
+        """Return the core folded with the pixel's aperture, a parallelogram in X, on its places."""
+        pitch = seen.at_um[1] - seen.at_um[0]
+        sides = seen.frame.per_um * self.side_um  # columns: the aperture's sides
+        spare = int(np.ceil(np.abs(sides).sum(axis=1).max() / 2 / pitch)) + 2
+        count = len(seen.at_um) + 2 * spare
+        size = next_fast_len(count)
+        nu_1 = np.fft.fftfreq(size, pitch)[:, None]
+        nu_2 = np.fft.rfftfreq(size, pitch)[None]
+        box = 1.0
+        for side in sides.T:
+            box = box * np.sinc(nu_1 * side[0] + nu_2 * side[1])
+        # The scene is looked up as a mean over each sample's square, which is one box too many.
+        box = box / (np.sinc(nu_1 * pitch) * np.sinc(nu_2 * pitch))
+        padded = np.zeros((len(seen.core), size, size))
+        middle = slice(spare, spare + len(seen.at_um))
+        padded[:, middle, middle] = seen.core
+        spread = irfft2(rfft2(padded) * box, s=(size, size))[:, :count, :count]
+        at = pitch * (np.arange(count) + 0.5 - count / 2)
+        return spread, at
+
+    def _shares(self, frame: Frame, at: np.ndarray, sub: int) -> np.ndarray:
+        """Return how much of each spectrum lies in squares about places at x at: (M, n, n)."""
+        pitch = at[1] - at[0]
+        fine = at[:, None] + pitch * ((np.arange(sub) + 0.5) / sub - 0.5)
+        fine = fine.ravel()
+        x, y, off = frame.ideal(fine[:, None], fine[None])
+        lit = off <= self.edge_rad
+        shape = (len(at), sub, len(at), sub)
+        if not self.chart:
+            return np.stack([plane.reshape(shape).mean(axis=(1, 3)) for plane in self._radiance(x, y, lit)])
+        material = self._materials(frame, fine, x, y)
+        material[~lit] = NOTHING
+        return np.stack(
+            [
+                (material == number).reshape(shape).mean(axis=(1, 3))
+                for number in range(len(self.scene.spectra))
+            ]
+        )
+
+    def _materials(self, frame: Frame, at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Return the chart's material at points (n, n) with even places `at` both ways."""
+        material = np.full(x.shape, self.placed.background, np.int16)
+        step = at[1] - at[0]
+        for shape in self.placed.primitives:
+            x1, x2, ahead = frame.of_ideal(np.array(shape.cx), np.array(shape.cy))
+            # X moves by no more than the ideal plane: by cos theta and less.
+            low = [int(np.floor((one - shape.reach - at[0]) / step)) for one in (x1, x2)]
+            high = [int(np.ceil((one + shape.reach - at[0]) / step)) + 1 for one in (x1, x2)]
+            if not ahead:
+                low, high = [0, 0], [len(at), len(at)]
+            part = tuple(
+                slice(max(a, 0), max(min(b, len(at)), 0)) for a, b in zip(low, high, strict=True)
+            )
+            here = material[part]
+            if here.size:
+                here[shape.distance(x[part], y[part]) <= 0] = shape.material
+        return material
+
+    def _radiance(self, x: np.ndarray, y: np.ndarray, lit: np.ndarray):
+        """Yield each plane of a raster at points: its cubic spline."""
+        placed = self.placed
+        cols = (x - placed.x0_um) / placed.pitch_um - 0.5
+        rows = (y - placed.y0_um) / placed.pitch_um - 0.5
+        for plane in self.coefficients:
+            found = map_coordinates(
+                plane.astype(float), [rows, cols], order=3, mode="nearest", prefilter=False
+            )
+            yield np.where(lit, found, 0.0)
