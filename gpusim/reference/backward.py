@@ -458,7 +458,8 @@ def wide_of(aperture: Aperture, edges: np.ndarray) -> np.ndarray:
 
     The image of the sampled pupil repeats every lambda / spacing, which is the period.
     """
-    count = next_fast_len(max(aperture.field.shape))
+    # Twice as many samples as nodes: |F|^2 has twice the field's bandwidth.
+    count = next_fast_len(2 * max(aperture.field.shape))
     image = np.square(np.abs(fft2(np.conj(aperture.field), (count, count))))
     # The transform has exp(-i k ...): of the conjugate it is the conjugate of what is wanted.
     image = np.fft.fftshift(image)

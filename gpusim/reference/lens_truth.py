@@ -11,7 +11,7 @@ scene and the sensor's figures.
 G is integrated on two grids of X = f w (object directions, as lengths): a fine core, on which the
 aperture is folded in by its transform, and around it cells of some micrometres over one period of
 the sampled pupil, which holds every ray. What diffraction throws farther is a stated share
-(`View.beyond`), and is taken to see the mean of the outer half of the cells.
+(`View.beyond`), and is taken to fall as 1 / r^3 in all directions alike.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ SPARE = 1.25
 # (2 lambda N / (pi^2 R) beyond a radius R; Born & Wolf, sec. 8.5.2).
 NODES = 768
 FIELD_NODES = 384  # of a field's pupil: its solid angle within 3e-6 of that of 2048 nodes
+RAYS, RADII = 64, 64  # directions and distances of what lies beyond
 NOTHING = -1  # material beyond the image circle
 
 
@@ -148,6 +149,8 @@ def view(
         aperture = aperture_of(rays, wavelength, half, apodised)
         core = core_of(aperture, wavelength, at, at) * pitch**2
         wide = wide_of(aperture, edges)
+        landed = 1.1 * float(np.abs(rays.landing_um[:, rays.inside]).max())
+        wide = wide * _undrooped(edges, landed)
         wide[hole, hole] = 0.0
         cores.append(core)
         wides.append(wide)
@@ -167,6 +170,30 @@ def view(
         1 - core.sum(axis=(1, 2)) - wide.sum(axis=(1, 2)),
         max(residual),
     )
+
+
+def _undrooped(edges: np.ndarray, landed_um: float) -> np.ndarray:
+    """Return factors (m, m) that undo what averaging the pupil's rim over its cells does.
+
+    That multiplies the light which the rim diffracts by sinc^2 of the place over the period, and
+    then the copies from beyond the period fold in. Far out it falls as 1 / r^3 in the mean; where
+    rays land, up to `landed_um`, most of the light is not the rim's.
+    """
+    period = edges[-1] - edges[0]
+    at = (edges[1:] + edges[:-1]) / 2
+    x, y = np.meshgrid(at, at, indexing="ij")
+
+    def tail(u, v):
+        return (u * u + v * v + edges[-1] ** 2 * 1e-12) ** -1.5
+
+    copies = sum(
+        tail(x + a * period, y + b * period)
+        * np.sinc(x / period + a) ** 2
+        * np.sinc(y / period + b) ** 2
+        for a in range(-2, 3)
+        for b in range(-2, 3)
+    )
+    return np.where(np.maximum(np.abs(x), np.abs(y)) > landed_um, tail(x, y) / copies, 1.0)
 
 
 def _of_field(system: System, wavelength_nm: float, image: np.ndarray) -> float:
@@ -190,7 +217,7 @@ class Judged:
     beyond : float
         Share of the light that falls outside both grids: the largest of any wavelength.
     bound : float
-        By how much that can err: the share times how much the scene's cells differ out there.
+        How that errs, were it to go one way: the share times how much the directions differ.
     """
 
     rate: float
@@ -255,12 +282,11 @@ class Judge:
         inner = self._shares(seen.frame, at, SUB)
         outer = self._shares(seen.frame, (seen.edges_um[1:] + seen.edges_um[:-1]) / 2, SUB)
         weight = self.weights(row, col, seen.wavelengths_nm) * seen.solid_angle_sr
-        far = np.hypot(*np.meshgrid(*2 * [(seen.edges_um[1:] + seen.edges_um[:-1]) / 2]))
-        far = far > seen.edges_um[-1] / 2
+        rings = self._rings(seen)
         rate = bound = 0.0
         for spectrum, (near, around) in enumerate(zip(inner, outer, strict=True)):
+            mean, spread = rings[spectrum].mean(), rings[spectrum].std()
             light = np.tensordot(core, near, 2) + np.tensordot(seen.wide, around, 2)
-            mean, spread = around[far].mean(), around[far].std()
             rate += weight[spectrum] @ (light + seen.beyond * mean)
             bound += weight[spectrum] @ np.abs(seen.beyond) * spread
         return Judged(float(rate), float(seen.beyond.max()), float(bound))
@@ -303,6 +329,26 @@ class Judge:
                 (material == number).reshape(shape).mean(axis=(1, 3))
                 for number in range(len(self.scene.spectra))
             ]
+        )
+
+    def _rings(self, seen: View) -> np.ndarray:
+        """Return each spectrum's share along RAYS directions, where light has gone beyond the cells.
+
+        Its mean falls as 1 / r^3: radii that are equally likely under 2 pi r / r^3.
+        """
+        start = seen.edges_um[-1] * 2 / np.sqrt(np.pi)  # of a circle as large as the square
+        radius = start / ((np.arange(RADII) + 0.5) / RADII)
+        angle = 2 * np.pi * np.arange(RAYS) / RAYS
+        x1, x2 = radius * np.cos(angle)[:, None], radius * np.sin(angle)[:, None]
+        focal_um = 1e3 * seen.frame.focal_mm
+        ahead = np.hypot(x1, x2) < focal_um
+        x, y, off = seen.frame.ideal(np.where(ahead, x1, 0), np.where(ahead, x2, 0))
+        lit = ahead & (off <= self.edge_rad)
+        if not self.chart:
+            return np.stack([plane.mean(axis=1) for plane in self._radiance(x, y, lit)])
+        material = np.where(lit, self.placed.material_at(x, y), NOTHING)
+        return np.stack(
+            [(material == number).mean(axis=1) for number in range(len(self.scene.spectra))]
         )
 
     def _materials(self, frame: Frame, at: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
