@@ -74,7 +74,9 @@ def trace_back(system, index: np.ndarray, image: np.ndarray, cosines: np.ndarray
     geometry = system.geometry
     count = len(geometry.curvature)
     rays = cosines.shape[1]
-    point = np.concatenate([np.broadcast_to(image, (2, rays)), np.full((1, rays), system.image_z_mm)])
+    point = np.concatenate(
+        [np.broadcast_to(image, (2, rays)), np.full((1, rays), system.image_z_mm)]
+    )
     steep = 1 - (cosines**2).sum(axis=0)
     back = -np.concatenate([cosines, np.sqrt(np.maximum(steep, 1e-12))[None]])
     ok, path, own = steep > 0, np.zeros(rays), np.zeros((count, 2, rays))
@@ -129,7 +131,8 @@ def _surface(start, towards, c, conic, asphere):
 
     flat = -z / dz
     misses = [
-        np.abs(z + one * dz - sag((x + one * dx) ** 2 + (y + one * dy) ** 2)[0]) for one in (t, flat)
+        np.abs(z + one * dz - sag((x + one * dx) ** 2 + (y + one * dy) ** 2)[0])
+        for one in (t, flat)
     ]
     t = np.where(ok & (misses[0] < misses[1]), t, flat)
     for _ in range(NEWTON):
@@ -162,7 +165,9 @@ def _aim(system, index, image, guess, stop):
         det = ja[0] * jb[1] - ja[1] * jb[0]
         usable = here.ok & along_a.ok & along_b.ok & (np.abs(det) > 0)
         det = np.where(usable, det, 1.0)
-        move = np.stack([miss[0] * jb[1] - miss[1] * jb[0], ja[0] * miss[1] - ja[1] * miss[0]]) / det
+        move = (
+            np.stack([miss[0] * jb[1] - miss[1] * jb[0], ja[0] * miss[1] - ja[1] * miss[0]]) / det
+        )
         # A start that does not reach the stop goes half-way to the first of all, the chief ray.
         toward = np.where(usable, at + move, (at + at[:, :1]) / 2)
         at = np.where(found, at, toward)
@@ -242,7 +247,9 @@ def frame_of(system, index: np.ndarray, image: np.ndarray, focal_mm: float) -> F
     columns, step = [], 1e-3
     for way in np.eye(2) * step:
         ends = [
-            trace_back(system, index, (image + one)[:, None], chief_back(system, index, image + one))
+            trace_back(
+                system, index, (image + one)[:, None], chief_back(system, index, image + one)
+            )
             for one in (way, -way)
         ]
         moved = (ends[0].direction - ends[1].direction)[:, 0] / (2 * step)
@@ -431,9 +438,7 @@ def _share_below(margin):
     share = np.zeros_like(margin)
     near = np.abs(margin) < size
     m, s1, s2, size = margin[near], slope_1[near], slope_2[near], size[near]
-    total = sum(
-        np.clip(0.5 - 4 * (m + a * s1 + b * s2) / size, 0, 1) for a in at for b in at
-    )
+    total = sum(np.clip(0.5 - 4 * (m + a * s1 + b * s2) / size, 0, 1) for a in at for b in at)
     share[near] = total / 16
     share[margin <= -np.maximum(np.hypot(slope_1, slope_2), 0)] = 1.0
     return share

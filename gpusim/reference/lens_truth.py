@@ -202,7 +202,9 @@ def _of_field(system: System, wavelength_nm: float, image: np.ndarray) -> float:
     index = system.index(line)
     chief = trace_back(system, index, image[:, None], chief_back(system, index, image))
     x, y, z = chief.direction[:, 0]
-    samples = sample_field(system, index, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(x, y)))
+    samples = sample_field(
+        system, index, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(x, y))
+    )
     return pupils(samples, line, 1.0, FIELD_NODES)[0].projected_solid_angle_sr
 
 
@@ -321,7 +323,9 @@ class Judge:
         lit = off <= self.edge_rad
         shape = (len(at), sub, len(at), sub)
         if not self.chart:
-            return np.stack([plane.reshape(shape).mean(axis=(1, 3)) for plane in self._radiance(x, y, lit)])
+            return np.stack(
+                [plane.reshape(shape).mean(axis=(1, 3)) for plane in self._radiance(x, y, lit)]
+            )
         material = self._materials(frame, fine, x, y)
         material[~lit] = NOTHING
         return np.stack(
