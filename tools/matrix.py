@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Is any certificate wrong? Lenses x pixel pitches x scenes x tolerances, each judged by brute force.
+"""Is any certificate wrong? Lenses x pitches x scenes x tolerances, judged by brute force.
 
 Each cell renders one tile off the axis with a certificate and compares its mean signal with
 `gpusim.reference.lens_truth`, which shares no bank of PSFs with the render. Verdicts: ``met``,
@@ -20,8 +20,8 @@ import math
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
-from functools import cache, cached_property
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +62,8 @@ LINES = 13  # wavelengths of the judge; see docs/judge.md
 CERTIFICATE = 64  # probes of the certificate
 WHITE, GREY, BLACK = 0.80, 0.18, 0.05
 EDGE_RAD = math.radians(5.0)
-# An RMS over five probes exceeds twice that over all in one case of a thousand: chi^2 with 5 degrees
-# of freedom is 20.5 there, sqrt(20.5 / 5) = 2.02.
+# An RMS over five probes exceeds twice that over all in one case of a thousand: chi^2 with 5
+# degrees of freedom is 20.5 there, sqrt(20.5 / 5) = 2.02.
 CHANCE = 2.0
 
 
@@ -90,6 +90,7 @@ class Spot:
     """Where on a lens's image the tile lies, for all pitches and scenes."""
 
     lens: Prescription
+    views: dict[int, View] = field(default_factory=dict)
 
     @cached_property
     def system(self):
@@ -117,11 +118,12 @@ class Spot:
         """Return columns and rows of the sensor: odd, so that its middle is a pixel's."""
         return tuple(2 * int(FILL * self.circle_um * part / pitch_um) - 1 for part in ASPECT)
 
-    @cache
     def view(self, number: int) -> View:
         """Return what the image sees at a probe."""
-        point = tuple(a + b for a, b in zip(self.middle_um, PROBES_UM[number], strict=True))
-        return view(self.system, point, np.linspace(400, 700, LINES))
+        if number not in self.views:
+            point = tuple(a + b for a, b in zip(self.middle_um, PROBES_UM[number], strict=True))
+            self.views[number] = view(self.system, point, np.linspace(400, 700, LINES))
+        return self.views[number]
 
     def to_ideal(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ideal plane's point of the tile's middle, and its change per um (2, 2)."""
@@ -144,7 +146,7 @@ def edge(spot: Spot, pitch_um: float) -> tuple[int, tuple[Rect, ...]]:
 
 
 def texture(spot: Spot, pitch_um: float) -> tuple[int, tuple[Disc, ...]]:
-    """Return black discs of 3 to 6 pixels on white, in disorder, all over the tile and around it."""
+    """Return black discs of 3 to 6 pixels on white, in disorder, over the tile and around it."""
     zero, per_um = spot.to_ideal()
     draw = np.random.default_rng(15)
     reach = TILE_PX // 2 + max(16, int(60 / pitch_um))  # pixels from the tile's middle
@@ -274,8 +276,8 @@ def table(cells: list[dict]) -> str:
         "",
         ", ".join(f"{counts[name]} {name}" for name in sorted(counts)) + ".",
         "",
-        "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total | judge"
-        " | verdict |",
+        "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total "
+        "| judge | verdict |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
 

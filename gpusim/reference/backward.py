@@ -5,13 +5,13 @@ Light that arrives at a point x of the image, by the direction w in object space
     E(x) = integral L(w) |F(w)|^2 / lambda^2 d^2 w,
     F(w) = integral A(p) exp(i k (V(p) + w . p)) d^2 p
 
-with p on a plane across the light in object space, V the optical path from p to x (the mixed
-characteristic; Born & Wolf, sec. 4.1) and A^2 d^2 p = d alpha d beta, direction cosines at x: by the
-radiance theorem every direction that arrives carries the scene's radiance. Where the path is
+with p on a plane across the light in object space, V the optical path from p to x (a point
+characteristic; Born & Wolf, sec. 4.1) and A^2 d^2 p = d alpha d beta, direction cosines at x: by
+the radiance theorem every direction that arrives carries the scene's radiance. Where the path is
 stationary, w is the direction of the ray through p. So the scene's place, distortion and lateral
-colour come with the rays: no chief-ray map, no point-spread function that belongs to a source point
-and is taken for its neighbours', and an even scene gives L times the solid angle at x itself,
-whatever the aberrations.
+colour come with the rays: no chief-ray map, and no PSF that belongs to one source point and is
+taken for its neighbours'. An even scene gives L times the solid angle at x, whatever the
+aberrations.
 
 The tracer is this module's own. It shares surfaces, indices and apertures with `gpusim.lens`, and
 no code that follows a ray.
@@ -147,7 +147,7 @@ def _surface(start, towards, c, conic, asphere):
 
 
 def _aim(system, index, image, guess, stop):
-    """Return direction cosines at the image whose rays meet the stop at points (2, R), and success."""
+    """Return direction cosines of rays that meet the stop at points (2, R), and which were found."""
     radius, which = system.stop_radius_mm, system.geometry.stop
     at, step = guess.copy(), 1e-5
     found = np.zeros(at.shape[1], bool)
@@ -304,7 +304,7 @@ def rays_of(system, index: np.ndarray, image: np.ndarray, frame: Frame) -> Rays:
         stop = np.concatenate([np.zeros((2, 1)), stop], axis=1)
         # A first guess: linear in the stop, by what the chief ray's neighbours do.
         step = 1e-4
-        near = np.concatenate([chief, chief + [[step], [0]], chief + [[0], [step]]], axis=1)
+        near = chief + step * np.array([[0, 1, 0], [0, 0, 1]])
         there = trace_back(system, index, image[:, None], near).own[system.geometry.stop]
         slopes = np.stack([there[:, 1] - there[:, 0], there[:, 2] - there[:, 0]], axis=1) / step
         guess = chief + np.linalg.solve(slopes, stop)
@@ -432,7 +432,7 @@ def _within_hull(points, grid_1, grid_2):
 def _share_below(margin):
     """Return the share of each cell where a smooth function is negative, by its tangent plane."""
     slope_1, slope_2 = np.gradient(margin)
-    # Cells of a slanted line: 4 x 4 points of the tangent plane, each with a ramp of a quarter cell.
+    # 4 x 4 points of the tangent plane, each with a ramp of a quarter of a cell.
     at = (np.arange(4) - 1.5) / 4
     size = np.maximum(np.hypot(slope_1, slope_2), 1e-300)
     share = np.zeros_like(margin)

@@ -336,7 +336,7 @@ class Judge:
         )
 
     def _rings(self, seen: View) -> np.ndarray:
-        """Return each spectrum's share along RAYS directions, where light has gone beyond the cells.
+        """Return each spectrum's share by direction, where light has gone beyond the cells.
 
         Its mean falls as 1 / r^3: radii that are equally likely under 2 pi r / r^3.
         """
