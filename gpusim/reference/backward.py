@@ -19,7 +19,7 @@ no code that follows a ray.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -32,8 +32,9 @@ RAYS_ACROSS = 81
 DEGREES = (14, 18)  # of the polynomials in p; above 18 the normal equations are singular in float64
 GOOD_FIT_WAVES = 1e-4
 AIMED = 1e-9  # of the stop's radius
-STEPS = 16  # from the axis to the image point
+STEP, LEAST_STEP = 1 / 8, 1 / 512  # from the axis to the image point, of the way
 NEWTON = 25
+CLOSE_MM = 1e-12  # 2e-9 waves; Newton's next step would be its square
 
 
 @dataclass(frozen=True)
@@ -71,53 +72,62 @@ def trace_back(system, index: np.ndarray, image: np.ndarray, cosines: np.ndarray
     cosines : ndarray (2, R)
         Direction cosines of the light where it arrives.
     """
-    geometry = system.geometry
-    count = len(geometry.curvature)
     rays = cosines.shape[1]
-    point = np.concatenate(
-        [np.broadcast_to(image, (2, rays)), np.full((1, rays), system.image_z_mm)]
-    )
+    plane = np.full((1, rays), system.image_z_mm)
+    point = np.concatenate([np.broadcast_to(image, (2, rays)), plane])
     steep = 1 - (cosines**2).sum(axis=0)
     back = -np.concatenate([cosines, np.sqrt(np.maximum(steep, 1e-12))[None]])
-    ok, path, own = steep > 0, np.zeros(rays), np.zeros((count, 2, rays))
+    bundle = _through(system, index, point, back, steep > 0, -1)
+    return replace(bundle, direction=-bundle.direction)
+
+
+def _through(system, index, point, direction, ok, sense):
+    """Trace rays through the whole lens, along the light (sense 1) or against it (-1)."""
+    geometry = system.geometry
+    count = len(geometry.curvature)
+    path, own = np.zeros(ok.shape), np.zeros((count, 2, *ok.shape))
     with np.errstate(all="ignore"):
-        for s in reversed(range(count)):
+        for s in range(count)[::sense]:
             turn = geometry.rotation[s]
             vertex = np.array([*geometry.decentre[s], geometry.vertex_z[s]])[:, None]
-            start, towards = turn.T @ (point - vertex), turn.T @ back
+            start, towards = turn.T @ (point - vertex), turn.T @ direction
             shape = geometry.curvature[s], geometry.conic[s], geometry.asphere[s]
             t, normal, met = _surface(start, towards, *shape)
-            n_in, n_out = index[s + 1], index[s]
-            cos_in = -(towards * normal).sum(axis=0)  # the normal points along +z, the ray along -z
+            n_in, n_out = (index[s], index[s + 1])[::sense]
+            ahead = sense * normal
+            cos_in = (towards * ahead).sum(axis=0)
             sine2 = (n_in / n_out) ** 2 * (1 - cos_in**2)
             ok = ok & met & (cos_in > 0) & (sine2 < 1)
-            bent = n_in / n_out * towards
-            bent = bent + (n_in / n_out * cos_in - np.sqrt(np.maximum(1 - sine2, 0))) * normal
+            cos_out = np.sqrt(np.maximum(1 - sine2, 0))
+            bent = n_in / n_out * towards + (cos_out - n_in / n_out * cos_in) * ahead
             hit = start + t * towards
             own[s] = np.where(ok, hit[:2], 0.0)
             path = np.where(ok, path + n_in * t, path)
             point = np.where(ok, turn @ hit + vertex, point)
-            back = np.where(ok, turn @ bent, back)
-    return Bundle(own, point, -back, path, ok)
+            direction = np.where(ok, turn @ bent, direction)
+    return Bundle(own, point, direction, path, ok)
 
 
 def _surface(start, towards, c, conic, asphere):
     """Return the way to a surface of revolution, its unit normal (z > 0) and which rays meet it."""
-    x, y, z = start
     dx, dy, dz = towards
-    # F = c (x^2 + y^2 + (1 + K) z^2) - 2 z = 0 along the ray: a t^2 + 2 b t + g = 0, and the root
-    # that stays finite as the surface flattens.
+    # From the vertex's plane: there the root that stays finite as the surface flattens is that of
+    # the sheet which carries the vertex.
+    flat = -start[2] / dz
+    x, y = start[0] + flat * dx, start[1] + flat * dy
+    # F = c (x^2 + y^2 + (1 + K) z^2) - 2 z = 0 along the ray: a t^2 + 2 b t + g = 0.
     kc = (1 + conic) * c
     a = c * (dx**2 + dy**2) + kc * dz**2
-    b = c * (x * dx + y * dy) + kc * z * dz - dz
-    g = c * (x**2 + y**2) + kc * z**2 - 2 * z
+    b = c * (x * dx + y * dy) - dz
+    g = c * (x**2 + y**2)
     root = b * b - a * g
     ok = root >= 0
-    t = -g / (b + np.copysign(np.sqrt(np.maximum(root, 0)), b))
+    t = -g / (b + np.copysign(np.sqrt(np.maximum(root, 0)), -dz))
     if not asphere.any():
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz
+        px, py, pz = x + t * dx, y + t * dy, t * dz
         normal = np.stack([-c * px, -c * py, 1 - kc * pz])
-        return t, normal / np.sqrt((normal**2).sum(axis=0)), ok & (normal[2] > 0)
+        return flat + t, normal / np.sqrt((normal**2).sum(axis=0)), ok & (normal[2] > 0)
+    asphere = np.trim_zeros(asphere, "b")
     powers = np.arange(1, len(asphere) + 1)
     sag_terms = np.concatenate([[0.0], asphere])
     slope_terms = powers * asphere
@@ -129,48 +139,63 @@ def _surface(start, towards, c, conic, asphere):
         slope = c / (2 * square) + np.polynomial.polynomial.polyval(r2, slope_terms)
         return value, slope, under > 0
 
-    flat = -z / dz
+    # From the conic or the plane, whichever is nearer to the surface there.
     misses = [
-        np.abs(z + one * dz - sag((x + one * dx) ** 2 + (y + one * dy) ** 2)[0])
-        for one in (t, flat)
+        np.abs(one * dz - sag((x + one * dx) ** 2 + (y + one * dy) ** 2)[0]) for one in (t, 0 * t)
     ]
-    t = np.where(ok & (misses[0] < misses[1]), t, flat)
+    t = np.where(ok & (misses[0] < misses[1]), t, 0.0)
+    ok = np.isfinite(t)
     for _ in range(NEWTON):
         px, py = x + t * dx, y + t * dy
         value, slope, _ = sag(px**2 + py**2)
-        t = t - (z + t * dz - value) / (dz - 2 * slope * (px * dx + py * dy))
+        step = (t * dz - value) / (dz - 2 * slope * (px * dx + py * dy))
+        t = t - step
+        if np.max(np.abs(step), initial=0.0, where=ok) < CLOSE_MM:
+            break
     px, py = x + t * dx, y + t * dy
     value, slope, inside = sag(px**2 + py**2)
-    ok = inside & (np.abs(z + t * dz - value) < 1e-9)
+    ok = inside & (np.abs(t * dz - value) < 1e-9)
     normal = np.stack([-2 * slope * px, -2 * slope * py, np.ones_like(t)])
-    return t, normal / np.sqrt((normal**2).sum(axis=0)), ok
+    return flat + t, normal / np.sqrt((normal**2).sum(axis=0)), ok
 
 
 def _aim(system, index, image, guess, stop):
-    """Return direction cosines of rays that meet the stop at points (2, R), and which were found."""
-    radius, which = system.stop_radius_mm, system.geometry.stop
-    at, step = guess.copy(), 1e-5
-    found = np.zeros(at.shape[1], bool)
+    """Return direction cosines of rays to points (2, R) of the stop, and which were found."""
+
+    def arrive(cosines, rays):
+        there = image[:, rays] if image.shape[1] > 1 else image
+        lines = index[:, rays] if index.shape[1] > 1 else index
+        return trace_back(system, lines, there, cosines)
+
+    # A start that does not reach the stop goes half-way to the first of all, the chief ray.
+    return _newton(system, arrive, guess, stop, 1e-5, guess[:, :1])
+
+
+def _newton(system, send, guess, stop, step, retreat):
+    """Return what sends rays to points (2, R) of the stop, and which were found."""
+    at, found = guess.copy(), np.zeros(guess.shape[1], bool)
+    stop = np.broadcast_to(stop, at.shape)
     for _ in range(NEWTON):
-        here, along_a, along_b = (
-            trace_back(system, index, image, at + np.array([[da], [db]]))
-            for da, db in ((0, 0), (step, 0), (0, step))
+        rays = ~found
+        here, one, two = (
+            send(at[:, rays] + np.array([[a], [b]]), rays)
+            for a, b in ((0, 0), (step, 0), (0, step))
         )
-        miss = stop - here.own[which]
-        found = here.ok & (np.hypot(*miss) < AIMED * radius)
-        if found.all():
-            break
-        ja = (along_a.own[which] - here.own[which]) / step
-        jb = (along_b.own[which] - here.own[which]) / step
-        det = ja[0] * jb[1] - ja[1] * jb[0]
-        usable = here.ok & along_a.ok & along_b.ok & (np.abs(det) > 0)
+        place, first, second = (bundle.own[system.geometry.stop] for bundle in (here, one, two))
+        miss = stop[:, rays] - place
+        hit = here.ok & (np.hypot(*miss) < AIMED * system.stop_radius_mm)
+        j1, j2 = (first - place) / step, (second - place) / step
+        det = j1[0] * j2[1] - j1[1] * j2[0]
+        usable = here.ok & one.ok & two.ok & (np.abs(det) > 0)
         det = np.where(usable, det, 1.0)
         move = (
-            np.stack([miss[0] * jb[1] - miss[1] * jb[0], ja[0] * miss[1] - ja[1] * miss[0]]) / det
+            np.stack([miss[0] * j2[1] - miss[1] * j2[0], j1[0] * miss[1] - j1[1] * miss[0]]) / det
         )
-        # A start that does not reach the stop goes half-way to the first of all, the chief ray.
-        toward = np.where(usable, at + move, (at + at[:, :1]) / 2)
-        at = np.where(found, at, toward)
+        now = at[:, rays]
+        at[:, rays] = np.where(hit, now, np.where(usable, now + move, (now + retreat) / 2))
+        found[rays] = hit
+        if found.all():
+            break
     return at, found
 
 
@@ -184,16 +209,24 @@ def chief_back(system, index: np.ndarray, image: np.ndarray) -> np.ndarray:
     ValueError
         Where no such ray passes the lens.
     """
-    at = np.zeros((2, index.shape[1]))
-    last = at
-    for number in range(STEPS + 1):
-        point = image[:, None] * number / STEPS
-        guess = 2 * at - last if number > 1 else at
-        found, ok = _aim(system, index, point, guess, np.zeros((2, 1)))
-        if not ok.all():
+    middle = np.zeros((2, 1))
+    way = [(0.0, np.zeros((2, index.shape[1])))]
+    step, at = STEP, 0.0
+    while True:
+        # Straight on from the last two; where that loses a ray, half as far.
+        (before, first), (last, here) = (way[-2:] * 2)[-2:]
+        slope = (here - first) / (last - before) if last > before else 0.0
+        found, ok = _aim(system, index, at * image[:, None], here + (at - last) * slope, middle)
+        if ok.all():
+            way.append((at, found))
+            if at == 1.0:
+                return found
+            step = min(2 * step, STEP)
+        elif step < LEAST_STEP or at == 0.0:
             raise ValueError(f"no chief ray arrives at {image} mm")
-        last, at = at, found
-    return at
+        else:
+            step /= 2
+        at = min(way[-1][0] + step, 1.0)
 
 
 @dataclass(frozen=True)
@@ -239,19 +272,18 @@ class Frame:
 
 def frame_of(system, index: np.ndarray, image: np.ndarray, focal_mm: float) -> Frame:
     """Return the frame of an image point (2,) in mm, by the reference wavelength (S + 1, 1)."""
-    chief = trace_back(system, index, image[:, None], chief_back(system, index, image))
+    there = chief_back(system, index, image)
+    chief = trace_back(system, index, image[:, None], there)
     along = chief.direction[:, 0]
     e1 = np.array([1.0, 0, 0]) - along[0] * along
     e1 /= np.sqrt(e1 @ e1)
     e2 = np.cross(along, e1)
     columns, step = [], 1e-3
-    for way in np.eye(2) * step:
-        ends = [
-            trace_back(
-                system, index, (image + one)[:, None], chief_back(system, index, image + one)
-            )
-            for one in (way, -way)
-        ]
+    for one in np.eye(2) * step:
+        ends = []
+        for end in (image + one, image - one):
+            aimed, _ = _aim(system, index, end[:, None], there, np.zeros((2, 1)))
+            ends.append(trace_back(system, index, end[:, None], aimed))
         moved = (ends[0].direction - ends[1].direction)[:, 0] / (2 * step)
         columns.append(focal_mm * np.array([e1 @ moved, e2 @ moved]))
     return Frame(along, e1, e2, chief.point[:, 0], focal_mm, np.stack(columns, axis=1))
@@ -286,15 +318,20 @@ class Rays:
         return (self.margin < 0).all(axis=0)
 
 
-def rays_of(system, index: np.ndarray, image: np.ndarray, frame: Frame) -> Rays:
+def rays_of(system, index: np.ndarray, image: np.ndarray, chief: np.ndarray, frame: Frame) -> Rays:
     """Trace the bundle of an image point (2,), mm, at one wavelength (S + 1, 1).
+
+    Parameters
+    ----------
+    system, index, image, frame
+    chief : ndarray (2, 1)
+        As `chief_back` returns it.
 
     Raises
     ------
     ValueError
         Where no light passes.
     """
-    chief = chief_back(system, index, image)
     radius, rim = system.stop_radius_mm, OVERSIZE * system.stop_radius_mm
     limit = (-rim, rim, -rim, rim)
     for across in (25, RAYS_ACROSS):
@@ -334,6 +371,47 @@ def rays_of(system, index: np.ndarray, image: np.ndarray, frame: Frame) -> Rays:
         1e3 * frame.focal_mm * (across @ way),
         bundle.path[keep] + left,
         cosines[:, keep],
+        margin[:, keep],
+    )
+
+
+def field_rays(
+    system, index: np.ndarray, image: np.ndarray, chief: np.ndarray, frame: Frame
+) -> Rays:
+    """Trace, along the light, the field whose chief ray lands on an image point (2,), mm.
+
+    Its rays land elsewhere, by the aberrations; places and paths are left out.
+    """
+    middle = trace_back(system, index, image[:, None], chief)
+    along = middle.direction
+    e1 = frame.e1 - (frame.e1 @ along) * along[:, 0]
+    e1 /= np.sqrt(e1 @ e1)
+    sides = np.stack([e1, np.cross(along[:, 0], e1)])
+    rim = OVERSIZE * system.stop_radius_mm
+    x, y = np.meshgrid(*2 * [np.linspace(-rim, rim, RAYS_ACROSS)])
+    keep = np.hypot(x, y) <= rim
+    stop = np.stack([x[keep], y[keep]])
+
+    def launched(p, _=None):
+        # From well before the lens: where a ray starts along its own direction changes nothing.
+        start = middle.point + sides.T @ p - 10 * rim * along
+        sent = np.broadcast_to(along, start.shape)
+        return _through(system, index, start, sent, np.ones(p.shape[1], bool), 1)
+
+    nothing = np.zeros_like(stop)
+    at, found = _newton(system, launched, nothing, stop, 1e-4 * rim, nothing[:, :1])
+    here = launched(at)
+    found &= here.ok
+    margin = (here.own**2).sum(axis=1) / system.semi_diameter_mm[:, None] ** 2 - 1
+    diaphragm = (stop**2).sum(axis=0) / system.stop_radius_mm**2 - 1
+    margin = np.concatenate([margin, diaphragm[None]])
+    keep = found & (margin <= OVERSIZE**2 - 1 + 1e-12).all(axis=0)
+    nothing = np.zeros(int(keep.sum()))
+    return Rays(
+        at[:, keep] / frame.focal_mm,
+        np.stack([nothing, nothing]),
+        nothing,
+        here.direction[:2, keep],
         margin[:, keep],
     )
 
