@@ -241,6 +241,11 @@ class Judge:
     wavelengths_nm : ndarray (61,)
         Of the scene's spectra and of the quantum efficiency, evenly spaced: the integral is the
         trapezoidal rule on them.
+
+    Raises
+    ------
+    ValueError
+        For a raster with highlights.
     """
 
     def __init__(self, system: System, sensor: Any, scene: Any, wavelengths_nm: np.ndarray) -> None:
@@ -251,7 +256,10 @@ class Judge:
         if self.chart:
             self.placed = scene.source.placed(half_um[1])
         else:
-            self.placed = scene.source.placed(*half_um, sensor.pixel_pitch_um)
+            # As fine as it is: its own spline is the scene.
+            self.placed = scene.source.placed(*half_um, 1e-9)
+            if len(self.placed.highlights):
+                raise ValueError("this judge has no eye for highlights")
             self.coefficients = self.placed.spline_coefficients()
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.edge_rad = np.radians(system.prescription.max_field_deg)

@@ -20,6 +20,7 @@ from gpusim.reference.backward import (
 )
 from gpusim.reference.lens_truth import Judge, view
 from gpusim.scene.chart import Chart, Rect
+from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
 LIGHT = np.full(WAVELENGTHS_NM.size, 0.01)  # W m^-2 sr^-1 nm^-1
@@ -152,6 +153,21 @@ def test_an_edge_through_a_perfect_lens(perfect, seen_through_it, off_um):
 
 
 TABLE = WAVELENGTHS_NM
+
+
+def test_a_raster_is_looked_up_as_its_spline(perfect, seen_through_it):
+    """On the border between dark and bright halves lies half the light, by symmetry."""
+    planes = np.full((2, 80, 80), 0.5, np.float32)  # not 0: radiance never rings below it
+    planes[0, :, 40:] = 1.0
+    planes[1] = 0.25
+    subject = SimpleNamespace(source=Raster(planes), spectra=np.stack([LIGHT, LIGHT]))
+    judge = Judge(perfect, sensor(550.0), subject, TABLE)
+    found = judge.pixel(seen_through_it, 200, 200).rate
+    even = (
+        judge.weights(200, 200, seen_through_it.wavelengths_nm) @ seen_through_it.solid_angle_sr
+    )[0]
+    # Float32 samples; what the field's rim cuts off of the far tail is less than 1e-5.
+    assert found / even == pytest.approx(1.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("point", [(0, 0), (350, 60)])
