@@ -62,6 +62,6 @@ def test_a_cell_done_again_replaces_the_old_one(matrix, tmp_path):
 def test_the_table_counts_verdicts_and_gives_reasons(matrix):
     cells = [line("met", total_rms=1e-4), line("refused", pitch_um=1.0, reason="too fine")]
     page = matrix.table(cells)
-    assert "1 met, 1 refused." in page
+    assert "1 met, 1 refused. " in page
     assert "| a | 4 | edge | 0.001 |  |  |  |  | 1.0e-04 |  | met |" in page
     assert "refused: too fine |" in page

@@ -274,7 +274,9 @@ def table(cells: list[dict]) -> str:
         f"{PLACE * FILL:.0%} of the image circle, rendered with a certificate and compared with "
         "PSFs traced anew at the pixel itself (`gpusim/reference/lens_truth.py`).",
         "",
-        ", ".join(f"{counts[name]} {name}" for name in sorted(counts)) + ".",
+        ", ".join(f"{counts[name]} {name}" for name in sorted(counts)) + ". The judge's figure is "
+        "the RMS over up to five pixels; a certificate is wrong where that exceeds twice the "
+        "tolerance by more than the judge's own bound.",
         "",
         "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total "
         "| judge | verdict |",
