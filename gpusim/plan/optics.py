@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,7 +30,7 @@ from gpusim.optics.methods import METHODS
 from gpusim.optics.modes import Decomposition, mode_decomposition
 from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
-from gpusim.plan.candidates import Candidate, Part, choose
+from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import (
     TRANSFORMS,
@@ -41,6 +41,8 @@ from gpusim.plan.layout import (
     planes_at_points,
 )
 from gpusim.plan.predict import alias_error, cells_within, cut_error
+from gpusim.plan.reach import within_reach
+from gpusim.plan.signal import brightest_e
 from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -86,8 +88,12 @@ def plan_optics(
     noise: bool = True,
     method: str | None = None,
     force: Collection[str] = (),
+    exposure_s: float = math.inf,
 ) -> Plan:
     """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
+
+    Where a tolerance cannot be met, it is refused, with the nearest that can be; or, for best
+    effort, the plan is that for the nearest.
 
     Parameters
     ----------
@@ -103,36 +109,43 @@ def plan_optics(
         One of METHODS, instead of the cheapest.
     force : collection of str
         Stages of the plan that are to run though nothing needs them: for tests.
+    exposure_s : float
+        Longest that will be captured: to a tolerance in sigmas, the noise of the brightest signal
+        that the scene makes in it counts.
 
     Raises
     ------
     UserError
         When a PSF is wider than the longest transform allows, or a part of the error cannot be as
-        small as the tolerance asks: which, and how small it is.
+        small as the tolerance asks: which, and the nearest tolerance that can be met.
     """
-    basis = camera_basis(
-        bank,
-        sensor,
-        scene.spectra,
-        0.0 if "spectra" in force else WORST_TO_RMS * accuracy.tolerance,
-        _commonest_first(scene),
-        ANGLE_SHARE * accuracy.tolerance,
-    )
-    if basis.residual > WORST_TO_RMS * accuracy.tolerance:
-        raise UserError(
-            "The tolerance cannot be met: the planes of the scene's spectra cannot err by less.",
-            field="tolerance",
-            value=accuracy.tolerance,
-            allowed=f"{basis.residual / WORST_TO_RMS:.1e} or more: the shaders carry {MAX_PLANES} "
-            "planes, and this camera tells more spectra of this scene apart",
-        )
-    problem = _Problem(bank, sensor, scene, accuracy, costs, basis, force)
     if method not in (None, *METHODS):
         raise UserError(
             "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
         )
     methods = METHODS if method is None else (method,)
-    chosen, runners_up = choose(problem.candidates(methods, "tail" in force))
+    signal = (
+        brightest_e(bank, sensor, scene, exposure_s),
+        sensor.temporal_dark_noise_e,
+        sensor.full_well_e,
+    )
+    relative = accuracy.relative(*signal)
+
+    def attempt(tolerance: float) -> _Attempt:
+        basis = camera_basis(
+            bank,
+            sensor,
+            scene.spectra,
+            0.0 if "spectra" in force else WORST_TO_RMS * tolerance,
+            _commonest_first(scene),
+            ANGLE_SHARE * tolerance,
+        )
+        asked = replace(relative, tolerance=tolerance)
+        problem = _Problem(bank, sensor, scene, asked, costs, basis, force)
+        return _Attempt(problem, *choose(problem.candidates(methods, "tail" in force)))
+
+    found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal))
+    problem, chosen, basis = found.problem, found.chosen, found.problem.basis
     scales = problem.scales(chosen)
     identity = problem.identity(scales[0])
     stages = describe(
@@ -148,8 +161,45 @@ def plan_optics(
         + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
         kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
         rates=costs.source,
-        runners_up=runners_up,
+        runners_up=found.runners_up,
+        tolerance=problem.accuracy.tolerance,
+        shortfall=shortfall,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """What came of planning for one tolerance: see `gpusim.plan.reach.Attempt`."""
+
+    problem: _Problem
+    chosen: Candidate
+    runners_up: tuple[RunnerUp, ...]
+
+    @property
+    def excess(self) -> float:
+        return max(self._planes, self.chosen.excess)
+
+    @property
+    def why(self) -> str:
+        chosen = self.chosen
+        if self._planes >= chosen.excess:
+            return (
+                f"the planes of the scene's spectra cannot err by less: the shaders carry "
+                f"{MAX_PLANES}, and this camera tells more spectra of this scene apart"
+            )
+        if chosen.worst == "alias":
+            return (
+                f"the alias of edges on the sim grid cannot be less: {chosen.oversampling} samples "
+                "a pixel are the most, and the lens's PSFs hold finer detail than these carry"
+            )
+        error, limit = chosen.errors[chosen.worst], chosen.limits[chosen.worst]
+        return f"the error of its {chosen.worst} is {error:.1e} at least, above {limit:.1e}"
+
+    @property
+    def _planes(self) -> float:
+        """The planes' error over its limit."""
+        problem = self.problem
+        return problem.basis.residual / (WORST_TO_RMS * problem.accuracy.tolerance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,15 +231,6 @@ class _Problem:
                 errors, limits = {"alias": alias}, {"alias": tolerance}
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
                 continue
-            if alias > tolerance and not any(one.parts for one in found):
-                raise UserError(
-                    "The tolerance cannot be met: the alias of edges on the sim grid cannot be "
-                    "less.",
-                    field="tolerance",
-                    value=tolerance,
-                    allowed=f"{alias:.1e} or more: {oversampling} samples a pixel are the most, "
-                    "and the lens's PSFs hold finer detail than these carry",
-                )
             # After one that exceeds its limits: a finer grid is tried where it costs least.
             first = not any(one.parts for one in found)
             cuts = list(self._tails)[: CUTS_TRIED if first else 1]

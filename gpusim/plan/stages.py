@@ -56,6 +56,11 @@ class Plan:
         Whose rates the predictions are made from.
     runners_up : tuple of RunnerUp
         Other ways to convolve, and why each lost.
+    tolerance : float
+        That it was made for, relative to the local signal.
+    shortfall : str
+        Where the tolerance asked for cannot be met, and best effort was: for which one the plan was
+        made instead, and why. Else empty.
     """
 
     basis: Basis
@@ -66,6 +71,8 @@ class Plan:
     kernels_s: float
     rates: str
     runners_up: tuple[RunnerUp, ...]
+    tolerance: float
+    shortfall: str = ""
 
     def runs(self, name: str) -> bool:
         """Return whether a stage runs."""
@@ -81,6 +88,8 @@ class Plan:
         lines += _row("", "with all dispatches", None, self.predicted_s)
         lines += _row("", "kernels, made once", None, self.kernels_s)
         lines += ["", *_row("chosen", self.name, None, None)]
+        if self.shortfall:
+            lines += _row("best effort", self.shortfall, None, None)
         for other in self.runners_up:
             lines += _row(
                 "lost",
