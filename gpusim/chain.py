@@ -34,7 +34,7 @@ from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
-from gpusim.plan import Accuracy, Plan, plan_optics
+from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
 from gpusim.plan.tiles import (
@@ -275,17 +275,14 @@ class Renderer:
 
     def planned(self, method: str | None = None, force: Collection[str] = ()) -> Plan:
         """Return the plan for a method, or for the cheapest: see `gpusim.plan.plan_optics`."""
-        return plan_optics(
-            self.bank,
-            self.camera.sensor,
-            self.scene,
-            self.accuracy,
-            self._costs,
-            self._noise,
-            method,
-            force,
-            self.longest_s,
-        )
+        return self.plans(1, method, force)[0]
+
+    def plans(
+        self, count: int, method: str | None = None, force: Collection[str] = ()
+    ) -> list[Plan]:
+        """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
+        given = self.bank, self.camera.sensor, self.scene, self.accuracy, self._costs, self._noise
+        return plans_optics(*given, method, force, self.longest_s, count=count)
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""

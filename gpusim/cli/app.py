@@ -249,13 +249,19 @@ def pareto(
     whole: Annotated[
         bool, typer.Option("--whole", help="The whole sensor, not 512 pixels about its centre.")
     ] = False,
+    best_effort: BestEffort = False,
     adapter: Adapter = None,
 ) -> None:
-    """Sweep tolerances and knobs: certified error against run time, as table and figure."""
+    """Sweep tolerances and knobs: certified error against run time, as table and figure.
+
+    The planner's regret is the time of the plan that it chooses over that of the fastest one found
+    that meets the same tolerance. Exit code 1 where the chosen plan's certificate does not meet the
+    tolerance (the files are written), 2 for mistakes: a tolerance that cannot be met is one.
+    """
     from gpusim.cli.pareto import run
 
     choose_adapter(adapter)
-    run(
+    if code := run(
         camera,
         scene,
         out,
@@ -263,7 +269,9 @@ def pareto(
         tolerance=tolerance,
         probes=certify,
         whole=whole,
-    )
+        best_effort=best_effort,
+    ):
+        raise typer.Exit(code)
 
 
 measure = typer.Typer(

@@ -119,6 +119,27 @@ def plan_optics(
         When a PSF is wider than the longest transform allows, or a part of the error cannot be as
         small as the tolerance asks: which, and the nearest tolerance that can be met.
     """
+    given = bank, sensor, scene, accuracy, costs, noise, method, force, exposure_s
+    return plans_optics(*given, count=1)[0]
+
+
+def plans_optics(
+    bank: FieldBank,
+    sensor: Sensor,
+    scene: Scene,
+    accuracy: Accuracy,
+    costs: Costs = LAVAPIPE,
+    noise: bool = True,
+    method: str | None = None,
+    force: Collection[str] = (),
+    exposure_s: float = math.inf,
+    *,
+    count: int,
+) -> list[Plan]:
+    """Return the plan of `plan_optics`, and then those that it takes for the next cheapest.
+
+    At most `count` in all; all meet the tolerance that the first one is made for.
+    """
     if method not in (None, *METHODS):
         raise UserError(
             "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
@@ -142,11 +163,30 @@ def plan_optics(
         )
         asked = replace(relative, tolerance=tolerance)
         problem = _Problem(bank, sensor, scene, asked, costs, basis, force)
-        return _Attempt(problem, *choose(problem.candidates(methods, "tail" in force)))
+        candidates = problem.candidates(methods, "tail" in force)
+        return _Attempt(problem, candidates, choose(candidates)[0])
 
     found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal))
-    problem, chosen, basis = found.problem, found.chosen, found.problem.basis
-    scales = problem.scales(chosen)
+    problem, rest = found.problem, [one for one in found.candidates if one is not found.chosen]
+    others = [one for one in rest if one.parts and one.excess <= 1]
+    taken = [found.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
+    runners_up = choose(found.candidates)[1]
+    return [
+        _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall)
+        for one in taken
+    ]
+
+
+def _plan(
+    problem: _Problem,
+    chosen: Candidate,
+    runners_up: tuple[RunnerUp, ...],
+    noise: bool,
+    shortfall: str,
+) -> Plan:
+    """Return a candidate as a plan."""
+    basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
+    scales, force = problem.scales(chosen), problem.force
     identity = problem.identity(scales[0])
     stages = describe(
         chosen, basis, sensor, scene, costs, identity, noise, force, problem.left_out()
@@ -161,7 +201,7 @@ def plan_optics(
         + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
         kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
         rates=costs.source,
-        runners_up=found.runners_up,
+        runners_up=runners_up,
         tolerance=problem.accuracy.tolerance,
         shortfall=shortfall,
     )
@@ -172,8 +212,8 @@ class _Attempt:
     """What came of planning for one tolerance: see `gpusim.plan.reach.Attempt`."""
 
     problem: _Problem
+    candidates: list[Candidate]
     chosen: Candidate
-    runners_up: tuple[RunnerUp, ...]
 
     @property
     def excess(self) -> float:

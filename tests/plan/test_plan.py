@@ -546,7 +546,7 @@ def test_a_method_that_cannot_do_it_says_why():
     plan = plan_optics(wide, sensor(), COLOURED, Accuracy(named), method="direct")
     assert plan.shortfall == "" and len(plan.scales) == 2
     wild = bank(coma_um=8.0, fields=12)
-    with pytest.raises(UserError, match="sums of few modes .*16 modes") as caught:
+    with pytest.raises(UserError, match=r"sums of few modes .*16 modes") as caught:
         plan_optics(wild, sensor(), COLOURED, Accuracy(1e-5), method="modes")
     named = float(caught.value.allowed.split(" or more")[0])
     assert plan_optics(wild, sensor(), COLOURED, Accuracy(named), method="modes").shortfall == ""
