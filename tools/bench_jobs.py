@@ -372,7 +372,7 @@ def regret_job(
     """Sweep plans on five scenes and three lenses, and find the planner's regret in each.
 
     Of prepared and of first frames, by medians of rounds through all plans: see
-    `gpusim.pareto.sweep`. Other tolerances than the one asked for are left out, for their plans are
+    `gpusim.pareto`. Other tolerances than the one asked for are left out, for their plans are
     made for other errors; so is what is never faster. What is timed in the end is nothing but the
     last table.
     """
@@ -425,7 +425,7 @@ def regret_job(
                 print(shown, file=sys.stderr, flush=True)
     measured = [found for found in table if found.get("regret") is not None]
     worst = {
-        kind: max((found[kind] for found in measured), default=math.nan)
+        kind: max((found[kind] for found in measured), default=None)
         for kind in ("regret", "first_regret")
     }
     return Job(
@@ -436,7 +436,8 @@ def regret_job(
             "cells": table,
             "without": sum(found.get("regret") is None for found in table),
             "medians": {
-                kind: statistics.median(found[kind] for found in measured) for kind in worst
+                kind: statistics.median(found[kind] for found in measured) if measured else None
+                for kind in worst
             },
         },
     )

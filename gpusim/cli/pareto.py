@@ -22,7 +22,7 @@ from gpusim.cli.render import exposure_seconds
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.pareto import CHOSEN, Point, Sweep, sweep
-from gpusim.pareto.sweep import KINDS
+from gpusim.pareto.turns import KINDS
 from gpusim.plan import Accuracy
 from gpusim.report.pareto_figure import draw, png
 from gpusim.report.words import NOTHING, duration, error, sigmas

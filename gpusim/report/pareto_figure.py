@@ -157,8 +157,8 @@ def _tags(
     frame = axes.get_window_extent()
     bounds = [side / per_point for side in (frame.x0, frame.y0, frame.x1, frame.y1)]
     texts = [str(number) for number in range(1, len(shown) + 1)]
-    # A digit of DejaVu Sans is 0.64 em wide and 0.73 em high; half a point of air on each side.
-    sizes = [(0.64 * _TAG_PT * len(text) + 1, 0.75 * _TAG_PT + 1) for text in texts]
+    # A digit of DejaVu Sans is 0.64 em wide, in bold 0.70, and a line of it 1.17 em high.
+    sizes = [(0.70 * _TAG_PT * len(text), 1.2 * _TAG_PT) for text in texts]
     marks = [_RING_PT if ring else _MARK_PT for ring in ringed]
     for point, text, anchor, mark, centre in zip(
         shown, texts, anchors, marks, placed(anchors, marks, sizes, bounds), strict=True
@@ -171,7 +171,7 @@ def _tags(
             xytext=centre,
             textcoords="figure points",
             ha="center",
-            va="center_baseline",
+            va="center",
             fontsize=_TAG_PT,
             fontweight="bold" if point.chosen else "normal",
             color=styles[point.family][0],

@@ -22,8 +22,8 @@ from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
-from gpusim.pareto import variants as around
-from gpusim.pareto.variants import Variant, predicted_parts
+from gpusim.pareto import knobs
+from gpusim.pareto.knobs import Variant, predicted_parts
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.scene.scene import Scene
@@ -180,7 +180,7 @@ def sweep(
     # By transforms: the knobs that are turned are theirs.
     turned = cache(lambda: renderer(replace(accuracy, probes=0), method="fft"))
     try:
-        everything = list(around.variants(accuracy, chosen.period))
+        everything = list(knobs.variants(accuracy, chosen.period))
         everything = [variant for variant in everything if variant.name not in leave_out]
         first = chosen.capture(
             exposure_s,
@@ -295,7 +295,7 @@ def _time(
 def _regret(run: _Run, runs: Sequence[_Run], kind: str) -> tuple[float | None, str]:
     """Return a plan's time over that of the fastest that meets its tolerance, and which it is."""
     tolerance = run.variant.accuracy.tolerance
-    if run.variant.family != around.CHOSEN or not run.within(tolerance):
+    if run.variant.family != knobs.CHOSEN or not run.within(tolerance):
         return None, ""
     fastest = min(
         (one for one in runs if one.within(tolerance)),
