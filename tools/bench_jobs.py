@@ -18,6 +18,7 @@ import numpy as np
 import scipy.fft
 from bench_blur import blur_1mp
 from bench_ccd import linear_job, smear_job, trap_job
+from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
@@ -40,7 +41,6 @@ from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
-from gpusim.pareto import sweep, variants
 from gpusim.plan import Accuracy
 from gpusim.reference.adc import adc
 from gpusim.reference.columns import columns
@@ -353,94 +353,6 @@ def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
 
     pixels = sum(map(math.prod, sizes))
     return Job(run, pixels, {"measure": "not certified here: see frame-12mp"}, facts=facts)
-
-
-REGRET_TOLERANCES = (1e-2, 1e-3)
-REGRET_BUDGET_S = 16.0  # of the rounds of each of 15 x 2 sweeps, but three rounds
-# Slower than what they are turned from, always: they cannot be the fastest.
-REGRET_WITHOUT = ("4 samples a pixel", "not cut", "1.4 x the nodes", "2 x the nodes")
-
-
-def regret_job(
-    device: Device,
-    frame: tuple[int, int],
-    lenses: dict[str, Callable] | None = None,
-    scenes: tuple[str, ...] | None = None,
-    probes: int = 64,
-    tolerances: tuple[float, ...] = REGRET_TOLERANCES,
-) -> Job:
-    """Sweep plans on five scenes and three lenses, and find the planner's regret in each.
-
-    Of prepared and of first frames, by medians of rounds through all plans: see
-    `gpusim.pareto`. Other tolerances than the one asked for are left out, for their plans are
-    made for other errors; so is what is never faster. What is timed in the end is nothing but the
-    last table.
-    """
-    rows, cols = (min(side, most) for side, most in zip(frame, LARGEST, strict=True))
-    sensor = load_sensor("imx477").roi(rows, cols)
-    table: list[dict[str, object]] = []
-    for lens, load in (lenses or TOLERANCE_LENSES).items():
-        camera = Camera(lens, load(), sensor)
-        for name in scenes or TOLERANCE_SCENES:
-            for tolerance in tolerances:
-                found: dict[str, object] = {"lens": lens, "scene": name, "tolerance": tolerance}
-                table.append(found)
-                asked = Accuracy(tolerance, probes)
-                others = [v.name for v in variants(asked, 1) if v.accuracy != asked]
-                try:
-                    swept = sweep(
-                        camera,
-                        make_scene(name),
-                        asked,
-                        EXPOSURE_S,
-                        device,
-                        budget_s=REGRET_BUDGET_S,
-                        leave_out=(*others, *REGRET_WITHOUT),
-                    )
-                except UserError as refused:
-                    found["refused"] = refused.problem
-                    continue
-                chosen = swept.points[0]
-                of_point = ("regret", "fastest", "first_regret", "first_fastest", "met")
-                found |= {key: getattr(chosen, key) for key in of_point}
-                found |= {
-                    "frame_s": chosen.frame_s,
-                    "first_s": chosen.first_s,
-                    "plan": chosen.plan,
-                    "rounds": swept.rounds,
-                    "points": [
-                        {
-                            "name": point.name,
-                            "plan": point.plan,
-                            "met": point.met,
-                            "frame_s": point.frame_s,
-                            "first_s": point.first_s,
-                            "total_rms": point.total_rms,
-                        }
-                        for point in swept.points
-                        if not point.obstacle
-                    ],
-                }
-                shown = {key: value for key, value in found.items() if key != "points"}
-                print(shown, file=sys.stderr, flush=True)
-    measured = [found for found in table if found.get("regret") is not None]
-    worst = {
-        kind: max((found[kind] for found in measured), default=None)
-        for kind in ("regret", "first_regret")
-    }
-    return Job(
-        lambda: None,
-        rows * cols,
-        {"measure": "largest regret over scenes, lenses and tolerances", **worst},
-        facts=lambda best: {
-            "cells": table,
-            "without": sum(found.get("regret") is None for found in table),
-            "medians": {
-                kind: statistics.median(found[kind] for found in measured) if measured else None
-                for kind in worst
-            },
-        },
-    )
 
 
 TOLERANCES = (1e-2, 1e-3, 1e-4)
@@ -1015,8 +927,8 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     ),
     "scaling": ("frames of 1, 4, 12 and 48 MP: time for each pixel", scaling_job),
     "regret": (
-        "the chosen plan's time over the fastest known's, five scenes, three lenses",
-        regret_job,
+        "the planner's time over the fastest known plan's, five scenes, three lenses",
+        partial(regret_job, job=Job, lenses=TOLERANCE_LENSES, scenes=TOLERANCE_SCENES),
     ),
     "tolerances": ("three tolerances, five scenes, three lenses, certified", tolerances_job),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
