@@ -64,11 +64,12 @@ def test_a_floor_is_found_by_planning_again_at_the_excess(floor: float):
     assert f"planned for {rounded_up(floor):.2g} of the local signal in place of 1e-05" in shortfall
 
 
-def test_an_error_that_goes_with_the_tolerance_is_sought_by_halves():
-    """The excess misleads where the work grows with the tolerance: met from 0.0047 on alone."""
+@pytest.mark.parametrize("excess", [1.5, 500.0])
+def test_an_error_that_goes_with_the_tolerance_is_sought_by_halves(excess: float):
+    """Met from 0.0047 on; by the excess of the first, from 1.5e-4 or from 0.05."""
 
     def attempt(tolerance: float) -> Attempt:
-        return Attempt(tolerance, 1.5 if tolerance < 0.0047 else 0.5)
+        return Attempt(tolerance, excess if tolerance < 0.0047 else 0.5)
 
     found, _ = within_reach(attempt, Accuracy(1e-4, best_effort=True), 1.0)
     assert found.tolerance == 0.0047
