@@ -138,6 +138,7 @@ def _panel(
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(value)))
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(axis="x", labelsize=7.5)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     ringed = [point is chosen or point.name == fastest for point in shown]
