@@ -169,14 +169,14 @@ def sweep(
     report = progress or (lambda what, done, total: None)
     device = device or default_device()
     costs = adapter_costs(device)
-    bank = camera.bank(lambda done, total: report("lens", done, total))
-    known = SimpleNamespace(sensor=camera.sensor, bank=lambda progress=None: bank)
+    chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
+    # The others have its bank, and do not wait for it.
+    known = SimpleNamespace(sensor=camera.sensor, bank=lambda *_, **__: chosen.bank)
 
     def renderer(asked: Accuracy, plan: Plan | None = None, method: str | None = None) -> Renderer:
         given = {"exposure_s": exposure_s, "plan": plan, "costs": costs, "method": method}
         return Renderer(known, scene, asked, device, **given)
 
-    chosen = renderer(accuracy)
     # By transforms: the knobs that are turned are theirs.
     turned = cache(lambda: renderer(replace(accuracy, probes=0), method="fft"))
     try:
