@@ -172,19 +172,26 @@ class Clock:
     """Renderers whose times are given: each frame costs what its plan says, times the hour's."""
 
     def __init__(self, hours: list[float]) -> None:
-        self.hours, self.seen = iter(hours), []
+        self.hours, self.seen, self.now = iter(hours), [], 0.0
 
     def __call__(self, asked: Accuracy, plan: SimpleNamespace | None) -> SimpleNamespace:
         """Return a renderer of one plan at the next hour."""
-        name, frame_s = (plan.name, plan.frame_s) if plan else ("chosen", 2.0)
-        self.seen.append(name)
+        self.seen.append(plan.name)
         hour = next(self.hours)
 
-        def capture(exposure_s: float) -> SimpleNamespace:
-            return SimpleNamespace(wall_s=hour * frame_s)
+        def spend(seconds: float) -> None:
+            self.now += hour * seconds
 
-        spent = {"lens": 100.0, "plan": 0.0 if plan else hour * 10.0, "scene": hour * 1.0}
-        return SimpleNamespace(capture=capture, prepare_s=spent, release=lambda: None)
+        spend(1.0)  # the scene
+        return SimpleNamespace(
+            capture=lambda exposure_s: spend(plan.frame_s),
+            planned=lambda: spend(10.0),
+            release=lambda: None,
+        )
+
+    def time(self, runs: list[_Run], budget_s: float = 0.0) -> int:
+        """Time some runs by this clock."""
+        return turns._time(runs, self, 0.01, budget_s, lambda *step: None, lambda: self.now)
 
 
 def run_of(name: str, frame_s: float, rms: float = 0.0, family: str = "knob") -> _Run:
@@ -204,12 +211,11 @@ def test_a_drift_of_the_machine_hits_all_alike():
     hours = [1.05**step for step in range(8)]
     clock = Clock(hours)
     runs = [run_of("chosen", 2.0, family=CHOSEN), run_of("other", 1.0)]
-    rounds = turns._time(runs, clock, 0.01, 0.0, lambda *step: None)
-    assert rounds == ROUNDS
+    assert clock.time(runs) == ROUNDS
     assert clock.seen == ["chosen", "other", "other", "chosen", "chosen", "other"]
     ratios = np.divide(*(run.times["frame"] for run in runs))
     np.testing.assert_allclose(ratios, [2 / 1.05, 2 * 1.05, 2 / 1.05], rtol=1e-12)
-    # First frames: 10 s of planning, 1 of the scene, the bank at hand; of others, too.
+    # First frames: 10 s of the chosen's planning, 1 of the scene.
     chosen, other = (run.times["first"][0] for run in runs)
     assert chosen == pytest.approx(10 + 1 + 2)
     assert other == pytest.approx(10 + 1.05 * (1 + 1))
@@ -220,7 +226,7 @@ def test_rounds_end_with_the_budget(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(turns.time, "perf_counter", lambda: float(next(seconds)))
     runs = [run_of("chosen", 2.0, family=CHOSEN)]
     # The clock is read at the begin and after each round: a second each.
-    assert turns._time(runs, Clock([1.0] * 99), 0.01, 7.0, lambda *step: None) == 7
+    assert Clock([1.0] * 99).time(runs, 7.0) == 7
 
 
 def test_regret_is_over_the_fastest_that_meets_the_same_tolerance():

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -57,8 +57,7 @@ class Point:
         Of a prepared frame: median over the rounds, and quartiles.
     first_s, first_low_s, first_high_s : float or None
         Of a first frame: planning, placing the scene and making the kernels included; the bank of
-        the lens at hand, and all shaders compiled. To a knob that was turned counts the planning of
-        the chosen plan.
+        the lens at hand, and all shaders compiled. The planning is that of the chosen plan.
     regret, first_regret : float or None
         Of the planner's plans that meet their tolerance: their time over that of the fastest of all
         that meet the same tolerance, as the median of the ratios within each round; 1 at least.
@@ -144,6 +143,7 @@ def sweep(
     progress: Callable[[str, int, int], None] | None = None,
     budget_s: float = BUDGET_S,
     leave_out: Collection[str] = (),
+    clock: Callable[[], float] = time.perf_counter,
 ) -> Sweep:
     """Render, certify and time the variants around the plan for an accuracy.
 
@@ -160,6 +160,10 @@ def sweep(
         Seconds for all rounds together: no round is begun that would exceed them, but ROUNDS are.
     leave_out : collection of str
         Names of variants that are of no interest.
+    clock : callable
+        By which frames are timed. `time.process_time` counts what this process took of the
+        processors, all threads together: on a busy machine whose adapter is its processor it tells
+        plans apart where the wall clock does not.
 
     Raises
     ------
@@ -212,7 +216,7 @@ def sweep(
         chosen.release()
         if turned.cache_info().currsize:
             turned().release()
-    rounds = _time(runs, renderer, exposure_s, budget_s, report)
+    rounds = _time(runs, renderer, exposure_s, budget_s, report, clock)
     points = {run.variant: _point(run, runs) for run in runs}
     for variant, why in obstacles.items():
         asked = variant.accuracy.tolerance
@@ -259,32 +263,37 @@ def _time(
     exposure_s: float,
     budget_s: float,
     report: Callable[[str, int, int], None],
+    clock: Callable[[], float],
 ) -> int:
     """Time all plans in rounds, there and back; return how many rounds.
 
-    Everything is compiled by now: every plan has rendered a frame.
+    Everything is compiled by now: every plan has rendered a frame. To each first frame counts the
+    planning of the chosen plan in the same round.
     """
+
+    def seconds(work: Callable[[], object]) -> float:
+        begun = clock()
+        work()
+        return clock() - begun
+
     started = time.perf_counter()
     rounds = 0
     while True:
         for done, run in enumerate(runs if rounds % 2 == 0 else runs[::-1]):
             report(f"round {rounds + 1}", done, len(runs))
-            unprobed = replace(run.variant.accuracy, probes=0)
-            one = renderer(unprobed, run.plan if run.variant.change else None)
+            begun = clock()
+            one = renderer(replace(run.variant.accuracy, probes=0), run.plan)
             try:
-                first_s = one.capture(exposure_s).wall_s
-                frames = [one.capture(exposure_s).wall_s for _ in range(FURTHER)]
-                # The bank was at hand.
-                first_s += sum(s for name, s in one.prepare_s.items() if name != "lens")
+                one.capture(exposure_s)
+                run.times["first"].append(clock() - begun)
+                frames = [seconds(partial(one.capture, exposure_s)) for _ in range(FURTHER)]
+                run.times["frame"].append(float(np.median(frames)))
+                if run is runs[0]:
+                    planning_s = seconds(one.planned)
             finally:
                 one.release()
-            run.times["frame"].append(float(np.median(frames)))
-            run.times["first"].append(first_s)
-            if run is runs[0]:
-                planning_s = one.prepare_s["plan"]
         for run in runs:
-            if run.variant.change is not None:  # of which nothing was planned here
-                run.times["first"][-1] += planning_s
+            run.times["first"][-1] += planning_s
         rounds += 1
         report(f"round {rounds}", len(runs), len(runs))
         spent = time.perf_counter() - started
