@@ -295,7 +295,7 @@ def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, mon
     given = {
         "job": jobs.Job,
         "lenses": {"double-gauss": jobs.TOLERANCE_LENSES["double-gauss"]},
-        "scenes": ("slanted-edge", "grey"),
+        "scenes": ("slanted-edge",),
         "probes": 6,
     }
     job = regret.regret_job(own_device, (32, 40), **given)
@@ -303,7 +303,7 @@ def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, mon
     assert job.facts(None) == {"cells": []}  # it warms up
     job.run()
     cells = job.facts(None)["cells"]
-    assert [cell["scene"] for cell in cells] == ["slanted-edge", "grey"]
+    assert [cell["scene"] for cell in cells] == ["slanted-edge"]
     for cell in cells:
         assert cell["met"] and cell["points"][0]["name"] == kept[0]
         assert {point["name"] for point in cell["points"]} <= set(kept)
@@ -311,3 +311,5 @@ def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, mon
         assert fastest["frame_s"] <= cell["frame_s"] and fastest["met"]
     assert job.error["regret"] == max(cell["regret"] for cell in cells) >= 1
     assert job.error["without"] == 0
+    on_processor = own_device.report()["type"] == "CPU"
+    assert job.error["clock"] == ("processor time" if on_processor else "wall clock")
