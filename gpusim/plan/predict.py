@@ -94,8 +94,11 @@ def node_error(
     reach_um: float,
     half_um: tuple[float, float],
     spacing_um: float,
+    edges: bool = True,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
+
+    Where a scene has no edges, that of the kernels' sums: of the response far from an edge.
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
     half field and in the corner of the sensor (in each of the quadrants that differ), as far as
@@ -119,7 +122,7 @@ def node_error(
         for of_channel, kernel, mean in zip(squares, middles, sum(corners) / 4, strict=True):
             for axis in (0, 1):
                 response = np.cumsum((mean - kernel).sum(axis=axis)) / kernel.sum()
-                of_channel.append(np.abs(response).max() ** 2)
+                of_channel.append(np.abs(response if edges else response[-1]).max() ** 2)
     return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
 
 
@@ -129,11 +132,12 @@ def cells_within(
     reach_um: float,
     half_um: tuple[float, float],
     allowed: float,
+    edges: bool = True,
 ) -> tuple[tuple[int, int], float]:
     """Return the fewest cells between PSF nodes that keep an error, and the error they leave."""
     # Linear interpolation's error goes with the spacing squared.
     trial_um = half_um[1] / 4
-    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
+    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um, edges)
     spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
     cells = tuple(max(int(np.ceil(2 * half / spacing_um)), 1) for half in half_um)
     widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))

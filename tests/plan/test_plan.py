@@ -327,6 +327,26 @@ def test_nodes_err_by_the_square_of_their_spacing():
     assert wide / close == pytest.approx(4, rel=0.3)  # kinks at the fields, 7 um apart, disturb it
 
 
+def test_a_scene_of_one_tone_needs_nodes_for_the_kernels_sums_alone():
+    """Coma moves light within a kernel: edges see it, one tone does not; it sees what falls off."""
+    half_um = (99.2, 74.4)
+    even = first_kernels(bank(coma_um=3.0, falloff=0.0, fields=24))
+    edge, tone = (node_error(even, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    assert edge > 3e-4 and tone < 0.1 * edge
+    dim = first_kernels(bank(coma_um=0.0, falloff=0.3, fields=24))
+    edge, tone = (node_error(dim, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    assert tone > 0.5 * edge > 1e-5
+    # In the plan: fewer nodes, and no alias that asks for a finer grid.
+    lens = bank(sigma_um=(0.35,) * 3, coma_um=3.0, falloff=0.0, fields=24)
+    one, many = scene((), np.stack([FLAT])), scene(shapes()[:1], np.stack([FLAT, 0.5 * FLAT]))
+    grids = [
+        plan_optics(lens, sensor(), what, Accuracy(1e-3), method="fft").scales[0].grid
+        for what in (one, many)
+    ]
+    assert np.prod(grids[0].cells) < 0.5 * np.prod(grids[1].cells)
+    assert (grids[0].oversampling, grids[1].oversampling) == (2, 4)
+
+
 def test_cells_keep_the_error_that_they_are_allowed():
     half_um = (99.2, 74.4)
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
