@@ -45,10 +45,9 @@ from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
-from gpusim.plan import Accuracy, Plan, plan_optics
+from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
-from gpusim.plan.signal import brightest_e
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
@@ -279,12 +278,8 @@ class Renderer:
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
-            tolerance = self._relative().tolerance
-            self.splats.append(
-                Splat(
-                    self.device, self.bank, sensor, self.placed.highlights, scene.spectra, tolerance
-                )
-            )
+            lights = self.placed.highlights, scene.spectra, self.plan.tolerance
+            self.splats.append(Splat(self.device, self.bank, sensor, *lights))
         sites = list(planes_of(sensor).channels)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
             convolve = convolution(self.device, scale, source.needed, sensor.response_um, sites)
@@ -293,16 +288,15 @@ class Renderer:
 
     def planned(self, method: str | None = None, force: Collection[str] = ()) -> Plan:
         """Return the plan for a method, or for the cheapest: see `gpusim.plan.plan_optics`."""
-        accuracy, sensor = self._relative(), self.camera.sensor
-        return plan_optics(
-            self.lens_bank, sensor, self.scene, accuracy, self._costs, self._noise, method, force
-        )
+        return self.plans(1, method, force)[0]
 
-    def _relative(self) -> Accuracy:
-        """Return the relative accuracy that the plan is made for."""
+    def plans(
+        self, count: int, method: str | None = None, force: Collection[str] = ()
+    ) -> list[Plan]:
+        """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
-        brightest = brightest_e(self.bank, sensor, self.scene, self.longest_s)
-        return self.accuracy.relative(brightest, sensor.temporal_dark_noise_e, sensor.full_well_e)
+        given = self.lens_bank, sensor, self.scene, self.accuracy, self._costs, self._noise
+        return plans_optics(*given, method, force, self.longest_s, count=count)
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""

@@ -31,8 +31,13 @@ POINTS = (
 )
 
 
-def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
-    """Return a capture of 48 x 64 pixels with numbers that are easy to find again."""
+def fake_capture(
+    certified: bool = True, keep: tuple[str, ...] = (), tolerance: float = 1e-3
+) -> Capture:
+    """Return a capture of 48 x 64 pixels with numbers that are easy to find again.
+
+    Its total RMS is 1.5e-3.
+    """
     rng = np.random.default_rng(1)
     # A 2 x 2 filter pattern of a grey scene between black level and white level, 12 bit.
     raw = rng.integers(300, 4000, (ROWS, COLS)).astype(np.uint16)
@@ -55,7 +60,7 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
         total_rms=1.5e-3,
         total_worst=2.2e-3,
         notes=("a word on how the bank was measured",),
-        met=False,
+        met=tolerance >= 1.5e-3,
         confidence="a word on confidence",
         seconds=0.5,
         points=POINTS,
@@ -82,6 +87,8 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
             predicted_s=1.75,
             rates="rates of a test",
             runners_up=RUNNERS_UP,
+            tolerance=tolerance,
+            shortfall="",
         ),
         times_s={"paint": 0.25, "rows": 1.5, "adc": 0.004},
         wall_s=2.25,
@@ -97,5 +104,5 @@ def fake_capture(certified: bool = True, keep: tuple[str, ...] = ()) -> Capture:
         frame=3,
         exposure_s=1 / 60,
         temperature_c=25.0,
-        accuracy=Accuracy(tolerance=1e-3, probes=2),
+        accuracy=Accuracy(tolerance=tolerance, probes=2),
     )

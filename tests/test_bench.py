@@ -69,7 +69,7 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    whole = [*FRAMES, "tolerances", "psf-bank", "psf-refocus", "blur-1mp"]
+    whole = [*FRAMES, "regret", "tolerances", "psf-bank", "psf-refocus", "blur-1mp"]
     assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)
 
@@ -284,3 +284,32 @@ def test_tolerances_are_certified_and_what_is_not_met_is_counted(jobs, own_devic
     assert facts["not_met"] == sum(not found["met"] for found in facts["certified"]) == 0
     errors = [found["rms"] for found in facts["certified"]]
     assert job.error["worst"] == max(e / t for e, t in zip(errors, jobs.TOLERANCES, strict=True))
+
+
+def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, monkeypatch):
+    regret = sys.modules["bench_regret"]
+    everything = [v.name for v in regret.variants(regret.Accuracy(1e-3, 6), 1)]
+    kept = ("tolerance 0.001", "0.5 x the nodes")
+    monkeypatch.setattr(regret, "SLOWER", [name for name in everything if name not in kept])
+    monkeypatch.setattr(regret, "BUDGET_S", 0.0)
+    given = {
+        "job": jobs.Job,
+        "lenses": {"double-gauss": jobs.TOLERANCE_LENSES["double-gauss"]},
+        "scenes": ("slanted-edge",),
+        "probes": 6,
+    }
+    job = regret.regret_job(own_device, (32, 40), **given)
+    job.run()
+    assert job.facts(None) == {"cells": []}  # it warms up
+    job.run()
+    cells = job.facts(None)["cells"]
+    assert [cell["scene"] for cell in cells] == ["slanted-edge"]
+    for cell in cells:
+        assert cell["met"] and cell["points"][0]["name"] == kept[0]
+        assert {point["name"] for point in cell["points"]} <= set(kept)
+        fastest = next(p for p in cell["points"] if p["name"] == cell["fastest"])
+        assert fastest["frame_s"] <= cell["frame_s"] and fastest["met"]
+    assert job.error["regret"] == max(cell["regret"] for cell in cells) >= 1
+    assert job.error["without"] == 0
+    on_processor = own_device.report()["type"] == "CPU"
+    assert job.error["clock"] == ("processor time" if on_processor else "wall clock")

@@ -16,6 +16,7 @@ from command_line import Ran, assert_refused, gpusim, process
 from fake_capture import COLS, ROWS, fake_capture
 from PIL import Image
 
+from gpusim import chain
 from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
@@ -39,7 +40,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
     def take(camera: object, scene: object, **given: Any) -> object:
         options.update(given)
-        return fake_capture(keep=given["keep"])
+        return fake_capture(keep=given["keep"], tolerance=2e-3)  # more than its error
 
     monkeypatch.setattr(render, "take", take)
     return options
@@ -76,7 +77,7 @@ def test_filters_that_no_dng_has_are_written_as_tiff(
     asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """Red and clear: the raw numbers, and a picture that says what it is."""
-    plain = fake_capture()
+    plain = fake_capture(tolerance=2e-3)
     sensor, efficiency = plain.camera.sensor, plain.camera.sensor.quantum_efficiency
     curves = {"R": efficiency.channels["R"], "W": efficiency.channels["G"]}
     sensor = sensor.model_copy(
@@ -177,7 +178,7 @@ def test_the_files_of_a_rectangle_have_its_filter_pattern(
     first: str,
 ):
     rect = (y, x, ROWS, COLS)
-    part = dataclasses.replace(fake_capture(), rect=rect)
+    part = dataclasses.replace(fake_capture(tolerance=2e-3), rect=rect)
     monkeypatch.setattr(render, "take", lambda *_, **__: part)
     ran = shot(tmp_path, "--tile", f"{x},{y},{COLS},{ROWS}")
     assert ran.code == 0, ran.err
@@ -191,8 +192,9 @@ def test_the_files_of_a_rectangle_have_its_filter_pattern(
 
 
 def test_the_screen_shows_adapter_stages_certificate_and_files(
-    asked: dict[str, Any], tmp_path: Path
+    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
+    monkeypatch.setattr(render, "take", lambda camera, scene, **given: fake_capture())
     out = shot(tmp_path).out
     for words in (
         "a GPU, a driver, Vulkan",
@@ -206,9 +208,70 @@ def test_the_screen_shows_adapter_stages_certificate_and_files(
         "convolved by fft & <whole> PSFs",
         "not fft, <4> samples: too dear: 3.25 s against 1.75 s",
         "BEYOND the tolerance of 0.001",
+        "not met: total RMS 1.5e-03, allowed 1.0e-03: 5.0e-04 too much, 1.5 times what is allowed",
         *(str(tmp_path / name) for name in FILES),
     ):
         assert words in out, words
+
+
+def test_the_exit_code_says_whether_the_certificate_is_met(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Total RMS 1.5e-3, worst 2.2e-3: 0 within 2e-3, 1 beyond 1e-3 and 1e-4; files all the same."""
+    for tolerance, code, missed in ((2e-3, 0, []), (1e-3, 1, ["RMS"]), (1e-4, 1, ["RMS", "worst"])):
+        taken = fake_capture(tolerance=tolerance)
+        monkeypatch.setattr(render, "take", lambda *_, taken=taken, **__: taken)
+        ran = shot(tmp_path / str(tolerance))
+        assert (ran.code, ran.err) == (code, "")
+        assert {file.name for file in (tmp_path / str(tolerance)).iterdir()} == set(FILES)
+        lines = [line for line in ran.out.splitlines() if line.startswith("not met: total")]
+        assert [line.split()[3] for line in lines] == missed
+    assert "worst probe 2.2e-03, allowed 1.0e-03: 1.2e-03 too much, 2.2 times" in ran.out
+    monkeypatch.setattr(render, "take", lambda *_, **__: fake_capture(certified=False))
+    assert shot(tmp_path / "none").code == 0
+
+
+def test_a_best_effort_is_shown_on_the_screen_and_in_the_report(
+    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    assert shot(tmp_path, "--best-effort").code == 0
+    assert asked["accuracy"].best_effort is True
+    assert shot(tmp_path).code == 0
+    assert asked["accuracy"].best_effort is False
+    taken = fake_capture()
+    taken.plan.shortfall = "planned for <0.004> in place of 0.001: the alias"
+    monkeypatch.setattr(render, "take", lambda *_, **__: taken)
+    ran = shot(tmp_path, "--best-effort")
+    assert ran.code == 1  # the certificate is about the tolerance that was asked for
+    assert "best effort: planned for <0.004> in place of 0.001: the alias" in ran.out
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["plan"]["shortfall"] == taken.plan.shortfall
+    assert "planned for &lt;0.004&gt; in place" in (tmp_path / "report.html").read_text()
+
+
+def test_a_tolerance_that_cannot_be_met_is_refused_before_the_render(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """At f/2.8 before pixels of 5.86 um, of which four samples are 1.5 um apart: edges alias."""
+    monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
+    monkeypatch.setattr(chain, "adapter_costs", lambda device, **more: LAVAPIPE)
+    file = tmp_path / "camera.yaml"
+    large = "imx249-mono, rows: 32, cols: 48"
+    file.write_text(CAMERA.replace("imx477, rows: 96, cols: 128", large))
+    given = ("render", file, "slanted-edge", "--out", tmp_path / "out", "--certify", 8)
+    refused = gpusim(*given, "--tolerance", 1e-4)
+    assert_refused(refused, "cannot be met", "alias of edges", "0.0001", "--best-effort")
+    dry = gpusim(*given, "--tolerance", 1e-4, "--dry-run")
+    assert_refused(dry, *refused.err.splitlines())
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+    named = refused.err.split("allowed:")[1].split()[0]
+    shown = gpusim(*given, "--tolerance", 1e-4, "--dry-run", "--best-effort")
+    assert shown.code == 0 and f"planned for {named}" in " ".join(shown.out.split())
+    effort = gpusim(*given, "--tolerance", 1e-4, "--best-effort")
+    assert effort.code == 1, effort  # the picture is there, its error is more than was asked for
+    assert "not met: total RMS" in effort.out and f"best effort: planned for {named}" in effort.out
+    assert (tmp_path / "out" / "report.json").exists()
+    assert gpusim(*given, "--tolerance", named, "--dry-run").code == 0
 
 
 def test_a_failure_leaves_earlier_files_as_they_were(

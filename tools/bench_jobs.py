@@ -18,6 +18,7 @@ import numpy as np
 import scipy.fft
 from bench_blur import blur_1mp
 from bench_ccd import linear_job, smear_job, trap_job
+from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
@@ -926,6 +927,10 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
         partial(frame_job, mono=True),
     ),
     "scaling": ("frames of 1, 4, 12 and 48 MP: time for each pixel", scaling_job),
+    "regret": (
+        "the planner's time over the fastest known plan's, five scenes, three lenses",
+        partial(regret_job, job=Job, lenses=TOLERANCE_LENSES, scenes=TOLERANCE_SCENES),
+    ),
     "tolerances": ("three tolerances, five scenes, three lenses, certified", tolerances_job),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
     "psf-refocus": ("the same at another focus", psf_refocus),

@@ -26,6 +26,14 @@ Adapter = Annotated[
     typer.Option("--adapter", metavar="NAME", help="Graphics adapter, by a part of its name."),
 ]
 
+BestEffort = Annotated[
+    bool,
+    typer.Option(
+        "--best-effort",
+        help="Where the tolerance cannot be met, come as near as can be; else it is refused.",
+    ),
+]
+
 
 def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
@@ -105,16 +113,21 @@ def render(
     noise: Annotated[
         bool, typer.Option(help="Draw noise and fixed patterns; else the mean signal.")
     ] = True,
+    best_effort: BestEffort = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show the plan; render and write nothing.")
     ] = False,
     adapter: Adapter = None,
 ) -> None:
-    """Render a capture: raw.dng (.tif where DNG has no such filters), developed.png, report."""
+    """Render a capture: raw.dng (.tif where DNG has no such filters), developed.png, report.
+
+    Exit code 1 where the certificate does not meet the tolerance (the files are written), 2 for
+    mistakes: a tolerance that cannot be met is one, and is refused before the work.
+    """
     from gpusim.cli.render import run
 
     choose_adapter(adapter)
-    run(
+    if code := run(
         camera,
         scene,
         out,
@@ -132,8 +145,10 @@ def render(
         keep=keep,
         noise=noise,
         method=method,
+        best_effort=best_effort,
         dry_run=dry_run,
-    )
+    ):
+        raise typer.Exit(code)
 
 
 @app.command()
@@ -241,13 +256,19 @@ def pareto(
     whole: Annotated[
         bool, typer.Option("--whole", help="The whole sensor, not 512 pixels about its centre.")
     ] = False,
+    best_effort: BestEffort = False,
     adapter: Adapter = None,
 ) -> None:
-    """Sweep tolerances and knobs: certified error against run time, as table and figure."""
+    """Sweep tolerances and knobs: certified error against run time, as table and figure.
+
+    The planner's regret is the time of the plan that it chooses over that of the fastest one found
+    that meets the same tolerance. Exit code 1 where the chosen plan's certificate does not meet the
+    tolerance (the files are written), 2 for mistakes: a tolerance that cannot be met is one.
+    """
     from gpusim.cli.pareto import run
 
     choose_adapter(adapter)
-    run(
+    if code := run(
         camera,
         scene,
         out,
@@ -255,7 +276,9 @@ def pareto(
         tolerance=tolerance,
         probes=certify,
         whole=whole,
-    )
+        best_effort=best_effort,
+    ):
+        raise typer.Exit(code)
 
 
 measure = typer.Typer(

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,8 @@ from gpusim.cli.files import staging
 from gpusim.cli.render import exposure_seconds
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.pareto import Point, Sweep, sweep
+from gpusim.pareto import CHOSEN, Point, Sweep, sweep
+from gpusim.pareto.turns import KINDS
 from gpusim.plan import Accuracy
 from gpusim.report.pareto_figure import draw, png
 from gpusim.report.words import NOTHING, duration, error, sigmas
@@ -29,8 +31,9 @@ from gpusim.scene import make_scene
 if TYPE_CHECKING:
     from gpusim.camera import Camera
 
-# A sweep renders twenty plans three times each.
+# A sweep renders twenty plans a dozen times each.
 REGION_PX = 512  # of the longer side, about the centre, unless the whole sensor is asked for
+WORDS = {"frame": "of a prepared frame", "first": "of a first frame"}
 
 
 def run(
@@ -42,10 +45,17 @@ def run(
     tolerance: str,
     probes: int,
     whole: bool,
-) -> None:
-    """Sweep tolerances and knobs; write table, figure and facts into `out` and show the table."""
+    best_effort: bool,
+) -> int:
+    """Sweep tolerances and knobs; write table, figure and facts into `out` and show the table.
+
+    Returns
+    -------
+    int
+        The exit code: 1 where the chosen plan does not meet the tolerance asked for.
+    """
     exposure_s = exposure_seconds(exposure)
-    accuracy = Accuracy.parse(tolerance, probes)
+    accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
     if not probes:
         raise UserError("Errors are certified.", field="--certify", value=0, allowed="1 or more")
     camera = load_camera(camera_name)
@@ -58,10 +68,13 @@ def run(
             found = sweep(camera, scene, accuracy, exposure_s, device, progress)
         rows, cols = camera.sensor.rows, camera.sensor.cols
         adapter = device.report()
+        certificate = found.certificate
         facts = (
-            f"{cols} x {rows} px on {adapter['adapter']}; {found.probes} probes in float64, "
-            f"{duration(found.truth_s)} once for all plans"
+            f"{cols} x {rows} px on {adapter['adapter']}; {certificate.probes} probes in float64, "
+            f"{duration(certificate.seconds)} once for all plans; times: medians of {found.rounds} "
+            "rounds through all plans"
         )
+        chosen = found.points[0]
         write(found, folder, {
             "gpusim": gpusim.__version__,
             "command": ["gpusim", *sys.argv[1:]],
@@ -73,20 +86,36 @@ def run(
             "tolerance": accuracy.tolerance,
             "tolerance_unit": accuracy.unit,
             "device": {name: adapter[name] for name in ("adapter", "driver", "backend")},
-            "probes": found.probes,
-            "truth_s": found.truth_s,
+            "probes": certificate.probes,
+            "truth_s": certificate.seconds,
+            "rounds": found.rounds,
+            "met": certificate.met,
+            "shortfall": found.shortfall,
+            "regret": chosen.regret,
+            "fastest": chosen.fastest,
+            "first_regret": chosen.first_regret,
+            "first_fastest": chosen.first_fastest,
         })  # fmt: skip
         title = f"{scene.name}, {camera.title}"
-        figure = draw(found.points, title, facts, accuracy.unit, accuracy.tolerance)
+        figure = draw(found.points, title, facts, accuracy.unit)
         (folder / "pareto.png").write_bytes(png(figure))
     console = Console()
-    console.print(table(found.points))
-    for point in found.points:
-        if point.obstacle:
-            console.print(f"{point.name}: {point.obstacle}", markup=False, soft_wrap=True)
-    console.print(facts, markup=False, highlight=False, soft_wrap=True)
-    for name in ("pareto.csv", "pareto.json", "pareto.png"):
-        console.print(str(out / name), markup=False, highlight=False, soft_wrap=True)
+    console.print(table(found.points, accuracy.unit))
+    say = _say(accuracy.unit)
+    lines = [f"{point.name}: {point.obstacle}" for point in found.points if point.obstacle]
+    if found.shortfall:
+        lines.append(f"best effort: {found.shortfall}")
+    lines += [regret_in_words(chosen, kind) for kind in KINDS]
+    met = "within" if certificate.met else "BEYOND"
+    lines.append(
+        f"certificate of the chosen plan: {met} the tolerance "
+        f"of {accuracy.text}: total RMS {say(certificate.total_rms)}, "
+        f"worst {say(certificate.total_worst)}"
+    )
+    lines += [facts, *(str(out / name) for name in ("pareto.csv", "pareto.json", "pareto.png"))]
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return 0 if certificate.met else 1
 
 
 def region(camera: Camera) -> Camera:
@@ -109,13 +138,33 @@ def write(found: Sweep, folder: Path, facts: dict[str, Any]) -> None:
     (folder / "pareto.json").write_text(text + "\n")
 
 
-def table(points: tuple[Point, ...]) -> Table:
-    """Return the points as a table, predicted next to certified."""
-    head = ("", "plan", "time", "RMS", "worst", "predicted", "sigma", "nodes")
+def regret_in_words(chosen: Point, kind: str) -> str:
+    """Say what the chosen plan takes over the fastest known."""
+    by_kind = {
+        "frame": (chosen.regret, chosen.fastest),
+        "first": (chosen.first_regret, chosen.first_fastest),
+    }
+    regret, fastest = by_kind[kind]
+    if regret is None:
+        return f"regret {WORDS[kind]}: none, the chosen plan does not meet the tolerance"
+    if fastest == chosen.name:
+        return f"regret {WORDS[kind]}: 1, no plan that is known to meet the tolerance is faster"
+    return f'regret {WORDS[kind]}: {regret:.2f}, the time over that of "{fastest}"'
+
+
+def table(points: tuple[Point, ...], unit: str) -> Table:
+    """Return the points as a table, predicted next to certified.
+
+    The spread is that between the quartiles, over the median; a "!" marks plans of the planner that
+    do not meet their own tolerance.
+    """
+    head = ("", "plan", "frame", "spread", "first", "RMS", "worst", "predicted", "regret")
     shown = Table(*head, box=None, header_style="bold", pad_edge=False)
-    shown.columns[1].no_wrap = True
-    for column in (2, 3, 4, 5, 6):
-        shown.columns[column].justify = "right"
+    for column in shown.columns:
+        column.no_wrap = True
+    for column in shown.columns[2:]:
+        column.justify = "right"
+    say = _say(unit)
     family = None
     for point in points:
         if point.family != family:
@@ -125,15 +174,22 @@ def table(points: tuple[Point, ...]) -> Table:
         if point.obstacle:
             shown.add_row(mark, Text(point.name), NOTHING, style="dim")
             continue
+        spread = (point.frame_high_s - point.frame_low_s) / point.frame_s
+        missed = " !" if point.family == CHOSEN and not point.met else ""
         shown.add_row(
             mark,
             Text(point.name),
-            duration(point.wall_s),
-            error(point.rms_relative),
-            error(point.worst_relative),
+            duration(point.frame_s),
+            f"{spread:.0%}",
+            duration(point.first_s),
+            say(point.total_rms).removesuffix(" sigma") + missed,
+            say(point.total_worst).removesuffix(" sigma"),
             error(point.predicted),
-            sigmas(point.rms_sigma).removesuffix(" sigma"),
-            Text(point.nodes.replace(" x ", "x")),
+            "" if point.regret is None else f"{point.regret:.2f}",
             style="bold" if point.chosen else "",
         )
     return shown
+
+
+def _say(unit: str) -> Callable[[float | None], str]:
+    return sigmas if unit == "sigma" else error

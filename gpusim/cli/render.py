@@ -25,7 +25,6 @@ from gpusim.isp.develop import develop, develops, undeveloped
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
-from gpusim.plan.signal import brightest_e
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -54,9 +53,10 @@ def run(
     keep: str,
     noise: bool,
     method: str | None,
+    best_effort: bool,
     dry_run: bool,
-) -> None:
-    """Render one capture into the folder `out` and show what was done.
+) -> int:
+    """Render one capture into the folder `out` and show what was done; return the exit code.
 
     `dry_run`: show the plan, and neither render nor write.
     """
@@ -64,7 +64,7 @@ def run(
     planes = kept_planes(keep)
     rectangle = None if tile is None else rectangle_of(tile)
     memory_bytes = None if memory is None else bytes_of(memory)
-    accuracy = Accuracy.parse(tolerance, probes)
+    accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
     camera = load_camera(camera_name)
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
@@ -77,11 +77,11 @@ def run(
             costs = adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
-        sensor = camera.sensor
-        brightest = brightest_e(bank, sensor, scene, exposure_s)
-        relative = accuracy.relative(brightest, sensor.temporal_dark_noise_e, sensor.full_well_e)
-        print(plan_optics(bank, sensor, scene, relative, costs, noise, method).text())
-        return
+        plan = plan_optics(
+            bank, camera.sensor, scene, accuracy, costs, noise, method, exposure_s=exposure_s
+        )
+        print(plan.text())
+        return 0
     with staging(out) as folder:
         with (
             screen.progress_bar() as progress,
@@ -109,6 +109,7 @@ def run(
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
     screen.show_capture(facts, out)
+    return 0 if facts["certificate"] is None or facts["certificate"]["met"] else 1
 
 
 def exposure_seconds(text: str) -> float:

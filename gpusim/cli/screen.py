@@ -12,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
 from gpusim.report.words import duration, error, mebibytes, sigmas, tolerance
 
@@ -71,6 +72,9 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
     console.print(stages(facts))
     plan = facts["plan"]
     console.print(f"convolved by {plan['name']}", markup=False, highlight=False)
+    if plan["shortfall"]:
+        text = f"best effort: {plan['shortfall']}"
+        console.print(text, markup=False, highlight=False, soft_wrap=True)
     for other in plan["runners_up"][:RUNNERS_UP_SHOWN]:
         console.print(f"  not {other['name']}: {other['lost']}", markup=False, highlight=False)
     if certificate is None:
@@ -86,6 +90,7 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
         row, col = certificate["worst_position"]
         for line in (
             f"certificate: {met} the tolerance of {tolerance(facts['capture'])}",
+            *_missed(certificate, facts["capture"]["tolerance"], say),
             f"total RMS {say(certificate['total_rms'])}, worst {say(certificate['total_worst'])}: "
             f"engine {say(certificate['engine_rms'])}, bank {say(certificate['bank_rms'])}, "
             f"sensor {say(certificate['sensor_rms'])}, window {say(certificate['window'])}",
@@ -96,6 +101,20 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
             console.print(line, markup=False, highlight=False, soft_wrap=True)
     for name in facts["files"]:
         console.print(str(folder / name), markup=False, highlight=False, soft_wrap=True)
+
+
+def _missed(
+    certificate: Mapping[str, Any], allowed: float, say: Callable[[float], str]
+) -> Iterator[str]:
+    """Yield what a certificate does not meet, and by how much."""
+    limits = {"RMS": ("total_rms", 1.0), "worst probe": ("total_worst", WORST_TO_RMS)}
+    for name, (key, factor) in limits.items():
+        found, limit = certificate[key], factor * allowed
+        if found > limit:
+            yield (
+                f"not met: total {name} {say(found)}, allowed {say(limit)}: "
+                f"{say(found - limit)} too much, {found / limit:.2g} times what is allowed"
+            )
 
 
 def stages(facts: Mapping[str, Any]) -> Table:

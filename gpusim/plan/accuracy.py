@@ -9,6 +9,8 @@ from gpusim.errors import UserError
 
 SMALLEST, LARGEST = 1e-5, 0.1  # of relative tolerances
 RANGES = {"relative": (SMALLEST, LARGEST), "sigma": (1e-3, 10.0)}
+BEST_EFFORT = "; or any, with --best-effort"  # what a refusal offers
+FLOAT32 = "float32 leaves more in sums over a frame"
 ALLOWED = (
     "1e-5 to 0.1, relative to the local signal; or 0.001sigma to 10sigma, of the temporal noise"
 )
@@ -29,11 +31,14 @@ class Accuracy:
     unit : str
         Of the tolerance: "relative", to the local signal; or "sigma", of the pixel's temporal noise
         at the exposure. An error below a tenth of a sigma is invisible in the raw.
+    best_effort: bool
+        Whether a tolerance that cannot be met is planned for as well as can be; else it is refused.
     """
 
     tolerance: float = 1e-3
     probes: int = 256
     unit: str = "relative"
+    best_effort: bool = False
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -58,7 +63,7 @@ class Accuracy:
             )
 
     @classmethod
-    def parse(cls, text: str, probes: int = 256) -> Accuracy:
+    def parse(cls, text: str, probes: int = 256, *, best_effort: bool = False) -> Accuracy:
         """Return what a tolerance in words asks for: ``1e-3``, or ``0.1sigma``.
 
         Raises
@@ -74,12 +79,16 @@ class Accuracy:
             raise UserError(
                 "The tolerance is no number.", field="tolerance", value=text, allowed=ALLOWED
             ) from None
-        return cls(tolerance, probes, unit)
+        return cls(tolerance, probes, unit, best_effort)
 
     @property
     def text(self) -> str:
         """The tolerance in words: 0.001, or 0.1 sigma."""
-        return f"{self.tolerance:g}" + (" sigma" if self.unit == "sigma" else "")
+        return self.in_words(self.tolerance)
+
+    def in_words(self, tolerance: float) -> str:
+        """Return another tolerance of the same unit in words."""
+        return f"{tolerance:g}" + (" sigma" if self.unit == "sigma" else "")
 
     def relative(self, brightest_e: float, dark_noise_e: float, full_well_e: float) -> Accuracy:
         """Return a relative accuracy that meets this one at every signal up to the brightest.
@@ -98,21 +107,39 @@ class Accuracy:
         Raises
         ------
         UserError
-            When that is less than the engine's approximations can be planned for.
+            When that is less than the engine's approximations can be planned for, and no best
+            effort is asked for: then it is the least that they can be planned for.
         """
         if self.unit == "relative":
             return self
-        signal = min(brightest_e, full_well_e)
-        tolerance = LARGEST
-        if signal > 0:
-            noise = math.sqrt(signal + dark_noise_e**2)
-            tolerance = min(self.tolerance * noise / signal, LARGEST)
+        unit = self.share(brightest_e, dark_noise_e, full_well_e)
+        tolerance = min(self.tolerance * unit, LARGEST)
         if tolerance < SMALLEST:
-            raise UserError(
-                f"The tolerance cannot be met: at {signal:.3g} electrons it is {tolerance:.1e} of "
-                "the signal, and float32 leaves more in sums over a frame.",
-                field="tolerance",
-                value=self.text,
-                allowed=f"{SMALLEST * signal / noise:.2g}sigma or more at this exposure",
-            )
+            if not self.best_effort:
+                raise UserError(
+                    f"The tolerance cannot be met: at {min(brightest_e, full_well_e):.3g} "
+                    f"electrons it is {tolerance:.1e} of the signal, and {FLOAT32}.",
+                    field="tolerance",
+                    value=self.text,
+                    allowed=f"{rounded_up(SMALLEST / unit):g}sigma or more at this exposure"
+                    f"{BEST_EFFORT}",
+                )
+            tolerance = SMALLEST
         return replace(self, tolerance=tolerance, unit="relative")
+
+    def share(self, brightest_e: float, dark_noise_e: float, full_well_e: float) -> float:
+        """Return the share of the brightest signal that one unit of the tolerance is.
+
+        1 of a relative one; of one in sigmas, sigma over the signal: infinite where there is none.
+        """
+        signal = min(brightest_e, full_well_e)
+        if self.unit == "relative":
+            return 1.0
+        return math.sqrt(signal + dark_noise_e**2) / signal if signal > 0 else math.inf
+
+
+def rounded_up(tolerance: float) -> float:
+    """Return a tolerance in two digits, none smaller: what is named can be asked for."""
+    step = 10.0 ** (math.floor(math.log10(tolerance)) - 1)
+    # A part in 1e9: what is written in two digits remains itself.
+    return float(f"{math.ceil(tolerance / step * (1 - 1e-9)) * step:.1e}")

@@ -110,7 +110,7 @@ class RunnerUp:
 def choose(candidates: Sequence[Candidate]) -> tuple[Candidate, tuple[RunnerUp, ...]]:
     """Return the cheapest candidate within the tolerance, and the others with why they lost.
 
-    Where none is within the tolerance, that which exceeds it least.
+    Where none is within the tolerance, that which exceeds it least: its ``excess`` is above 1.
 
     Raises
     ------

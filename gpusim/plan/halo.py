@@ -37,10 +37,10 @@ class HaloLevel:
     accuracy: Accuracy
 
 
-def halo_levels(bank: FieldBank, accuracy: Accuracy) -> tuple[HaloLevel, ...]:
-    """Return the levels of a bank's halo that a relative tolerance needs."""
+def halo_levels(levels: tuple[FieldBank, ...], accuracy: Accuracy) -> tuple[HaloLevel, ...]:
+    """Return which of a bank's levels a relative tolerance needs beside the core."""
     found = []
-    for number, level in enumerate(bank.levels[1:], start=1):
+    for number, level in enumerate(levels[1:], start=1):
         share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
         if CONTRAST * share < LEFT_OUT * accuracy.tolerance:
             continue

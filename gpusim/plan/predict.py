@@ -95,8 +95,11 @@ def node_error(
     reach_um: float,
     half_um: tuple[float, float],
     spacing_um: float,
+    edges: bool = True,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
+
+    Where a scene has no edges, that of the kernels' sums: of the response far from an edge.
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
     half field and in the corner of the sensor (in each of the quadrants that differ), as far as
@@ -120,7 +123,7 @@ def node_error(
         for of_channel, kernel, mean in zip(squares, middles, sum(corners) / 4, strict=True):
             for axis in (0, 1):
                 response = np.cumsum((mean - kernel).sum(axis=axis)) / kernel.sum()
-                of_channel.append(np.abs(response).max() ** 2)
+                of_channel.append(np.abs(response if edges else response[-1]).max() ** 2)
     return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
 
 
@@ -131,6 +134,7 @@ def cells_within(
     half_um: tuple[float, float],
     allowed: float,
     beyond_um: float,
+    edges: bool = True,
 ) -> tuple[tuple[int, int], float]:
     """Return the fewest cells between PSF nodes that keep an error, and the error they leave.
 
@@ -139,7 +143,7 @@ def cells_within(
     """
     # Linear interpolation's error goes with the spacing squared.
     trial_um = half_um[1] / 4
-    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
+    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um, edges)
     spacing_um = min(trial_um * np.sqrt(allowed / max(trial, 1e-12)), half_um[1])
     sides = [2 * (half + beyond_um) for half in half_um]
     cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)

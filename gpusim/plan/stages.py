@@ -49,6 +49,11 @@ class Plan:
         Other ways to convolve, and why each lost.
     halo : tuple of HaloLevel
         Levels of the bank's halo that are rendered.
+    tolerance : float
+        That it was made for, relative to the local signal.
+    shortfall : str
+        Where the tolerance asked for cannot be met, and best effort was: for which one the plan was
+        made instead, and why. Else empty.
     """
 
     basis: Basis
@@ -59,6 +64,8 @@ class Plan:
     kernels_s: float
     rates: str
     runners_up: tuple[RunnerUp, ...]
+    tolerance: float
+    shortfall: str = ""
     halo: tuple[HaloLevel, ...] = ()
 
     def runs(self, name: str) -> bool:
@@ -75,6 +82,8 @@ class Plan:
         lines += _row("", "with all dispatches", None, self.predicted_s)
         lines += _row("", "kernels, made once", None, self.kernels_s)
         lines += ["", *_row("chosen", self.name, None, None)]
+        if self.shortfall:
+            lines += _row("best effort", self.shortfall, None, None)
         for other in self.runners_up:
             lines += _row(
                 "lost",

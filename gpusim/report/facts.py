@@ -63,6 +63,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "wall_s": float(capture.wall_s),
             "tolerance": capture.accuracy.tolerance,
             "tolerance_unit": capture.accuracy.unit,
+            "best_effort": capture.accuracy.best_effort,
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
         },
         "camera": _camera(capture.camera),
@@ -136,6 +137,8 @@ def _plan(plan: Plan) -> dict[str, Any]:
         "planes": planes,
         "scales": scales,
         "stages": plain(plan.stages),
+        "tolerance": float(plan.tolerance),
+        "shortfall": plan.shortfall,
         "runners_up": plain(plan.runners_up),
     }
 

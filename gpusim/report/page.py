@@ -211,8 +211,10 @@ def _runners_up(plan: Mapping[str, Any]) -> str:
 <td class="reason">{escape(other["lost"])}</td></tr>"""
         for other in plan["runners_up"]
     )
+    short = plan["shortfall"]
+    effort = f"<p><strong>Best effort</strong>: {escape(short)}.</p>\n" if short else ""
     return f"""<p>Convolved by {escape(plan["name"])}. Predicted times: {escape(plan["rates"])}.</p>
-<details><summary>{len(plan["runners_up"])} other ways, and why each lost</summary>
+{effort}<details><summary>{len(plan["runners_up"])} other ways, and why each lost</summary>
 <div class="scroll"><table>
 <thead><tr><th>Way</th><th class="number">Predicted error</th>
 <th class="number">Predicted time</th><th>Why it lost</th></tr></thead>

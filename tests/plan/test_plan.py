@@ -11,6 +11,7 @@ from optics.made import BLUE, FLAT, RED, at_lines, bank, monochrome, scene, sens
 from gpusim import gpu
 from gpusim.errors import UserError
 from gpusim.gpu import Device
+from gpusim.optics import fold
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
@@ -216,7 +217,7 @@ def test_a_finer_grid_than_suffices_is_not_worked_out(monkeypatch: pytest.Monkey
     assert other.predicted_cost_s is None and other.predicted_error <= 1e-2
     assert other.lost == "too dear: 2 samples a pixel meet the tolerance"
     monkeypatch.setattr(Candidate, "excess", property(lambda one: 2.0))
-    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2, best_effort=True))
     assert any(one.name.startswith("fft, 4 samples") for one in plan.runners_up)
 
 
@@ -325,6 +326,26 @@ def test_nodes_err_by_the_square_of_their_spacing():
     assert wide / close == pytest.approx(4, rel=0.3)  # kinks at the fields, 7 um apart, disturb it
 
 
+def test_a_scene_of_one_tone_needs_nodes_for_the_kernels_sums_alone():
+    """Coma moves light within a kernel: edges see it, one tone does not; it sees what falls off."""
+    half_um = (99.2, 74.4)
+    even = first_kernels(bank(coma_um=3.0, falloff=0.0, fields=24))
+    edge, tone = (node_error(even, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    assert edge > 3e-4 and tone < 0.1 * edge
+    dim = first_kernels(bank(coma_um=0.0, falloff=0.3, fields=24))
+    edge, tone = (node_error(dim, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    assert tone > 0.5 * edge > 1e-5
+    # In the plan: fewer nodes, and no alias that asks for a finer grid.
+    lens = bank(sigma_um=(0.35,) * 3, coma_um=3.0, falloff=0.0, fields=24)
+    one, many = scene((), np.stack([FLAT])), scene(shapes()[:1], np.stack([FLAT, 0.5 * FLAT]))
+    grids = [
+        plan_optics(lens, sensor(), what, Accuracy(1e-3), method="fft").scales[0].grid
+        for what in (one, many)
+    ]
+    assert np.prod(grids[0].cells) < 0.5 * np.prod(grids[1].cells)
+    assert (grids[0].oversampling, grids[1].oversampling) == (2, 4)
+
+
 def test_cells_keep_the_error_that_they_are_allowed():
     half_um = (99.2, 74.4)
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
@@ -399,7 +420,39 @@ def test_a_lens_that_changes_too_fast_is_refused():
     wild = bank(coma_um=8.0, fields=12)
     with pytest.raises(UserError, match="do not fit") as caught:
         plan_optics(wild, sensor(), COLOURED, Accuracy(2e-5), method="fft")
-    assert caught.value.field == "tolerance" and f"{BLOCK_BYTES >> 20} MiB" in caught.value.allowed
+    assert caught.value.field == "tolerance" and f"{BLOCK_BYTES >> 20} MiB" in str(caught.value)
+
+
+def test_the_nearest_tolerance_is_named_and_can_be_asked_for():
+    """PSFs narrower than a sample: their alias does not follow the tolerance."""
+    sharp = bank(sigma_um=(0.35, 0.35, 0.35), coma_um=0.0)
+    coarse = sensor().model_copy(update={"pixel_pitch_um": 3.1})
+    with pytest.raises(UserError, match=r"cannot be met: the alias of edges.*4 samples") as caught:
+        plan_optics(sharp, coarse, COLOURED, Accuracy(1e-3))
+    named = float(caught.value.allowed.split(" or more")[0])
+    assert named > 2e-3 and "--best-effort" in caught.value.allowed
+    met = plan_optics(sharp, coarse, COLOURED, Accuracy(named))
+    assert met.shortfall == "" and met.tolerance == named
+    # Of two digits, the last one less is refused: nothing nearer can be met.
+    step = 10.0 ** (np.floor(np.log10(named)) - 1)
+    with pytest.raises(UserError, match="cannot be met"):
+        plan_optics(sharp, coarse, COLOURED, Accuracy(named - step))
+    effort = plan_optics(sharp, coarse, COLOURED, Accuracy(1e-3, best_effort=True))
+    assert effort.name == met.name and effort.tolerance == named
+    assert f"planned for {named:.2g} of the local signal in place of 0.001" in effort.shortfall
+    assert effort.shortfall in words_of(effort.text().replace("best effort", ""))
+    # And what can be met is planned as without best effort.
+    again = plan_optics(sharp, coarse, COLOURED, Accuracy(named, best_effort=True))
+    assert (again.name, again.shortfall) == (met.name, "")
+
+
+def test_planes_that_the_shaders_do_not_carry_are_a_limit_too(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(fold, "MAX_PLANES", 1)
+    with pytest.raises(UserError, match=r"cannot be met: the planes") as caught:
+        plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-3))
+    assert "none that is in range" in caught.value.allowed  # red is not grey by far
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-3, best_effort=True))
+    assert "no tolerance can be met: the planes" in plan.shortfall
 
 
 # Layout of blocks
@@ -508,11 +561,16 @@ def test_a_method_that_cannot_do_it_says_why():
     wide = bank(size=256, coma_um=0.5, halo=0.3)
     with pytest.raises(UserError, match="small supports") as caught:
         plan_optics(wide, sensor(), COLOURED, Accuracy(1e-5), method="direct")
-    assert caught.value.field == "method"
+    assert caught.value.field == "tolerance"
+    # A looser one allows a cut, and a core that is small enough.
+    named = float(caught.value.allowed.split(" or more")[0])
+    plan = plan_optics(wide, sensor(), COLOURED, Accuracy(named), method="direct")
+    assert plan.shortfall == "" and len(plan.scales) == 2
     wild = bank(coma_um=8.0, fields=12)
-    with pytest.raises(UserError, match="few modes") as caught:
+    with pytest.raises(UserError, match=r"sums of few modes .*16 modes") as caught:
         plan_optics(wild, sensor(), COLOURED, Accuracy(1e-5), method="modes")
-    assert caught.value.field == "method" and "16 modes" in caught.value.allowed
+    named = float(caught.value.allowed.split(" or more")[0])
+    assert plan_optics(wild, sensor(), COLOURED, Accuracy(named), method="modes").shortfall == ""
 
 
 def test_a_lens_alike_over_the_field_needs_one_mode():

@@ -1,23 +1,15 @@
-"""Error against run time: plans around the chosen one, each rendered, timed and certified.
-
-The errors are certified, not estimated: all plans are held against the truth model at the same
-pixels, which are evaluated once.
-"""
+"""Plans around the chosen one: other tolerances and methods, and single knobs turned by hand."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.camera import Camera
-from gpusim.certify import Certificate, choose_probes, compare, glare_at, true_rates
 from gpusim.chain import Renderer
 from gpusim.errors import UserError
-from gpusim.gpu import Device
 from gpusim.lens.places import Places
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -28,15 +20,14 @@ from gpusim.plan.optics import ALIAS_TO_RMS, WORST_TO_RMS
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
 from gpusim.plan.predict import alias_error, cut_error
 from gpusim.scene.chart import Chart
-from gpusim.scene.scene import Scene
 
 TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 NODE_FACTORS = (0.25, 0.5, 0.7, 1.4, 2.0)  # of the chosen cells along each axis
 OVERSAMPLINGS = (2, 4)
 CUTS_UM = (6.0, 10.0, 16.0, 24.0)
-REPEATS = 3  # of which the fastest counts, after one to warm up
 GUARD = 8  # sim samples around the kernels, as in gpusim.plan.layout
 TRANSFORMS = (256, 512, 1024)
+RUNNERS_UP = 3  # plans that the planner takes for the next cheapest
 CHOSEN = "planner"
 
 
@@ -52,8 +43,8 @@ class Variant:
     accuracy : Accuracy
         From which the planner makes the plan.
     change : callable, optional
-        Takes the renderer of the chosen plan and returns the plan to use instead, with the errors
-        predicted of the parts that differ.
+        Takes a renderer whose plan is the cheapest by transforms for the accuracy, and returns the
+        plan to use instead, with the errors predicted of the parts that differ.
     """
 
     family: str
@@ -62,74 +53,26 @@ class Variant:
     change: Callable[[Renderer], tuple[Plan, dict[str, float]]] | None = None
 
 
-@dataclass(frozen=True)
-class Point:
-    """What became of a variant.
-
-    Attributes
-    ----------
-    family, name : str
-    chosen : bool
-        Whether it is the plan that the tolerance asked for leads to.
-    tolerance : float
-        That the planner was given, in the unit of the sweep.
-    predicted : float or None
-        Error by the planner's models, relative: root of the sum of the parts' squares.
-    rms_relative, worst_relative, rms_sigma, worst_sigma : float or None
-        Certified.
-    wall_s, prepare_s : float or None
-        Of a frame, and of what further frames do not spend.
-    samples_per_pixel, nodes, reach_samples : str
-        Of each scale.
-    planes : int or None
-    obstacle : str
-        Why there is no frame; empty where there is one.
-    """
-
-    family: str
-    name: str
-    chosen: bool
-    tolerance: float
-    predicted: float | None = None
-    rms_relative: float | None = None
-    worst_relative: float | None = None
-    rms_sigma: float | None = None
-    worst_sigma: float | None = None
-    wall_s: float | None = None
-    prepare_s: float | None = None
-    samples_per_pixel: str = ""
-    nodes: str = ""
-    reach_samples: str = ""
-    planes: int | None = None
-    obstacle: str = ""
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """All points, the chosen one first, and what they cost to certify."""
-
-    points: tuple[Point, ...]
-    probes: int
-    truth_s: float
-
-
 def variants(accuracy: Accuracy, sensor_period: int) -> Iterator[Variant]:
-    """Yield the chosen plan, the planner's plans at other tolerances, and single knobs around it.
+    """Yield the chosen plan, the planner's plans at other tolerances, and others around it.
 
-    Another method or knob is one more line here.
+    Others are the planner's runners-up, its plans for each method, and single knobs turned on its
+    plan for transforms. Another method or knob is one more line here.
     """
     yield Variant(CHOSEN, f"tolerance {accuracy.text}", accuracy)
     step = accuracy.tolerance / 1e-3  # the same steps below and above, in either unit
     for tolerance in TOLERANCES if accuracy.unit == "relative" else [step * t for t in TOLERANCES]:
         if not math.isclose(tolerance, accuracy.tolerance):
             try:
-                other = replace(accuracy, tolerance=tolerance)
+                # Without best effort: one that cannot be met is a point that says so.
+                other = replace(accuracy, tolerance=tolerance, best_effort=False)
             except UserError:  # beyond the range
                 continue
             yield Variant(CHOSEN, f"tolerance {other.text}", other)
+    for number in range(1, RUNNERS_UP + 1):
+        yield Variant("runner-up", f"runner-up {number}", accuracy, _runner_up(number))
     for method in METHODS:
-        if method != "fft":  # the chosen plan's
-            yield Variant("method", method, accuracy, _method(method))
+        yield Variant("method", f"by {method}", accuracy, _method(method))
     for factor in NODE_FACTORS:
         yield Variant("PSF nodes", f"{factor:g} x the nodes", accuracy, _nodes(factor))
     for oversampling in OVERSAMPLINGS:
@@ -139,6 +82,22 @@ def variants(accuracy: Accuracy, sensor_period: int) -> Iterator[Variant]:
     for cut_um in CUTS_UM:
         yield Variant("cut of the PSF", f"core of {cut_um:g} um", accuracy, _cut(cut_um))
     yield Variant("cut of the PSF", "not cut", accuracy, _cut(None))
+
+
+def _runner_up(number: int) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:
+    """Return what takes a plan that lost by its predicted time alone."""
+
+    def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
+        plans = renderer.plans(1 + RUNNERS_UP)
+        if number >= len(plans):
+            raise UserError(
+                "There is no such plan within the tolerance.",
+                value=f"runner-up {number}",
+                allowed=f"{len(plans) - 1} at most",
+            )
+        return plans[number], {}
+
+    return change
 
 
 def _method(method: str) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:
@@ -276,121 +235,3 @@ def predicted_parts(plan: Plan) -> dict[str, float]:
     planes = max(of.get("paint", 0.0), of.get("warp", 0.0)) / WORST_TO_RMS
     nodes = max(of.get(stage, 0.0) for stage in ("columns", "direct"))  # by method
     return {"planes": planes, "alias": of.get("rows", 0.0), "nodes": nodes}
-
-
-def sweep(
-    camera: Camera,
-    scene: Scene,
-    accuracy: Accuracy,
-    exposure_s: float,
-    device: Device | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> Sweep:
-    """Render, time and certify the variants around the plan for an accuracy.
-
-    Parameters
-    ----------
-    camera, scene
-    accuracy : Accuracy
-        What the chosen plan is made for; its probes are those of all.
-    exposure_s : float
-    device : Device, optional
-    progress : callable, optional
-        Called with (what, done, total).
-
-    Raises
-    ------
-    UserError
-        When the chosen plan cannot be rendered. Others that cannot are points with an obstacle.
-    """
-    report = progress or (lambda what, done, total: None)
-    sensor = camera.sensor
-    unprobed = replace(accuracy, probes=0)
-    # By transforms: the knobs that are turned are theirs.
-    chosen = Renderer(camera, scene, unprobed, device, exposure_s=exposure_s, method="fft")
-    try:
-        all_of_them = list(variants(accuracy, chosen.period))
-        rate, seconds = _timed(chosen, exposure_s)
-        pixels = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
-        started = time.perf_counter()
-        truth = true_rates(
-            chosen.bank,
-            sensor,
-            scene,
-            chosen.placed,
-            pixels,
-            lambda done, total: report("truth", done, total),
-        )
-        truth_s = time.perf_counter() - started
-
-        def judged(rendered: np.ndarray, renderer: Renderer, asked: Accuracy) -> Certificate:
-            whole = truth + glare_at(sensor, renderer.glare, pixels)
-            at = rendered[tuple(pixels.T)].astype(np.float64)
-            return compare(sensor, pixels, whole, at, exposure_s, asked, truth_s)
-
-        certificate = judged(rate, chosen, accuracy)
-        points = [_point(all_of_them[0], chosen, {}, certificate, seconds, chosen=True)]
-        for done, variant in enumerate(all_of_them[1:], start=1):
-            report("variants", done, len(all_of_them))
-            points.append(_rendered(variant, chosen, exposure_s, judged))
-        report("variants", len(all_of_them), len(all_of_them))
-    finally:
-        chosen.release()
-    return Sweep(tuple(points), len(pixels), truth_s)
-
-
-def _rendered(
-    variant: Variant, chosen: Renderer, exposure_s: float, judged: Callable[..., Certificate]
-) -> Point:
-    """Render, time and certify one variant."""
-    unprobed = replace(variant.accuracy, probes=0)
-    try:
-        plan, errors = variant.change(chosen) if variant.change else (None, {})
-        renderer = Renderer(
-            chosen.camera, chosen.scene, unprobed, chosen.device, exposure_s=exposure_s, plan=plan
-        )
-    except UserError as obstacle:
-        name, tolerance = variant.name, variant.accuracy.tolerance
-        why = f"{obstacle.problem} {obstacle.value}; allowed: {obstacle.allowed}"
-        return Point(variant.family, name, False, tolerance, obstacle=why)
-    try:
-        rate, seconds = _timed(renderer, exposure_s)
-        return _point(variant, renderer, errors, judged(rate, renderer, variant.accuracy), seconds)
-    finally:
-        renderer.release()
-
-
-def _timed(renderer: Renderer, exposure_s: float) -> tuple[np.ndarray, float]:
-    """Return the frame's electrons/s and the least seconds of some runs, after one to warm up."""
-    captures = [renderer.capture(exposure_s, keep=("rate",)) for _ in range(1 + REPEATS)]
-    return captures[0].rate, min(capture.wall_s for capture in captures[1:])
-
-
-def _point(
-    variant: Variant,
-    renderer: Renderer,
-    errors: dict[str, float],
-    certificate: Certificate,
-    seconds: float,
-    chosen: bool = False,
-) -> Point:
-    plan = renderer.plan
-    parts = {**predicted_parts(plan), **errors}
-    grids = [scale.grid for scale in plan.scales]
-    return Point(
-        family=variant.family,
-        name=variant.name,
-        chosen=chosen,
-        tolerance=variant.accuracy.tolerance,
-        predicted=math.sqrt(sum(error**2 for error in parts.values())),
-        rms_relative=certificate.rms_relative,
-        worst_relative=certificate.worst_relative,
-        rms_sigma=certificate.rms_sigma,
-        worst_sigma=certificate.worst_sigma,
-        wall_s=seconds,
-        prepare_s=sum(renderer.prepare_s.values()),
-        samples_per_pixel=" + ".join(f"{grid.oversampling:g}" for grid in grids),
-        nodes=" + ".join(f"{grid.nodes[0]} x {grid.nodes[1]}" for grid in grids),
-        reach_samples=" + ".join(str(grid.half_size) for grid in grids),
-        planes=plan.basis.coefficients.shape[1],
-    )
