@@ -254,14 +254,14 @@ class Renderer:
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
         whole = camera.bank(progress=lambda done, total: report("lens", done, total))
-        self.lens_bank, self.bank = whole, whole.levels[0]
+        self.bank, self.core = whole, whole.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise
         self.plan = plan or self.planned(method, force)
         started = self._spent("plan", started)
 
         half_um = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-        chief_ray = chief_ray_map(self.bank, "distortion" in force)
+        chief_ray = chief_ray_map(self.core, "distortion" in force)
         coefficients = self.plan.basis.coefficients
         for scale in self.plan.scales:
             if isinstance(scene.source, Chart):
@@ -273,13 +273,13 @@ class Renderer:
             self.sources.append(stage(self.device, placed, coefficients, scale, chief_ray))
         basis = self.plan.basis
         glare = veiling_glare(
-            self.bank, sensor, self.placed, basis.weights, coefficients, basis.elsewhere
+            self.core, sensor, self.placed, basis.weights, coefficients, basis.elsewhere
         )
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
             lights = self.placed.highlights, scene.spectra, self.plan.tolerance
-            self.splats.append(Splat(self.device, self.bank, sensor, *lights))
+            self.splats.append(Splat(self.device, self.core, sensor, *lights))
         sites = list(planes_of(sensor).channels)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
             convolve = convolution(self.device, scale, source.needed, sensor.response_um, sites)
@@ -295,7 +295,7 @@ class Renderer:
     ) -> list[Plan]:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
-        given = self.lens_bank, sensor, self.scene, self.accuracy, self._costs, self._noise
+        given = self.bank, sensor, self.scene, self.accuracy, self._costs, self._noise
         return plans_optics(*given, method, force, self.longest_s, count=count)
 
     def release(self) -> None:
@@ -399,7 +399,7 @@ class Renderer:
 
             light = shot.on_rect("rate")[top : top + seen[2], left : left + seen[3]]
             certificate = certify(
-                self.lens_bank,
+                self.bank,
                 sensor,
                 self.scene,
                 self.placed,
@@ -411,7 +411,7 @@ class Renderer:
                 origin=seen[:2],
                 readout=readout,
                 judged=lambda: bank_share(
-                    self.lens_bank,
+                    self.bank,
                     self.camera.lens,
                     sensor,
                     self.scene,
@@ -429,7 +429,7 @@ class Renderer:
             electrons=shot.on_rect("electrons") if "electrons" in keep else None,
             white_e=self._white_e(exposure_s),
             transmission=np.interp(
-                WAVELENGTHS_NM, self.bank.wavelengths_nm, self.bank.transmission
+                WAVELENGTHS_NM, self.core.wavelengths_nm, self.core.transmission
             ),
             notes=self.scene.notes
             + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
@@ -587,7 +587,7 @@ class Renderer:
             self.halo.release()
             self.halo = None
         sensor = self.camera.sensor
-        banks = [self.lens_bank.levels[level.number] for level in self.plan.halo]
+        banks = [self.bank.levels[level.number] for level in self.plan.halo]
         grids = [coarse_grid(bank, sensor) for bank in banks]
         light = []
         for done, (level, bank, grid, part) in enumerate(
@@ -625,7 +625,7 @@ class Renderer:
     def _white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
         sensor = self.camera.sensor
-        white = np.einsum("clw,w->c", spectral_weights(self.bank, sensor), self.scene.white)
+        white = np.einsum("clw,w->c", spectral_weights(self.core, sensor), self.scene.white)
         return {
             name: float(value * exposure_s)
             for name, value in zip(sensor.channels, white, strict=True)

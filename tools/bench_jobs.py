@@ -191,7 +191,7 @@ class FrameCamera:
         part = bank.psf[..., middle - kept : middle + kept, middle - kept : middle + kept].copy()
         part[..., 0, :] = part[..., 0] = 0.0
         psf = part / part.sum(axis=(2, 3), keepdims=True, dtype=np.float64)
-        return dataclasses.replace(bank, psf=psf.astype(np.float32))
+        return dataclasses.replace(bank, psf=psf.astype(np.float32), halo=None)
 
 
 def frame_camera(

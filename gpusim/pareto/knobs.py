@@ -140,7 +140,7 @@ def _oversampling(oversampling: int) -> Callable[[Renderer], tuple[Plan, dict[st
         part = _core(renderer, cut_um)
         fine = _fine(renderer, oversampling, reach_um, part, first.name)
         alias = (
-            ALIAS_TO_RMS * alias_error(renderer.bank, oversampling, sensor, first.sigma)
+            ALIAS_TO_RMS * alias_error(renderer.core, oversampling, sensor, first.sigma)
             if isinstance(renderer.scene.source, Chart)
             else 0.0
         )
@@ -153,7 +153,7 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
     """Return what cuts the PSFs elsewhere, with the chosen nodes for the core."""
 
     def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
-        plan, sensor, bank = renderer.plan, renderer.camera.sensor, renderer.bank
+        plan, sensor, bank = renderer.plan, renderer.camera.sensor, renderer.core
         first = plan.scales[0]
         oversampling = round(first.grid.oversampling)
         whole_um = _reach_um(renderer)
@@ -178,7 +178,7 @@ def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, flo
 
 def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
     """Return the channel kernels at the fields that a plan needs, as `plan_optics` takes them."""
-    bank, sensor = renderer.bank, renderer.camera.sensor
+    bank, sensor = renderer.core, renderer.camera.sensor
     corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
     farthest_um = corner_um + math.sqrt(2) * _reach_um(renderer)
     basis = renderer.plan.basis
@@ -187,7 +187,7 @@ def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
 
 def _reach_um(renderer: Renderer) -> float:
     """Return the distance from its chief ray to which a whole PSF reaches."""
-    bank = renderer.bank
+    bank = renderer.core
     return bank.psf.shape[-1] / 2 * bank.pitch_um + bank.lateral_um
 
 
@@ -196,7 +196,7 @@ def _core(renderer: Renderer, cut_um: float | None) -> np.ndarray:
     n = _images(renderer)[0].shape[-1]
     if cut_um is None:
         return np.ones((n, n))
-    return core_window(distances_um(n, renderer.bank.pitch_um), cut_um)
+    return core_window(distances_um(n, renderer.core.pitch_um), cut_um)
 
 
 def _fine(
@@ -206,7 +206,7 @@ def _fine(
     sensor, first = renderer.camera.sensor, renderer.plan.scales[0]
     pitch_um = sensor.pixel_pitch_um / oversampling
     images, places = _images(renderer)
-    kernels = field_kernels(images, places, renderer.bank.pitch_um, pitch_um, part)
+    kernels = field_kernels(images, places, renderer.core.pitch_um, pitch_um, part)
     stride = oversampling * renderer.period
     grid = _grid(renderer, stride, reach_um / pitch_um, first.grid.cells)
     return Scale(name, grid, pitch_um, first.sigma, kernels)
