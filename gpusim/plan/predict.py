@@ -135,6 +135,10 @@ def cells_within(
     trial_um = half_um[1] / 4
     trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
     spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
-    cells = tuple(max(int(np.ceil(2 * half / spacing_um)), 1) for half in half_um)
+    # The nodes of a single cell lean on others one cell away, far beyond the image circle, where
+    # kernels do not go on as they change within: one only where they hardly change.
+    whole = trial * (2 * max(half_um) / trial_um) ** 2
+    fewest = 1 if whole < allowed / 10 else 2
+    cells = tuple(max(int(np.ceil(2 * half / spacing_um)), fewest) for half in half_um)
     widest = max(2 * half / count for half, count in zip(half_um, cells, strict=True))
     return cells, trial * (widest / trial_um) ** 2
