@@ -129,7 +129,7 @@ def test_no_pixel_is_brighter_than_the_brightest():
     camera = CAMERA
     found = shot(LENS, camera, scene())
     most = brightest_e(LENS, camera, scene(), EXPOSURE_S)
-    assert found.rate.max() * EXPOSURE_S < most * (1 + 1e-3)
+    assert found.rate.max() * EXPOSURE_S < most * (1 + COARSE.tolerance)
     assert most < 1.3 * found.rate.max() * EXPOSURE_S
     middle = spectral_weights(LENS, camera).sum(axis=1) @ FLAT * EXPOSURE_S
     assert list(found.white_e.values()) == pytest.approx(middle)

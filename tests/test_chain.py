@@ -681,7 +681,7 @@ def test_an_adapter_with_less_than_the_budget_gives_the_same_bits(monkeypatch, d
     with rendering(WIDE, subject) as one:
         full = one.capture(EXPOSURE_S, seed=3)
         least = one.least_bytes()
-    adapter = limited(monkeypatch, device, device.pool.in_use + least + (4 << 20))
+    adapter = limited(monkeypatch, device, device.pool.in_use + least + (2 << 20))
     with rendering(WIDE, subject) as one:
         for _ in range(2):
             found = one.capture(EXPOSURE_S, seed=3)

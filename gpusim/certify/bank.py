@@ -19,6 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
@@ -212,12 +213,21 @@ def _traced_pairs(
         progress=progress,
     )
 
+    # How an even scene is shown follows from the fields around, which were not traced.
+    height = bank.real_height_um[:, bank.reference]
+    ratio = bank.scatter / bank.relative_illumination
+    at = [[0.0, *radii], lines]
+    ratio = RegularGridInterpolator((height, bank.wavelengths_nm), ratio)(
+        np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
+    )
+    theirs = traced.levels_of(traced.relative_illumination * ratio)
+
     def pair(number: int) -> Pair:
         def of_level(level: int):
-            ours, theirs = bank.levels[level], traced.levels[level]
+            ours = bank.levels[level]
             return (
                 (ours, OneHeight(ours, radii[number])),
-                (theirs, TracedHeight(ours, theirs, number + 1, radii[number])),
+                (theirs[level], TracedHeight(ours, theirs[level], number + 1, radii[number])),
             )
 
         return of_level

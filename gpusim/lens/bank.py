@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
@@ -44,6 +45,9 @@ REFERENCE_NM = 550.0
 FIELDS = 15
 # Where the ideal plane ends, on which scenes lie: f tan(85 deg) is 11 f, and at 90 deg it is gone.
 RECTILINEAR_DEG = 85.0
+# Steps to the light whose spread is the relative illumination: each is a hundred times nearer.
+SCATTER_STEPS = 3
+RAYS_SHARE = 0.02  # of the light: a level that holds more holds rays, not diffracted light alone
 # Variable: dimensions, units, meaning. The order is that of the file.
 _VARIABLES = {
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
@@ -208,14 +212,39 @@ class Bank:
     spectral_degree: int = CUBIC
 
     @functools.cached_property
-    def levels(self) -> tuple[Bank, ...]:
-        """The bank as banks that add up, from the core outwards; without halo it alone.
+    def scatter(self) -> np.ndarray:
+        """Light (F, L) that a point of each field spreads for an even scene to look as it should.
 
-        The core's PSFs fall to 0 towards the window's rim, where the first level takes over.
+        PSFs lie beside their chief rays and change with the field, so what they spread of a light K
+        adds up to K - div(K c) + div div(K S) / 2 where the scene is even: c and S are their first
+        and second moments about the chief ray of the reference wavelength. The relative
+        illumination is what such a scene shows; this is the K that makes it so.
         """
+        height = self.real_height_um[:, self.reference]
+        if len(height) < 4:
+            return self.relative_illumination
+        radial, along, across = _moments(self)
+        radial += self.real_height_um - height[:, None]
+        shown = self.relative_illumination
+        light = shown
+        for _ in range(SCATTER_STEPS):
+            light = shown + _divergence(height, light, radial, along, across)
+        return light
+
+    @functools.cached_property
+    def levels(self) -> tuple[Bank, ...]:
+        """The bank as banks that add up, from the core outwards; without halo one.
+
+        Their light is `scatter`. The core's PSFs fall to 0 towards the window's rim, where the
+        first level takes over.
+        """
+        return self.levels_of(self.scatter)
+
+    def levels_of(self, light: np.ndarray) -> tuple[Bank, ...]:
+        """Return the levels with another light (F, L) in place of the relative illumination."""
+        alone = {name: None for name in _HALO} | {"relative_illumination": light}
         if self.halo is None:
-            return (self,)
-        alone = {name: None for name in _HALO}
+            return (replace(self, **alone),)
         size = self.psf.shape[-1]
         within = fall(distances_um(size, self.pitch_um), size / 2 * self.pitch_um)
         core = replace(self, psf=self.psf * within.astype(np.float32), **alone)
@@ -519,6 +548,61 @@ class Bank:
             Where the file is not a whole bank.
         """
         return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO | _BETWEEN))
+
+
+def _moments(bank: Bank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the first moment (F, L) of the PSFs along x, um, and the second along x and y, um^2.
+
+    Second moments without the levels whose light is diffracted alone: over millimetres the
+    illumination is no parabola, and there is little of it.
+    """
+    parts = [(bank.psf, bank.pitch_um, 1.0, True)]
+    if bank.halo is not None:
+        size = bank.psf.shape[-1]
+        within = fall(distances_um(size, bank.pitch_um), size / 2 * bank.pitch_um)
+        parts = [(bank.psf, bank.pitch_um, within, True)]
+        for psf, pitch in zip(bank.halo, bank.halo_pitch_um, strict=True):
+            rays = psf.sum(axis=(-2, -1), dtype=float).max() > RAYS_SHARE
+            parts.append((psf, float(pitch), 1.0, rays))
+    moments = np.zeros((3, *bank.psf.shape[:2]))
+    for psf, pitch, weight, wide in parts:
+        at = (np.arange(psf.shape[-1]) - psf.shape[-1] // 2) * pitch
+        x = np.einsum("flyx,yx->flx", psf, np.broadcast_to(weight, psf.shape[2:]), dtype=float)
+        moments[0] += x @ at
+        if wide:
+            y = np.einsum("flyx,yx->fly", psf, np.broadcast_to(weight, psf.shape[2:]), dtype=float)
+            moments[1] += x @ at**2
+            moments[2] += y @ at**2
+    return moments[0], moments[1], moments[2]
+
+
+def _divergence(
+    height: np.ndarray, light: np.ndarray, radial: np.ndarray, along: np.ndarray, across: np.ndarray
+) -> np.ndarray:
+    """Return div(K c) - div div(K S) / 2 at heights (F,), of what is even about the axis.
+
+    In polar coordinates, by splines over the heights, which are odd or even about the axis:
+    div v = (r v)' / r, and (div T)_r = (r T_rr)' / r - T_tt / r.
+    """
+    both = np.concatenate([-height[:0:-1], height])
+
+    def slope(values: np.ndarray, odd: bool) -> np.ndarray:
+        mirrored = values[:0:-1] * (-1 if odd else 1)
+        spline = make_interp_spline(both, np.concatenate([mirrored, values]), k=3)
+        return spline.derivative()(height)
+
+    def over_height(values: np.ndarray, limit: np.ndarray) -> np.ndarray:
+        r = np.where(height > 0, height, 1.0)[:, None]
+        return np.where(height[:, None] > 0, values / r, limit)
+
+    flow = light * radial
+    pressure, shear = light * along, light * (along - across)
+    # (div K S)_r, odd about the axis.
+    second = slope(pressure, odd=False) + over_height(shear, 0.0)
+    vector = flow - second / 2
+    vector[0] = 0.0
+    rise = slope(vector, odd=True)
+    return rise + over_height(vector, rise)
 
 
 def no_rays(provenance: dict[str, str]) -> UserError:

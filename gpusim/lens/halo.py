@@ -22,12 +22,14 @@ two levels it passes from one to the other over half the inner one's radius.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import map_coordinates
+
+from gpusim.lens.wavefront import Pupil
 
 # Of the levels: samples across, and the pitch of each in that of the one within it. Three of them
 # reach 16 mm from the chief ray where the core's pitch is 0.5 um; at f/2.8 they miss 2e-5.
@@ -85,6 +87,25 @@ class Wave:
         return bool(far.sum() > FEW_RAYS * self.light.sum())
 
 
+def wave_of(pupil: Pupil, step: int = 1) -> Wave:
+    """Return the wave in a pupil, of every `step`-th node each way, both halves."""
+    thin = slice(None, None, step)
+
+    def whole(values: np.ndarray) -> np.ndarray:
+        both = np.concatenate([values[::-1], values]) if pupil.half else values
+        return both[thin, thin]
+
+    alpha = np.concatenate([-pupil.alpha[::-1], pupil.alpha]) if pupil.half else pupil.alpha
+    return Wave(
+        alpha=alpha[thin],
+        beta=pupil.beta[thin],
+        opd_um=whole(1e3 * pupil.opd_mm),
+        reach=whole(pupil.reach),
+        light=whole(pupil.light),
+        passed=whole(pupil.apodised**2) if np.ndim(pupil.apodised) else 1.0,
+    )
+
+
 def pitches_um(core_pitch_um: float) -> np.ndarray:
     """Return the pitches (K,) of the levels around a core."""
     return core_pitch_um * float(STEP) ** np.arange(1, LEVELS + 1)
@@ -102,6 +123,83 @@ def distances_um(size: int, pitch_um: float) -> np.ndarray:
     return np.hypot(line, line[:, None])
 
 
+def field_halo(
+    wave: Callable[[int], Wave],
+    wavelengths_nm: np.ndarray,
+    core_pitch_um: float,
+    core_radius_um: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the halo of one field.
+
+    Where no ray lands beyond the core, it is diffracted light, nearly proportional to the
+    wavelength: three lines are worked out, and a parabola leads through them.
+
+    Parameters
+    ----------
+    wave : callable
+        Returns the wavefront of a line.
+    wavelengths_nm : ndarray (L,)
+    core_pitch_um, core_radius_um : float
+
+    Returns
+    -------
+    levels : ndarray of float32 (K, L, SIZE, SIZE)
+    beyond : ndarray (L,)
+        Share of the light beyond them.
+    """
+    lines, pitch = len(wavelengths_nm), pitches_um(core_pitch_um)
+    few = sorted({0, lines // 2, lines - 1})
+    waves = {line: wave(line) for line in few}
+    rays = any(one.lands_beyond(FALLS_FROM * core_radius_um) for one in waves.values())
+    if rays:
+        waves |= {line: wave(line) for line in range(lines) if line not in waves}
+    found = {
+        line: halo(one, 1e-3 * wavelengths_nm[line], core_radius_um, pitch)
+        for line, one in waves.items()
+    }
+    # Lagrange's polynomials through the lines that were worked out.
+    used = range(lines) if rays else few
+    basis = np.eye(lines) if rays else np.ones((lines, len(few)))
+    for place, line in enumerate(few if not rays else ()):
+        for other in few:
+            if other != line:
+                step = wavelengths_nm[line] - wavelengths_nm[other]
+                basis[:, place] *= (wavelengths_nm - wavelengths_nm[other]) / step
+    levels = np.einsum("lf,fkyx->klyx", basis, np.stack([found[line][0] for line in used]))
+    return levels.astype(np.float32), basis @ [found[line][1] for line in used]
+
+
+def whole_halo(
+    fields: Sequence[tuple[np.ndarray, np.ndarray]], core_pitch_um: float, core: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Return the halo of a bank, by the names of its variables, scaled to what the core lacks.
+
+    Parameters
+    ----------
+    fields : sequence of (levels, beyond)
+        As `field_halo` returns them, F of them.
+    core_pitch_um : float
+    core : ndarray (F, L)
+        Share of the light in the window that `fall` leaves to it.
+
+    Returns
+    -------
+    dict
+        ``halo`` (K, F, L, SIZE, SIZE), ``halo_pitch_um``, ``beyond_energy`` and ``halo_misfit``.
+    """
+    levels = np.stack([one for one, _ in fields], axis=1)
+    beyond = np.stack([one for _, one in fields])
+    held = levels.sum(axis=(0, 3, 4), dtype=float)
+    wanted = 1 - beyond - core
+    levels *= (wanted / np.maximum(held, 1e-12)).astype(np.float32)[:, :, None, None]
+    return {
+        "halo": levels,
+        "halo_pitch_um": pitches_um(core_pitch_um),
+        "beyond_energy": beyond,
+        "halo_misfit": held - wanted,
+    }
+
+
 def halo_of(
     wave: Callable[[int, int], Wave],
     wavelengths_nm: np.ndarray,
@@ -109,67 +207,16 @@ def halo_of(
     core_radius_um: float,
     core: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Return the halo of a bank, by the names of its variables.
+    """Return what `whole_halo` does; ``wave`` returns the wavefront of a field and a line."""
 
-    Where no ray lands beyond the core, the halo is diffracted light, nearly proportional to the
-    wavelength: three lines are worked out, and a parabola leads through them.
-
-    Parameters
-    ----------
-    wave : callable
-        Returns the wavefront of a field and a line.
-    wavelengths_nm : ndarray (L,)
-    core_pitch_um, core_radius_um : float
-    core : ndarray (F, L)
-        Share of the light in the window that `fall` leaves to it.
-
-    Returns
-    -------
-    dict
-        ``halo``, ``halo_pitch_um``, ``beyond_energy`` and ``halo_misfit``.
-    """
-    count, lines = core.shape
-    pitch = pitches_um(core_pitch_um)
-    few = sorted({0, lines // 2, lines - 1})
-    levels = np.zeros((len(pitch), count, lines, SIZE, SIZE), np.float32)
-    beyond = np.zeros((count, lines))
-    # Lagrange's polynomials through the few lines.
-    basis = np.ones((lines, len(few)))
-    for place, line in enumerate(few):
-        for other in few:
-            if other != line:
-                step = wavelengths_nm[line] - wavelengths_nm[other]
-                basis[:, place] *= (wavelengths_nm - wavelengths_nm[other]) / step
-
-    def fill(field: int) -> None:
-        waves = {line: wave(field, line) for line in few}
-        if any(one.lands_beyond(FALLS_FROM * core_radius_um) for one in waves.values()):
-            for line in range(lines):
-                one = waves.get(line) or wave(field, line)
-                found, beyond[field, line] = halo(
-                    one, 1e-3 * wavelengths_nm[line], core_radius_um, pitch
-                )
-                levels[:, field, line] = found
-            return
-        found = [
-            halo(one, 1e-3 * wavelengths_nm[line], core_radius_um, pitch)
-            for line, one in waves.items()
-        ]
-        beyond[field] = basis @ [one for _, one in found]
-        levels[:, field] = np.einsum("lf,fkyx->klyx", basis, np.stack([one for one, _ in found]))
+    def one(field: int) -> tuple[np.ndarray, np.ndarray]:
+        given = wavelengths_nm, core_pitch_um, core_radius_um
+        return field_halo(lambda line: wave(field, line), *given)
 
     # NumPy and SciPy let go of the interpreter in their loops.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(fill, range(count)))
-    held = levels.sum(axis=(0, 3, 4), dtype=float)
-    wanted = 1 - beyond - core
-    levels *= (wanted / np.maximum(held, 1e-12)).astype(np.float32)[:, :, None, None]
-    return {
-        "halo": levels,
-        "halo_pitch_um": pitch,
-        "beyond_energy": beyond,
-        "halo_misfit": held - wanted,
-    }
+        fields = list(pool.map(one, range(len(core))))
+    return whole_halo(fields, core_pitch_um, core)
 
 
 def halo(

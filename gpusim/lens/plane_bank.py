@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +31,7 @@ from gpusim.lens.bank import (
     save_dataset,
 )
 from gpusim.lens.cone import FieldRays, cone_of
+from gpusim.lens.halo import distances_um, fall, field_halo, wave_of, whole_halo
 from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import FieldGrid, FieldPsfs
 from gpusim.lens.plane_map import PlaneMap
@@ -65,7 +66,7 @@ _VARIABLES = {
     "psf": (
         (*_LINES, "y", "x"),
         "1",
-        "share of the light per sample, sum 1; centred on the chief ray of its own wavelength; "
+        "share of the light per sample; centred on the chief ray of its own wavelength; "
         "upright image",
     ),
     "relative_illumination": (
@@ -110,6 +111,22 @@ _RAYS = {
         "rays that arrive: direction cosines along x and y, and share of the projected solid angle",
     ),
 }
+# Where the light beyond the window is known.
+_HALO = {
+    "halo": (
+        ("level", *_LINES, "halo_y", "halo_x"),
+        "1",
+        "share of the light per sample on coarser levels, beyond what the psf and the levels "
+        "before hold: see gpusim.lens.halo",
+    ),
+    "halo_pitch_um": (("level",), "um", "spacing of a level's samples"),
+    "beyond_energy": (_LINES, "1", "share of the light beyond the last level"),
+    "halo_misfit": (
+        _LINES,
+        "1",
+        "light that window and levels together had too much of, before the levels were scaled",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length of the centred lens at the reference wavelength"),
@@ -136,8 +153,8 @@ class PlaneBank:
         Rising; each holds 0.
     chief_x_um, chief_y_um : ndarray, shape (Y, X, L)
     psf : ndarray of float32, shape (Y, X, L, n, n)
-        Sum 1; rows y, columns x, sample j at (j - n / 2) pitch from its own chief ray; 0 outside
-        the circle in the window.
+        Sum 1 less ``outside_energy``; rows y, columns x, sample j at (j - n / 2) pitch from its own
+        chief ray; 0 outside the circle in the window.
     relative_illumination : ndarray, shape (Y, X, L)
         Projected solid angle over that of field (0, 0).
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
@@ -152,6 +169,9 @@ class PlaneBank:
         Direction cosines of the chief ray at the image, along x and y.
     cone : ndarray of float32, shape (Y, X, L, R, 3), or None
         Rays that arrive, with their share: see ``gpusim.lens.cone``.
+    halo, halo_pitch_um : ndarray of float32, shape (K, Y, X, L, m, m), and ndarray (K,), or None
+    beyond_energy, halo_misfit : ndarray, shape (Y, X, L), or None
+        As of ``gpusim.lens.bank.Bank``.
     """
 
     wavelengths_nm: np.ndarray
@@ -179,6 +199,10 @@ class PlaneBank:
     chief: np.ndarray | None = None
     cone: np.ndarray | None = None
 
+    halo: np.ndarray | None = None
+    halo_pitch_um: np.ndarray | None = None
+    beyond_energy: np.ndarray | None = None
+    halo_misfit: np.ndarray | None = None
     spectral_degree = CUBIC  # what the chain asks of a bank: see gpusim.lens.field_bank
 
     @property
@@ -193,10 +217,19 @@ class PlaneBank:
 
     # What the chain asks of a bank: see gpusim.lens.field_bank.
 
-    @property
+    @functools.cached_property
     def levels(self) -> tuple[PlaneBank, ...]:
-        """The bank alone."""
-        return (self,)
+        """The bank as banks that add up, from the core outwards; without halo it alone."""
+        if self.halo is None:
+            return (self,)
+        alone = {name: None for name in _HALO}
+        size = self.psf.shape[-1]
+        within = fall(distances_um(size, self.pitch_um), size / 2 * self.pitch_um)
+        core = replace(self, psf=self.psf * within.astype(np.float32), **alone)
+        return core, *(
+            replace(self, psf=psf, pitch_um=float(pitch), **alone)
+            for psf, pitch in zip(self.halo, self.halo_pitch_um, strict=True)
+        )
 
     @property
     def centre_um(self) -> tuple[float, float]:
@@ -320,7 +353,8 @@ class PlaneBank:
 
         lens = f"{self.provenance['title']}; {self.provenance['history']}"
         texts = {"provenance": lens}
-        variables = _VARIABLES if self.cone is None else _VARIABLES | _RAYS
+        variables = _VARIABLES | ({} if self.cone is None else _RAYS)
+        variables |= {} if self.halo is None else _HALO
         data = {
             name: (dims, getattr(self, name), {"units": units, "long_name": meaning} | texts)
             for name, (dims, units, meaning) in variables.items()
@@ -346,7 +380,7 @@ class PlaneBank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO))
 
 
 def holds_plane_bank(path: Path) -> bool:
@@ -458,6 +492,15 @@ def compute_plane_bank(
             if progress is not None:
                 progress(len(rows), len(fields))
     shape = (len(y_deg), len(x_deg))
+    of_halo = whole_halo(
+        [(row.pop("levels"), row.pop("beyond")) for row in rows],
+        pitch_um,
+        np.stack([row.pop("core") for row in rows]),
+    )
+    pitches = of_halo.pop("halo_pitch_um")
+    halo = of_halo.pop("halo")
+    halo = halo.reshape(len(halo), *shape, *halo.shape[2:])
+    of_halo = {name: one.reshape(*shape, -1) for name, one in of_halo.items()}
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     stacked = {name: array.reshape(*shape, *array.shape[1:]) for name, array in stacked.items()}
     solid_angle = stacked.pop("solid_angle")
@@ -477,6 +520,9 @@ def compute_plane_bank(
         f_number=order.f_number,
         pitch_um=float(pitch_um),
         provenance=provenance,
+        halo=halo,
+        halo_pitch_um=pitches,
+        **of_halo,
         **rays,
         **stacked,
     )
@@ -547,9 +593,11 @@ def _one_field(
     samples = sample_field(system, system.index(wavelengths), theta, azimuth)
     grids = pupils(samples, wavelengths, size * pitch_um, PUPIL_NODES)
     psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
-    outside, folded = np.zeros((2, len(wavelengths)))
+    outside, folded, core = np.zeros((3, len(wavelengths)))
     # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
-    inside = np.hypot(*(np.indices((size, size)) - size // 2)) < size // 2
+    radius_um = size / 2 * pitch_um
+    distance_um = distances_um(size, pitch_um)
+    inside, within = distance_um < radius_um, fall(distance_um, radius_um)
     for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
         width = max((2 if pupil.half else 1) * np.ptp(pupil.alpha), np.ptp(pupil.beta))
         if pitch_um > wavelength * 1e-3 / (2 * width) * OVERSIZE:
@@ -561,11 +609,18 @@ def _one_field(
                 allowed=f"<= {wavelength * 1e-3 / (2 * width) * OVERSIZE:.3g}",
             )
         window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-        outside[w] = 1 - window.sum()
+        outside[w], core[w] = 1 - window.sum(), (window * within).sum()
         folded[w] = folded_share(pupil, wavelength, size, pitch_um)
-        psf[w] = window.T / window.sum()
+        psf[w] = window.T
     in_stop = samples.margin[-1] < 0
+    levels, beyond = field_halo(
+        lambda line: wave_of(grids[line], 2), wavelengths, pitch_um, radius_um
+    )
     return {
+        "core": core,
+        # Rows are x in the pupil, and y in the image.
+        "levels": levels.swapaxes(-1, -2),
+        "beyond": beyond,
         "chief_x_um": 1e3 * samples.chief_x_mm,
         "chief_y_um": 1e3 * samples.chief_y_mm,
         "chief": samples.chief_direction,

@@ -15,11 +15,11 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.lens.bank import Bank, from_cache, ideal_height_um, provenance_of
 from gpusim.lens.cone import cone_of
-from gpusim.lens.halo import Wave, distances_um, fall, halo_of
+from gpusim.lens.halo import distances_um, fall, halo_of, wave_of
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import System, build, first_order, transmission
-from gpusim.lens.wavefront import Pupil, pupils, sample_field
+from gpusim.lens.wavefront import pupils, sample_field
 
 # Nodes across the pupil. With 512, PSFs of the double Gauss at f/2.8 differ from those of 1024 by
 # 5e-4 of the peak, and their edge responses by 5e-5.
@@ -118,22 +118,5 @@ def _field(
         "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
         "chief": samples.chief_direction[:, ::-1],
         "cone": np.stack([cone_of(p.alpha, p.beta, p.light, p.half)[:, [1, 0, 2]] for p in grids]),
-        "waves": [_wave(pupil) for pupil in grids],
+        "waves": [wave_of(pupil, 2) for pupil in grids],
     }
-
-
-def _wave(pupil: Pupil) -> Wave:
-    """Return a pupil, half of which is known, for the halo: every second node each way."""
-    thin = slice(None, None, 2)
-
-    def both(half: np.ndarray) -> np.ndarray:
-        return np.concatenate([half[::-1], half])[thin, thin]
-
-    return Wave(
-        alpha=np.concatenate([-pupil.alpha[::-1], pupil.alpha])[thin],
-        beta=pupil.beta[thin],
-        opd_um=both(1e3 * pupil.opd_mm),
-        reach=both(pupil.reach),
-        light=both(pupil.light),
-        passed=both(pupil.apodised**2) if np.ndim(pupil.apodised) else 1.0,
-    )
