@@ -281,6 +281,9 @@ def test_a_bank_survives_its_file(bank, tmp_path):
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
         assert np.asarray(getattr(again, name)).dtype == np.asarray(getattr(bank, name)).dtype
     assert again.provenance == bank.provenance
+    for level, same in zip(bank.levels, again.levels, strict=True):
+        np.testing.assert_array_equal(level.psf, same.psf)
+        assert level.pitch_um == same.pitch_um
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -363,6 +366,39 @@ def test_a_corrupt_cache_file_is_computed_again(cache, demo_lens, damage):
     again = cached_bank(demo_lens, **TINY)
     assert len(computed) == 2
     np.testing.assert_array_equal(again.psf, Bank.load(file).psf)
+
+
+def test_one_bit_that_flips_in_a_cached_file_is_noticed(cache, demo_lens):
+    """Wherever the data lie: each flip gives a file that is not loaded, or loads what was saved."""
+    folder, computed = cache
+    sound = cached_bank(demo_lens, **TINY)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    at = whole.index(sound.psf[1, 0, 16].tobytes()) + 4 * 16  # the PSF's middle
+    flipped = bytearray(whole)
+    flipped[at + 2] ^= 0x40
+    file.write_bytes(flipped)
+    with pytest.raises(ValueError, match="not those that were saved"):
+        Bank.load(file)
+    again = cached_bank(demo_lens, **TINY)
+    assert len(computed) == 2
+    np.testing.assert_array_equal(again.psf, sound.psf)
+    np.testing.assert_array_equal(Bank.load(file).psf, sound.psf)
+    refused = 0
+    random = np.random.default_rng(3)
+    for place in random.integers(len(whole), size=20):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << random.integers(8)
+        file.write_bytes(flipped)
+        try:
+            found = Bank.load(file)
+        except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
+            refused += 1
+            continue
+        for name in (*bank_module._VARIABLES, *bank_module._HALO, *bank_module._RAYS):
+            np.testing.assert_array_equal(getattr(found, name), getattr(sound, name))
+    # Nearly all of the file are data.
+    assert refused >= 15
 
 
 def test_a_cache_that_cannot_be_written_is_said_and_does_no_harm(cache, demo_lens):
