@@ -184,8 +184,7 @@ class FrameCamera:
         without an axis (up to 0.4 % of the light lay there), and kernels of mirrored nodes no
         mirror images.
         """
-        # What lies farther out than these samples is left out, so the halo too.
-        bank = self.lens.bank(progress).levels[0]
+        bank = self.lens.bank(progress)
         kept = round(FRAME_PSF * SIM_PITCH_UM / bank.pitch_um / 2)
         middle = bank.psf.shape[-1] // 2
         part = bank.psf[..., middle - kept : middle + kept, middle - kept : middle + kept].copy()
