@@ -398,6 +398,11 @@ def check_bank(bank: Bank, file: Path) -> None:
         rays = np.shape(bank.cone)[2] if np.ndim(bank.cone) == 4 else 0
         shapes |= {"chief": (*table, 2), "cone": (*table, rays, 3)}
 
+    if bank.halo is not None:
+        levels, across = np.shape(bank.halo)[0], np.shape(bank.halo)[-1]
+        shapes |= {"halo": (levels, *table, across, across), "halo_pitch_um": (levels,)}
+        shapes |= {"beyond_energy": table}
+
     def wrong(name: str, value: object, allowed: str) -> UserError:
         return UserError(
             "a variable of the bank is wrong", file=file, field=name, value=value, allowed=allowed
@@ -451,5 +456,18 @@ def check_bank(bank: Bank, file: Path) -> None:
     if np.abs(bank.relative_illumination[0] - 1).max() > 1e-3:
         raise wrong("relative_illumination", str(bank.relative_illumination[0]), "1 on the axis")
     sums = bank.psf.sum(axis=(2, 3), dtype=float)
-    if np.abs(sums - 1).max() > 1e-3:
-        raise wrong("psf", f"sums {sums.min():g} to {sums.max():g}", "sum 1 for each PSF")
+    if bank.halo is None:
+        if np.abs(sums - 1).max() > 1e-3:
+            raise wrong("psf", f"sums {sums.min():g} to {sums.max():g}", "sum 1 for each PSF")
+        return
+    if np.abs(sums + bank.outside_energy - 1).max() > 1e-3:
+        raise wrong(
+            "psf", f"sums {sums.min():g} to {sums.max():g}", "1 less outside_energy for each PSF"
+        )
+    held = sum(level.psf.sum(axis=(2, 3), dtype=float) for level in bank.levels)
+    if np.abs(held + bank.beyond_energy - 1).max() > 1e-3:
+        raise wrong(
+            "halo",
+            f"with the PSFs' cores {held.min():g} to {held.max():g}",
+            "1 less beyond_energy for each PSF",
+        )

@@ -136,6 +136,7 @@ _BETWEEN = {
         "between wavelengths: 3 cubic splines in 1 / lambda, 1 straight lines in lambda",
     ),
 }
+CHECKSUM = "sha256"  # global attribute of a saved file
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
@@ -625,11 +626,18 @@ def load_dataset(
     Raises
     ------
     OSError, ValueError, KeyError
-        Where the file is not a whole bank.
+        Where the file is not a whole bank, or holds other data than were saved.
     """
     import xarray
 
     with xarray.open_dataset(path, engine="h5netcdf") as data:
+        data.load()
+        saved = data.attrs.pop(CHECKSUM, None)
+        if saved is not None and saved != _checksum(data):
+            raise ValueError(
+                f"its data are not those that were saved (after a change that is meant, remove the "
+                f"global attribute {CHECKSUM})"
+            )
         there = [*variables, *(name for name in optional if name in data)]
         found: dict[str, object] = {name: data[name].to_numpy() for name in there}
         found |= {name: float(data[name]) for name in scalars}
@@ -638,8 +646,9 @@ def load_dataset(
 
 
 def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write NetCDF-4 under a temporary name first, so never half a file."""
+    """Write NetCDF-4 with a checksum, under a temporary name first, so never half a file."""
     path = Path(path)
+    dataset = dataset.assign_attrs({CHECKSUM: _checksum(dataset)})
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
     os.close(handle)
     try:
@@ -647,6 +656,16 @@ def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
         os.replace(name, path)
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def _checksum(dataset: xarray.Dataset) -> str:
+    """Return the SHA-256 of all variables' names and bytes, and of the global attributes."""
+    texts = {str(name): str(value) for name, value in dataset.attrs.items()}
+    digest = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
+    for name in sorted(map(str, dataset.variables)):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(dataset[name].to_numpy()))
+    return digest.hexdigest()
 
 
 def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
@@ -962,7 +981,7 @@ def from_cache(
     if path.exists():
         try:
             return kind.load(path)
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
             pass  # a corrupt file is computed again and replaced
     bank = compute(prescription, progress=progress, **settings)
     try:

@@ -40,7 +40,12 @@ def test_shapes_units_and_signs_are_those_of_the_contract(bank, demo_lens):
     np.testing.assert_allclose(np.diff(bank.ideal_height_um, 2), 0, atol=1e-9)
     assert bank.efl_mm == first_order(demo_lens, 550.0).efl_mm
     # float32 samples, 4096 of them: each rounded by 6e-8 of itself.
-    np.testing.assert_allclose(bank.psf.sum(axis=(2, 3), dtype=float), 1, rtol=0, atol=1e-7)
+    held = bank.psf.sum(axis=(2, 3), dtype=float)
+    np.testing.assert_allclose(held + bank.outside_energy, 1, rtol=0, atol=1e-7)
+    assert bank.halo.shape == (3, 5, 3, 128, 128) and bank.halo.dtype == np.float32
+    np.testing.assert_array_equal(bank.halo_pitch_um, bank.pitch_um * np.array([8, 64, 512]))
+    levels = sum(level.psf.sum(axis=(2, 3), dtype=float) for level in bank.levels)
+    np.testing.assert_allclose(levels + bank.beyond_energy, 1, rtol=0, atol=1e-6)
     assert (bank.psf >= 0).all()
     at = np.arange(64) - 32
     assert not bank.psf[..., np.hypot(at[:, None], at) >= 32].any()
@@ -137,13 +142,18 @@ def test_a_resampled_bank_is_near_one_that_was_computed_there(demo_lens):
     # At its own nodes every weight is 0 or 1 but for rounding in float64: f32 keeps 6e-8 of a PSF,
     # whose samples are below 1; the maps meet their nodes to rounding of 1e3 um, 1e-12.
     as_they_are = coarse.resampled()
-    for name in ("psf", "relative_illumination", "transmission", "outside_energy"):
+    names = ("psf", "relative_illumination", "transmission", "outside_energy")
+    for name in (*names, "halo", "beyond_energy", "halo_misfit"):
         np.testing.assert_allclose(getattr(as_they_are, name), getattr(coarse, name), atol=1e-7)
     np.testing.assert_allclose(as_they_are.real_height_um, coarse.real_height_um, atol=1e-9)
     made = coarse.resampled([525.0, 550.0], [0.0, 8.0])
     assert made.provenance["resampled"]
-    # Each sample is rounded at 6e-8 of itself, in the bank and again here.
-    np.testing.assert_allclose(made.psf.sum(axis=(2, 3), dtype=float), 1, atol=1e-6)
+    # Each sample is rounded at 6e-8 of itself, in the bank and again here. What is outside goes
+    # linearly between neighbours and PSFs by cubics: measured 1.0e-4 apart.
+    held = made.psf.sum(axis=(2, 3), dtype=float)
+    np.testing.assert_allclose(held + made.outside_energy, 1, rtol=0, atol=2e-4)
+    levels = sum(level.psf.sum(axis=(2, 3), dtype=float) for level in made.levels)
+    np.testing.assert_allclose(levels + made.beyond_energy, 1, rtol=0, atol=1e-6)
     true = fine.psf[2, 1]
     error = np.abs(made.psf[1, 1] - true).max() / true.max()
     # Measured 1.6 % of the peak over 2 deg and 50 nm; the nearest of the four neighbours is 2.4 %
@@ -267,15 +277,19 @@ def test_a_bank_survives_its_file(bank, tmp_path):
     path = tmp_path / "bank.nc"
     bank.save(path)
     again = Bank.load(path)
-    for name in (*bank_module._VARIABLES, *bank_module._SCALARS):
+    for name in (*bank_module._VARIABLES, *bank_module._HALO, *bank_module._SCALARS):
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
         assert np.asarray(getattr(again, name)).dtype == np.asarray(getattr(bank, name)).dtype
     assert again.provenance == bank.provenance
+    for level, same in zip(bank.levels, again.levels, strict=True):
+        np.testing.assert_array_equal(level.psf, same.psf)
+        assert level.pitch_um == same.pitch_um
     assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_file_holds_every_field_of_the_bank():
-    kinds = (bank_module._VARIABLES, bank_module._RAYS, bank_module._SCALARS, bank_module._BETWEEN)
+    names = ("_VARIABLES", "_RAYS", "_HALO", "_SCALARS", "_BETWEEN")
+    kinds = (getattr(bank_module, name) for name in names)
     stored = {"provenance"}.union(*kinds)
     assert {field.name for field in dataclasses.fields(Bank)} == stored
 
@@ -352,6 +366,39 @@ def test_a_corrupt_cache_file_is_computed_again(cache, demo_lens, damage):
     again = cached_bank(demo_lens, **TINY)
     assert len(computed) == 2
     np.testing.assert_array_equal(again.psf, Bank.load(file).psf)
+
+
+def test_one_bit_that_flips_in_a_cached_file_is_noticed(cache, demo_lens):
+    """Wherever the data lie: each flip gives a file that is not loaded, or loads what was saved."""
+    folder, computed = cache
+    sound = cached_bank(demo_lens, **TINY)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    at = whole.index(sound.psf[1, 0, 16].tobytes()) + 4 * 16  # the PSF's middle
+    flipped = bytearray(whole)
+    flipped[at + 2] ^= 0x40
+    file.write_bytes(flipped)
+    with pytest.raises(ValueError, match="not those that were saved"):
+        Bank.load(file)
+    again = cached_bank(demo_lens, **TINY)
+    assert len(computed) == 2
+    np.testing.assert_array_equal(again.psf, sound.psf)
+    np.testing.assert_array_equal(Bank.load(file).psf, sound.psf)
+    refused = 0
+    random = np.random.default_rng(3)
+    for place in random.integers(len(whole), size=20):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << random.integers(8)
+        file.write_bytes(flipped)
+        try:
+            found = Bank.load(file)
+        except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
+            refused += 1
+            continue
+        for name in (*bank_module._VARIABLES, *bank_module._HALO, *bank_module._RAYS):
+            np.testing.assert_array_equal(getattr(found, name), getattr(sound, name))
+    # Nearly all of the file are data.
+    assert refused >= 15
 
 
 def test_a_cache_that_cannot_be_written_is_said_and_does_no_harm(cache, demo_lens):

@@ -12,7 +12,8 @@ import yaml
 from optics.made import bank as made_bank
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import Bank
+from gpusim.lens.assemble import check_bank
+from gpusim.lens.bank import Bank, compute_bank
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.ready import NPZ_ARRAYS, load_ready
 
@@ -39,6 +40,42 @@ def test_a_saved_bank_is_the_bank(bank, tmp_path):
     assert (lens.title, lens.kind, lens.file) == ("Gaussians", "saved bank", "a.nc")
     assert lens.history == ()
     json.dumps(lens.model_dump())  # it goes into the report
+
+
+def test_a_saved_bank_of_a_lens_keeps_the_light_beyond_its_window(demo_lens, tmp_path):
+    computed = compute_bank(demo_lens, [550.0], [0.0, 7.0, 14.0], size=64)
+    assert computed.outside_energy.min() > 0.01  # so its PSFs do not sum to 1
+    computed.save(tmp_path / "a.nc")
+    found = load_ready(tmp_path / "a.nc").bank()
+    np.testing.assert_array_equal(found.psf, computed.psf)
+    np.testing.assert_array_equal(found.halo, computed.halo)
+    for change, words in (
+        ({"psf": computed.psf / (1 - computed.outside_energy)[..., None, None]}, "outside_energy"),
+        ({"halo": np.zeros_like(computed.halo)}, "1 less beyond_energy"),
+        ({"halo": computed.halo[:, :2]}, "shape (3, 3, 1, 128, 128)"),
+    ):
+        with pytest.raises(UserError) as caught:
+            check_bank(dataclasses.replace(computed, **change), tmp_path / "a.nc")
+        assert words in caught.value.screen()
+
+
+def test_a_saved_bank_that_was_changed_says_so_and_without_its_checksum_is_taken(bank, tmp_path):
+    bank.save(tmp_path / "a.nc")
+    with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as data:
+        dim = data.assign(transmission=0.5 * data["transmission"])
+        dim.to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
+        del dim.attrs["sha256"]
+        dim.to_netcdf(tmp_path / "c.nc", engine="h5netcdf")
+        del data.attrs["sha256"]
+        data.to_netcdf(tmp_path / "older.nc", engine="h5netcdf")
+    with pytest.raises(UserError, match="not those that were saved") as caught:
+        load_ready(tmp_path / "b.nc")
+    assert "remove the global attribute sha256" in " ".join(caught.value.screen().split())
+    dim = load_ready(tmp_path / "c.nc").bank()
+    np.testing.assert_array_equal(dim.transmission, 0.5 * bank.transmission)
+    older = load_ready(tmp_path / "older.nc").bank()
+    np.testing.assert_array_equal(older.psf, bank.psf)
+    assert "sha256" not in older.provenance
 
 
 def test_numpy_arrays_are_the_bank(bank, tmp_path):
@@ -171,6 +208,7 @@ def test_garbage_is_refused(tmp_path, suffix, content):
 def test_a_bank_of_another_kind_of_data_is_refused(bank, tmp_path):
     bank.save(tmp_path / "a.nc")
     with xarray.open_dataset(tmp_path / "a.nc", engine="h5netcdf") as data:
+        del data.attrs["sha256"]
         data.drop_vars("psf").to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
         data.assign_attrs(title="").drop_attrs().to_netcdf(tmp_path / "c.nc", engine="h5netcdf")
         dim = data.assign(psf=0.5 * data["psf"])

@@ -49,6 +49,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "dark blocks",
         "distortion",
         "lateral",
+        "halo",
         "qe by angle",
         "rows",
         "modes",
@@ -171,7 +172,7 @@ def test_the_background_is_in_the_first_plane():
 def test_a_tighter_tolerance_never_does_less(lens):
     nodes, planes, predicted = [], [], []
     tinges = np.stack([FLAT, 0.1 * FLAT, 0.9 * FLAT + 0.1 * RED, 0.97 * FLAT + 0.03 * BLUE])
-    for tolerance in (0.1, 3e-2, 1e-2, 3e-3, 1e-3, 5e-4):
+    for tolerance in (0.1, 3e-2, 1e-2, 3e-3, 1e-3, 5e-4, 1e-4):
         plan = plan_optics(
             lens, sensor(), scene(shapes(), tinges), Accuracy(tolerance), method="fft"
         )
@@ -351,14 +352,30 @@ def test_cells_keep_the_error_that_they_are_allowed():
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
     found = {}
     for allowed in (4e-3, 1e-3, 2.5e-4):
-        cells, error = cells_within(kernels, 0.775, 20.0, half_um, allowed)
+        cells, error = cells_within(kernels, 0.775, 20.0, half_um, allowed, 20.0)
         assert error <= allowed
         # One cell fewer each way would not do: the error goes with the square.
         assert error * (max(cells) / (max(cells) - 1)) ** 2 > allowed * 0.9
         found[allowed] = cells
     assert found[4e-3] < found[1e-3] < found[2.5e-4]
+    # Where nothing changes, cells of half the sensor's narrower side, 74.4 um, over 2 x 119.2 and
+    # 2 x 94.4 um: the sensor and 20 um around it.
     still = first_kernels(bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0)))
-    assert cells_within(still, 0.775, 20.0, half_um, 1e-3)[0] < found[4e-3]
+    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 20.0)[0] == (4, 3)
+    assert (4, 3) < found[4e-3]
+
+
+def test_cells_cover_what_pixels_see_around_the_sensor():
+    """As many more as the sensor is wider with it, for the same error."""
+    half_um = (99.2, 74.4)
+    kernels = first_kernels(bank(coma_um=3.0, fields=24))
+    narrow, wide = (
+        cells_within(kernels, 0.775, 20.0, half_um, 2.5e-4, beyond_um) for beyond_um in (0.0, 99.2)
+    )
+    assert wide[1] <= 2.5e-4 and narrow[1] <= 2.5e-4
+    for few, many, half in zip(narrow[0], wide[0], half_um, strict=True):
+        # Each is rounded up to whole cells.
+        assert abs(many - few * (half + 99.2) / half) <= (half + 99.2) / half
 
 
 def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
@@ -379,6 +396,7 @@ def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
             40.0,
             (99.2, 74.4),
             5e-2,
+            40.0,
         )[0]
         for part in (0.2, 0.2 * grows)
     ]
