@@ -29,7 +29,6 @@ WHITE, BLACK = 0.8, 0.05
 SLANT = math.atan(1 / 20)
 FREQUENCIES_CY_PX = np.array([0.1, 0.25, 0.5])
 TILE = (160, 80)  # pixels across an edge and along it
-PENDING = "cameras cut their PSFs to a window and scale them to unit sum"
 
 
 def camera_of(name: str, focal_mm: float, f_number: float, field_deg: float) -> Camera:
@@ -115,7 +114,6 @@ def test_an_even_scene_is_what_the_judge_sees(machine_vision):
     assert np.abs(errors).max() < TOLERANCE
 
 
-@pytest.mark.xfail(strict=True, reason=PENDING)
 def test_pixels_beside_an_edge_are_what_the_judge_sees(machine_vision):
     place = Place(machine_vision, 0.8, 0.8)
     scene = scene_of(machine_vision, place.edge(radial=True))
@@ -183,7 +181,6 @@ def of_pupil(place: Place, radial: bool) -> np.ndarray:
     return np.abs(found) * np.sinc(f * math.cos(SLANT)) * np.sinc(f * math.sin(SLANT))
 
 
-@pytest.mark.xfail(strict=True, reason=PENDING)
 def test_an_edge_has_the_mtf_of_the_pupil_times_the_pixels(machine_vision):
     place = Place(machine_vision, 0.85, 0.0)
     assert sfr(place, True) == pytest.approx(of_pupil(place, True), abs=0.005)
