@@ -216,6 +216,7 @@ def halo(
     rays, places = _far_rays(wave, slope, FALLS_FROM * core_radius_um)
     if len(rays):
         rays, places = np.append(rays, -taken), np.append(places, landing, axis=1)
+        far = np.hypot(*places)
     # Density times r^3 is nearly even.
     even = polar * middle[:, None] / (LOG_STEP * (2 * np.pi / AROUND))
     even = np.concatenate([even, even[:, :1]], axis=1)
@@ -231,13 +232,14 @@ def halo(
         turn = np.arctan2(*np.broadcast_arrays(x, y))[used] % (2 * np.pi)
         at = [(np.log(r) - edges[0]) / LOG_STEP - 0.5, turn / (2 * np.pi) * AROUND]
         level[used] = pitch**2 / r**3 * map_coordinates(even, at, order=1, mode="nearest")
-        if len(rays):
-            level += _deposited(rays, places / pitch + SIZE // 2)
         level *= (1 - fall(distance, inner)) * fall(distance, outer)
-    far = 1 - fall(middle, radii[-1])
-    outside = beyond + float(polar.sum(axis=1) @ far)
+        if len(rays):
+            # By their own distance: no ray is lost or counted twice between two levels.
+            own = (1 - fall(far, inner)) * fall(far, outer)
+            level += _deposited(rays * own, places / pitch + SIZE // 2)
+    outside = beyond + float(polar.sum(axis=1) @ (1 - fall(middle, radii[-1])))
     if len(rays):
-        outside += float(rays @ (1 - fall(np.hypot(*places), radii[-1])))
+        outside += float(rays @ (1 - fall(far, radii[-1])))
     return levels, outside
 
 
