@@ -195,7 +195,7 @@ FOOT = (
 READY_FOOT = (
     "Tangential: spatial frequency along the radius. Sagittal: across it. Polychromatic: equal "
     "energy per nm, times the bank's transmission and solid angle, chief rays where they land. MTF "
-    "of the PSFs within their window."
+    "of the PSFs in the bank."
 )
 READY_ABSENT = (
     "Not drawn, because a bank does not hold it: the layout with its rays (no surfaces), and the "
