@@ -69,7 +69,6 @@ def judged(lens, placed, rate):
         own = rate[tuple(pixels.T)].astype(float)
         given = (SENSOR, pixels, own, own, EXPOSURE_S, RED_AT, 0.0)
         certificate = compare(*given, bank=found.share, window=found.window)
-        print(found, certificate.met)
         return found, certificate.met
 
     return judge
