@@ -498,7 +498,7 @@ def test_exposure_makes_digital_numbers_of_the_rates(renderer: Renderer, whole: 
 def test_a_capture_says_how_it_was_made(renderer: Renderer, whole: Capture):
     assert whole.camera is CAMERA and whole.plan is renderer.plan and whole.accuracy is COARSE
     assert (whole.seed, whole.frame, whole.exposure_s) == (5, 0, EXPOSURE_S)
-    assert set(whole.prepare_s) == {"lens", "plan", "scene", "kernels"}
+    assert set(whole.prepare_s) == {"lens", "plan", "scene", "kernels", "halo"}
     running = {"paint", "rows", "columns", "lattice", "mosaic", "exposure", "noise", "adc"}
     assert set(whole.times_s) == running and min(whole.times_s.values()) > 0
     assert whole.device["adapter"] and whole.wall_s > 0

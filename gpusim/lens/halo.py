@@ -48,6 +48,7 @@ TURN = 2 * np.pi / 512
 CORNER = np.radians(20)
 # Rays for each node of the pupil's grid, each way, where they land beyond the core.
 RAYS_PER_NODE = 6
+MOST_SCALED = 0.5
 FEW_RAYS = 1e-6  # of the light: fewer are not looked for
 
 
@@ -191,11 +192,14 @@ def whole_halo(
     beyond = np.stack([one for _, one in fields])
     held = levels.sum(axis=(0, 3, 4), dtype=float)
     wanted = 1 - beyond - core
-    levels *= (wanted / np.maximum(held, 1e-12)).astype(np.float32)[:, :, None, None]
+    # Where the two disagree by half, the window is too small for its lens: what they lack is not
+    # made up, but counts as light that is lost.
+    factor = np.clip(wanted / np.maximum(held, FEW_RAYS), 1 - MOST_SCALED, 1 + MOST_SCALED)
+    levels *= factor.astype(np.float32)[:, :, None, None]
     return {
         "halo": levels,
         "halo_pitch_um": pitches_um(core_pitch_um),
-        "beyond_energy": beyond,
+        "beyond_energy": beyond + np.abs(wanted - factor * held),
         "halo_misfit": held - wanted,
     }
 
@@ -263,6 +267,7 @@ def halo(
     rays, places = _far_rays(wave, slope, FALLS_FROM * core_radius_um)
     if len(rays):
         rays, places = np.append(rays, -taken), np.append(places, landing, axis=1)
+        far = np.hypot(*places)
     # Density times r^3 is nearly even.
     even = polar * middle[:, None] / (LOG_STEP * (2 * np.pi / AROUND))
     even = np.concatenate([even, even[:, :1]], axis=1)
@@ -278,13 +283,14 @@ def halo(
         turn = np.arctan2(*np.broadcast_arrays(x, y))[used] % (2 * np.pi)
         at = [(np.log(r) - edges[0]) / LOG_STEP - 0.5, turn / (2 * np.pi) * AROUND]
         level[used] = pitch**2 / r**3 * map_coordinates(even, at, order=1, mode="nearest")
-        if len(rays):
-            level += _deposited(rays, places / pitch + SIZE // 2)
         level *= (1 - fall(distance, inner)) * fall(distance, outer)
-    far = 1 - fall(middle, radii[-1])
-    outside = beyond + float(polar.sum(axis=1) @ far)
+        if len(rays):
+            # By their own distance: no ray is lost or counted twice between two levels.
+            own = (1 - fall(far, inner)) * fall(far, outer)
+            level += _deposited(rays * own, places / pitch + SIZE // 2)
+    outside = beyond + float(polar.sum(axis=1) @ (1 - fall(middle, radii[-1])))
     if len(rays):
-        outside += float(rays @ (1 - fall(np.hypot(*places), radii[-1])))
+        outside += float(rays @ (1 - fall(far, radii[-1])))
     return levels, outside
 
 

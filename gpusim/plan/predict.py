@@ -21,6 +21,7 @@ from gpusim.sensor.sensor import Sensor
 # What least-squares nodes gain over interpolation between samples: see
 # gpusim.optics.kernels.node_kernels.
 NODE_GAIN = 2.45
+SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
 
 
 def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:
@@ -122,7 +123,8 @@ def node_error(
         middles = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
         for of_channel, kernel, mean in zip(squares, middles, sum(corners) / 4, strict=True):
             for axis in (0, 1):
-                response = np.cumsum((mean - kernel).sum(axis=axis)) / kernel.sum()
+                # A halo's level may hold nothing so near to the chief ray.
+                response = np.cumsum((mean - kernel).sum(axis=axis)) / (kernel.sum() or 1.0)
                 of_channel.append(np.abs(response if edges else response[-1]).max() ** 2)
     return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
 
@@ -139,12 +141,14 @@ def cells_within(
     """Return the fewest cells between PSF nodes that keep an error, and the error they leave.
 
     The cells cover the sensor and what its pixels see `beyond_um` around it. They are no larger
-    than half the sensor, for that a node lies where the sensor is.
+    than half the sensor, for that a node lies where the sensor is; before sensors of few pixels no
+    larger than `SMALLEST_CELL` sim samples, over which no PSF changes.
     """
     # Linear interpolation's error goes with the spacing squared.
     trial_um = half_um[1] / 4
     trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um, edges)
-    spacing_um = min(trial_um * np.sqrt(allowed / max(trial, 1e-12)), half_um[1])
+    largest_um = max(half_um[1], SMALLEST_CELL * pitch_um)
+    spacing_um = min(trial_um * np.sqrt(allowed / max(trial, 1e-12)), largest_um)
     sides = [2 * (half + beyond_um) for half in half_um]
     cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
     widest = max(side / count for side, count in zip(sides, cells, strict=True))

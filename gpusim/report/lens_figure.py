@@ -195,7 +195,7 @@ FOOT = (
 READY_FOOT = (
     "Tangential: spatial frequency along the radius. Sagittal: across it. Polychromatic: equal "
     "energy per nm, times the bank's transmission and solid angle, chief rays where they land. MTF "
-    "of the PSFs within their window."
+    "of the PSFs in the bank."
 )
 READY_ABSENT = (
     "Not drawn, because a bank does not hold it: the layout with its rays (no surfaces), and the "
@@ -428,13 +428,17 @@ def _tones(wavelength_nm: float) -> LinearSegmentedColormap:
 
 
 def _psf_half_um(bank: Bank, fields: list[int]) -> float:
-    """Return half the side of the pictures: round, and the widest PSF has PSF_SHARE within."""
+    """Return half the side of the pictures: round, and the widest PSF has PSF_SHARE within.
+
+    The share is that of the light in the window.
+    """
     n = bank.psf.shape[-1]
     at = (np.arange(n) - n // 2) * bank.pitch_um
     radius = np.maximum(np.abs(at)[:, None], np.abs(at)[None]).ravel()
     order = np.argsort(radius, kind="stable")
     mean = bank.psf[fields].mean(axis=1, dtype=float).reshape(len(fields), -1)[:, order]
-    needed = max(radius[order][np.searchsorted(np.cumsum(line), PSF_SHARE)] for line in mean)
+    within = np.cumsum(mean, axis=1)
+    needed = max(radius[order][np.searchsorted(line, PSF_SHARE * line[-1])] for line in within)
     return min(round_above(needed), n // 2 * bank.pitch_um)
 
 

@@ -217,8 +217,14 @@ def field_light(bank: Bank, field: int) -> np.ndarray:
 def bank_otf(
     bank: Bank, field: int, frequency: np.ndarray, direction: transfer.Direction
 ) -> np.ndarray:
-    """Return the polychromatic OTF of a field's PSFs; shape (K,)."""
-    otfs = transfer.otf(bank.psf[field], bank.pitch_um, frequency, direction)
+    """Return the polychromatic OTF of a field's PSFs and of the light beyond them; shape (K,)."""
+    core, *halo = bank.levels
+    otfs = transfer.otf(core.psf[field], core.pitch_um, frequency, direction)
+    for level in halo:
+        # It is smooth: beyond what its samples tell there is nothing.
+        told = np.abs(frequency) < 500 / level.pitch_um
+        seen = transfer.otf(level.psf[field], level.pitch_um, frequency * told, direction)
+        otfs = otfs + told * seen
     shift = bank.real_height_um[field] - bank.real_height_um[field, bank.reference]
     tangential = direction == "tangential"
     return transfer.polychromatic(

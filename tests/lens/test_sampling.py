@@ -32,7 +32,7 @@ def test_a_fast_lens_with_wide_spots_gets_the_widest_pitch_that_the_bank_accepts
 
 def test_a_bank_takes_the_window_itself(demo_lens):
     wide = demo_lens.resized(4.0)
-    lines, fields = [550.0], [0.0, wide.max_field_deg]
+    lines, fields = [400.0, 550.0], [0.0, wide.max_field_deg]
     size, pitch_um = window(build(wide), lines)
     assert size > SIZES[0]
     bank = compute_bank(wide, lines, fields)

@@ -378,6 +378,14 @@ def test_cells_cover_what_pixels_see_around_the_sensor():
         assert abs(many - few * (half + 99.2) / half) <= (half + 99.2) / half
 
 
+def test_before_a_sensor_of_one_pixel_cells_are_no_smaller_than_they_must_be():
+    """16 samples of 0.775 um, over 2 x (0.775 + 20) um: not half a pixel, which no grid allows."""
+    kernels = first_kernels(bank(coma_um=0.5))
+    assert cells_within(kernels, 0.775, 20.0, (0.775, 0.775), 1e-2, 20.0)[0] == (4, 4)
+    # A row of pixels as well; half its length is no cell either.
+    assert cells_within(kernels, 0.775, 20.0, (31.0, 0.775), 1e-2, 20.0)[0] == (9, 4)
+
+
 def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
     lens = bank(fields=24)
     images, places = field_images(lens, at_lines(lens, np.ones((1, 1, 3))), 1e9)
