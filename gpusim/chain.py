@@ -223,6 +223,7 @@ class Renderer:
         self.convolutions: list[Convolution] = []
         self.splats: list[Splat] = []
         self.halo: Halo | None = None
+        self.tight = False  # the adapter has less than the budget: kernels of one block at a time
         self.resident_glare: Resident | None = None
         report = progress or (lambda what, done, total: None)
         if costs is None:
@@ -485,6 +486,8 @@ class Renderer:
     ) -> None:
         """Make the kernels of blocks; drop others, first of other scales, as far as need be."""
         convolve = self.convolutions[number]
+        if self.tight:
+            self.drop(number, blocks)
         held = sum(convolve.held_bytes for convolve in self.convolutions)
         lacking = convolve.missing_bytes(blocks) - (self.room() - held)
         for other in self.convolutions:
@@ -569,7 +572,7 @@ class Renderer:
         needed = sum(convolve.load_bytes(blocks) for convolve, blocks in pairs)
         tiles = tiles_of(rect, self.period, self.memory_bytes, tile_px, self.layers)
         planes = max(tile_bytes(self.lit(tile), self.period, self.layers) for tile in tiles)
-        if needed + largest + planes <= self.room():
+        if not self.tight and needed + largest + planes <= self.room():
             total = sum(len(c.nodes_of(blocks) - c.nodes.keys()) for c, blocks in pairs)
             done = iter(range(1, total + 1))
             try:
@@ -674,6 +677,7 @@ class _Shot:
                 if not parts:
                     raise self._too_little(error.value) from error
                 renderer.drop()
+                renderer.tight = True
                 tiles.extendleft(reversed(parts))
                 left = sum(map(self._steps, tiles))
                 # The last such note stands for those of the halves before it.
@@ -747,7 +751,7 @@ class _Shot:
         """Cut a line of blocks into parts whose kernels fit the memory together."""
         convolve, source = self.renderer.convolutions[number], self.renderer.sources[number]
         while line:
-            count = len(line)
+            count = 1 if self.renderer.tight else len(line)
             while count > 1 and self.renderer.room() < (
                 source.load_bytes(line[:count]) + convolve.load_bytes(line[:count])
             ):

@@ -291,6 +291,8 @@ def narrow(bank: Bank, fields: slice, lines: slice) -> Bank:
     }
     return replace(
         bank,
+        **{name: getattr(bank, name)[fields, lines] for name in ("beyond_energy", "halo_misfit")},
+        halo=bank.halo[:, fields, lines],
         wavelengths_nm=bank.wavelengths_nm[lines],
         reference_nm=float(bank.wavelengths_nm[lines][0]),
         field_deg=bank.field_deg[fields],

@@ -140,15 +140,15 @@ def cells_within(
 ) -> tuple[tuple[int, int], float]:
     """Return the fewest cells between PSF nodes that keep an error, and the error they leave.
 
-    The cells cover the sensor and what its pixels see `beyond_um` around it. They are no larger
-    than half the sensor, for that a node lies where the sensor is; before sensors of few pixels no
-    larger than `SMALLEST_CELL` sim samples, over which no PSF changes.
+    The cells cover the sensor and what its pixels see `beyond_um` around it. Where that is more
+    than the sensor itself, they are no larger than half of it, so that a node lies where it is.
     """
     # Linear interpolation's error goes with the spacing squared.
     trial_um = half_um[1] / 4
     trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um, edges)
-    largest_um = max(half_um[1], SMALLEST_CELL * pitch_um)
-    spacing_um = min(trial_um * np.sqrt(allowed / max(trial, 1e-12)), largest_um)
+    spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
+    if beyond_um > half_um[1]:
+        spacing_um = min(spacing_um, max(half_um[1], SMALLEST_CELL * pitch_um))
     sides = [2 * (half + beyond_um) for half in half_um]
     cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
     widest = max(side / count for side, count in zip(sides, cells, strict=True))

@@ -135,13 +135,17 @@ def _psfs(figure: Figure, bank: PlaneBank, left: float, bottom: float, side: flo
 
 
 def _half_um(bank: PlaneBank) -> float:
-    """Return half the side of the pictures: round, and the widest PSF has PSF_SHARE within."""
+    """Return half the side of the pictures: round, and the widest PSF has PSF_SHARE within.
+
+    The share is that of the light in the window.
+    """
     size = bank.psf.shape[-1]
     at = np.abs(np.arange(size) - size // 2) * bank.pitch_um
     radius = np.maximum(at[:, None], at).ravel()
     order = np.argsort(radius, kind="stable")
     mean = bank.psf.mean(axis=2, dtype=float).reshape(-1, size * size)[:, order]
-    needed = max(radius[order][np.searchsorted(np.cumsum(one), PSF_SHARE)] for one in mean)
+    within = np.cumsum(mean, axis=1)
+    needed = max(radius[order][np.searchsorted(one, PSF_SHARE * one[-1])] for one in within)
     return min(round_above(max(needed, 2 * bank.pitch_um)), size // 2 * bank.pitch_um)
 
 

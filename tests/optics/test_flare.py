@@ -6,6 +6,7 @@ from harness import assert_close
 from optics.made import bank, monochrome, scene, sensor
 
 from gpusim.optics.flare import SIDE, veiling_glare
+from gpusim.reference.fields import Heights
 from gpusim.scene.chart import Rect
 from gpusim.scene.raster import Raster
 
@@ -18,10 +19,12 @@ def illumination(lens, camera, side=700):
     line = (np.arange(side) + 0.5) / side - 0.5
     pitch = camera.pixel_pitch_um
     x, y = np.meshgrid(line * camera.cols * pitch, line * camera.rows * pitch)
-    radius = np.hypot(x, y)
-    heights = lens.real_height_um[:, lens.reference]
-    light = [np.interp(radius, heights, row) for row in lens.relative_illumination.T]
-    return x, y, np.stack(light)
+    points = np.stack([x, y], axis=-1).reshape(-1, 2)
+    light = sum(
+        lens.relative_illumination[field][:, None] * share
+        for field, _, share in Heights(lens).shares(points)
+    )
+    return x, y, light.reshape(-1, *x.shape)
 
 
 def test_an_even_scene_gives_its_share_of_the_mean_signal_to_every_site():

@@ -451,7 +451,7 @@ def test_a_lens_without_an_axis(device: Device, place):
     found = on_sensor(device, camera, one, lens)[pixels[:, 0], pixels[:, 1]].astype(float)
     assert_close(found, expected, rtol=5e-3, atol=5e-4 * expected.max())
     # Dark ones are alike: far off, parabolas between three wavelengths swing below 0.
-    assert len(np.unique(np.round(expected, -3))) >= 15
+    assert len(np.unique(np.round(expected, -3))) > 12  # not all in the dark
 
 
 def test_every_highlight_within_reach_is_listed():

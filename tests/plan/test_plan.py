@@ -201,7 +201,7 @@ def test_the_tail_of_the_psf_goes_to_a_coarse_grid_where_that_suffices():
     whole = plan_optics(HALO, sensor(), COLOURED, Accuracy(5e-4)).scales
     assert [scale.name for scale in whole] in (["whole"], ["core", "tail"])
     # Together they hold the PSF: the splines of both, at the first field, are linear in it.
-    images, _ = field_images(HALO, plan.basis.rates, 1e9)
+    images, _ = field_images(HALO.levels[0], plan.basis.rates, 1e9)
     for part, share in ((core, 0.7), (tail, 0.0)):
         total = part.kernels.splines[0].sum(axis=(2, 3), dtype=float)
         fraction = total / images[0].sum(axis=(2, 3))
@@ -358,11 +358,11 @@ def test_cells_keep_the_error_that_they_are_allowed():
         assert error * (max(cells) / (max(cells) - 1)) ** 2 > allowed * 0.9
         found[allowed] = cells
     assert found[4e-3] < found[1e-3] < found[2.5e-4]
-    # Where nothing changes, cells of half the sensor's narrower side, 74.4 um, over 2 x 119.2 and
-    # 2 x 94.4 um: the sensor and 20 um around it.
+    # Where nothing changes one cell does; where pixels see more than the sensor around it, cells of
+    # half its narrower side, 74.4 um, over 2 x 199.2 and 2 x 174.4 um.
     still = first_kernels(bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0)))
-    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 20.0)[0] == (4, 3)
-    assert (4, 3) < found[4e-3]
+    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 20.0)[0] == (1, 1) < found[4e-3]
+    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 100.0)[0] == (6, 5)
 
 
 def test_cells_cover_what_pixels_see_around_the_sensor():

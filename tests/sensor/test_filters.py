@@ -7,6 +7,7 @@ import pytest
 import yaml
 from changes import sensor_file
 from optics.made import bank, sensor
+from scipy.interpolate import BarycentricInterpolator
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
@@ -37,9 +38,11 @@ def test_electrons_are_the_papers_integral_with_the_filter():
     lens, cut = bank(), Filter(name="cut", wavelengths_nm=GRID, transmission=CUT)
     camera = sensor(filters=[cut])
     radiance = np.linspace(1e-3, 2e-3, 61)
-    irradiance = radiance * np.interp(
-        WAVELENGTHS_NM, lens.wavelengths_nm, lens.projected_solid_angle_sr * lens.transmission
+    # What the lens passes lies on a parabola in 1 / lambda through its three wavelengths.
+    passes = BarycentricInterpolator(
+        1e3 / lens.wavelengths_nm, lens.projected_solid_angle_sr * lens.transmission
     )
+    irradiance = radiance * passes(1e3 / WAVELENGTHS_NM)
     open_qe = sensor().qe
     expected = [
         np.trapezoid(
