@@ -173,8 +173,9 @@ def of_pupil(place: Place, radial: bool) -> np.ndarray:
     theta = math.atan(math.hypot(x, y) / focal_um)
     light = white_radiance("D50", 300.0) * transmission(system.prescription, WAVELENGTHS_NM)
     light = light * camera.sensor.qe["W"] * WAVELENGTHS_NM
-    lines = WAVELENGTHS_NM[::3]
-    pupils = field_pupils(system, theta, lines, light[::3], reference=10)
+    lines, light = WAVELENGTHS_NM[::3], light[::3]
+    light[[0, -1]] /= 2  # the trapezoidal rule: with whole ends the MTF is 0.007 less
+    pupils = field_pupils(system, theta, lines, light, reference=10)
     pitch_um = camera.sensor.pixel_pitch_um
     found = pupils.otf(1e3 * FREQUENCIES_CY_PX / pitch_um, "tangential" if radial else "sagittal")
     f = FREQUENCIES_CY_PX * math.sqrt(camera.sensor.fill_factor)
