@@ -95,11 +95,9 @@ def test_highlights_count_by_their_area():
     height = np.hypot(*ideal)
     low, real, high = (lens.real_from_ideal(height + d)[0] for d in (-0.1, 0.0, 0.1))
     area = 1.55**2 * real / height * (high - low) / 0.2
-    light = np.array(
-        [
-            np.interp(real, lens.real_height_um[:, lens.reference], row)
-            for row in lens.relative_illumination.T
-        ]
+    light = sum(
+        lens.relative_illumination[field] * share
+        for field, _, share in Heights(lens).shares(np.array([[float(real), 0.0]]))
     )
     colour = np.array([1e9, 2e9]) @ COEFFICIENTS
     mean = np.einsum("j,jcl,l->c", colour, WEIGHTS, light) * area / (1.55**2 * 96 * 128)
