@@ -39,7 +39,7 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
 HEIGHTS = 4  # image heights at which the lens is traced
-EACH = 4  # pixels at each of them, on the steepest edges
+EACH = 3  # pixels at each of them, on the steepest edges
 THINNED = 1 / 16  # of the error with fields twice as far apart: cubics go with the fourth power
 AZIMUTHS = 1440  # places on a ring among which pixels are chosen
 
