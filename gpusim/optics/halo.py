@@ -25,8 +25,8 @@ Rect = tuple[int, int, int, int]
 # Pixels of the coarse sensor are so many samples of its level apart where the level holds little
 # light, all of it smooth; and so many where rays land there. The sim grid has two samples a pixel.
 SMOOTH_STEP, STRUCTURED_STEP = 4.0, 2.0
-# Diffraction leaves 0.8 % beyond a core of 64 um at f/2.8. With 1.6 %, a corner of the phone camera has
-# rays there, and the level was 13 % off where it was taken as smooth.
+# Diffraction leaves 0.8 % beyond a core of 64 um at f/2.8. With 1.6 %, a corner of the phone camera
+# has rays there, and the level was 13 % off where it was taken as smooth.
 LITTLE = 0.01
 # Coarse pixels around the sensor: two for the spline, the rest for its coefficients.
 FADED = 8
