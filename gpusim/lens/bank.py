@@ -27,7 +27,7 @@ from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
-from gpusim.lens.halo import distances_um, fall, halo_of
+from gpusim.lens.halo import distances_um, fall, halo_of, split
 from gpusim.lens.lines import CUBIC, STRAIGHT, line_shares
 from gpusim.lens.places import FieldPsfs, Heights, half_turned
 from gpusim.lens.prescription import Prescription
@@ -243,16 +243,7 @@ class Bank:
 
     def levels_of(self, light: np.ndarray) -> tuple[Bank, ...]:
         """Return the levels with another light (F, L) in place of the relative illumination."""
-        alone = {name: None for name in _HALO} | {"relative_illumination": light}
-        if self.halo is None:
-            return (replace(self, **alone),)
-        size = self.psf.shape[-1]
-        within = fall(distances_um(size, self.pitch_um), size / 2 * self.pitch_um)
-        core = replace(self, psf=self.psf * within.astype(np.float32), **alone)
-        return core, *(
-            replace(self, psf=psf, pitch_um=float(pitch), **alone)
-            for psf, pitch in zip(self.halo, self.halo_pitch_um, strict=True)
-        )
+        return split(replace(self, relative_illumination=light))
 
     @property
     def reference(self) -> int:

@@ -24,12 +24,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import map_coordinates
 
 from gpusim.lens.wavefront import Pupil
+
+AnyBank = TypeVar("AnyBank")  # Bank or PlaneBank
 
 # Of the levels: samples across, and the pitch of each in that of the one within it. Three of them
 # reach 16 mm from the chief ray where the core's pitch is 0.5 um; at f/2.8 they miss 2e-5.
@@ -116,6 +119,23 @@ def fall(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
     """Return the weight of what lies within a level: 1, from `FALLS_FROM` on less, at the end 0."""
     share = np.clip((distance_um / radius_um - FALLS_FROM) / (1 - FALLS_FROM), 0, 1)
     return 0.5 * (1 + np.cos(np.pi * share))
+
+
+def split(bank: AnyBank) -> tuple[AnyBank, ...]:
+    """Return a bank as banks that add up to it, from the core outwards; without halo it alone.
+
+    The core's PSFs fall to 0 towards the window's rim, where the first level takes over.
+    """
+    if bank.halo is None:
+        return (bank,)
+    alone = dict.fromkeys(("halo", "halo_pitch_um", "beyond_energy", "halo_misfit"))
+    size = bank.psf.shape[-1]
+    within = fall(distances_um(size, bank.pitch_um), size / 2 * bank.pitch_um)
+    core = replace(bank, psf=bank.psf * within.astype(np.float32), **alone)
+    return core, *(
+        replace(bank, psf=psf, pitch_um=float(pitch), **alone)
+        for psf, pitch in zip(bank.halo, bank.halo_pitch_um, strict=True)
+    )
 
 
 def distances_um(size: int, pitch_um: float) -> np.ndarray:

@@ -12,7 +12,7 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,7 @@ from gpusim.lens.bank import (
     save_dataset,
 )
 from gpusim.lens.cone import FieldRays, cone_of
-from gpusim.lens.halo import distances_um, fall, field_halo, wave_of, whole_halo
+from gpusim.lens.halo import distances_um, fall, field_halo, split, wave_of, whole_halo
 from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import FieldGrid, FieldPsfs
 from gpusim.lens.plane_map import PlaneMap
@@ -220,16 +220,7 @@ class PlaneBank:
     @functools.cached_property
     def levels(self) -> tuple[PlaneBank, ...]:
         """The bank as banks that add up, from the core outwards; without halo it alone."""
-        if self.halo is None:
-            return (self,)
-        alone = {name: None for name in _HALO}
-        size = self.psf.shape[-1]
-        within = fall(distances_um(size, self.pitch_um), size / 2 * self.pitch_um)
-        core = replace(self, psf=self.psf * within.astype(np.float32), **alone)
-        return core, *(
-            replace(self, psf=psf, pitch_um=float(pitch), **alone)
-            for psf, pitch in zip(self.halo, self.halo_pitch_um, strict=True)
-        )
+        return split(self)
 
     @property
     def centre_um(self) -> tuple[float, float]:
