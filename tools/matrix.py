@@ -264,6 +264,20 @@ def key(one: dict) -> tuple:
     return one["lens"], one["pitch_um"], one["scene"], one["tolerance"]
 
 
+def foretold(cells: list[dict]) -> list[str]:
+    """Return a line on how the plans' predictions compare with the certificates' totals."""
+    ratios = [one["predicted"] / one["total_rms"] for one in cells if one.get("total_rms")]
+    if not ratios:
+        return []
+    low, middle, high = np.quantile(ratios, [0.1, 0.5, 0.9])
+    near = sum(1 / 3 <= ratio <= 3 for ratio in ratios)
+    return [
+        f"Predicted over total: median {middle:.2g}, one in ten below {low:.2g}, one in ten above "
+        f"{high:.2g}; within a factor of 3 in {near} of {len(ratios)} cells.",
+        "",
+    ]
+
+
 def table(cells: list[dict]) -> str:
     """Return the cells as a page of Markdown."""
     counts = Counter(one["verdict"] for one in cells)
@@ -278,6 +292,7 @@ def table(cells: list[dict]) -> str:
         "the RMS over up to five pixels; a certificate is wrong where that exceeds twice the "
         "tolerance by more than the judge's own bound.",
         "",
+        *foretold(cells),
         "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total "
         "| judge | verdict |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
