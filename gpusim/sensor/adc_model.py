@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_POINTS = 4096  # of a measured response
 LINEAR_SHARES = (0.05, 0.95)  # of saturation, between which EMVA 1288 judges the linearity

@@ -8,12 +8,13 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError, ValidationInfo, model_validator
+from pydantic import ValidationInfo, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.mistakes import user_error
-from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
 
 
 class Filter(Strict):
@@ -113,8 +114,4 @@ def load_filters(data: object, path: Path) -> list[Filter]:
     UserError
         A wrong field, or a spectrum that cannot be read.
     """
-    try:
-        found = _Filters.model_validate({"filters": data}, context={"folder": path.parent})
-    except ValidationError as error:
-        raise user_error(error, _Filters, path) from error
-    return found.filters
+    return checked(_Filters, {"filters": data}, path, folder=path.parent).filters

@@ -23,7 +23,6 @@ have no counterpart in a sensor; any other is refused.
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
@@ -31,6 +30,7 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
+from gpusim.config.text import read_json
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion
 
@@ -191,7 +191,7 @@ def _struct(file: Path) -> dict:
             top = loadmat(file, simplify_cells=True)
             top = {key: value for key, value in top.items() if not key.startswith("__")}
         else:
-            top = json.loads(file.read_text(encoding="utf-8"))
+            top = read_json(file, "the sensor file")
     except NotImplementedError as error:
         raise UserError(
             "the .mat file is of version 7.3",

@@ -40,9 +40,9 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
+from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion
-from gpusim.sensor.mistakes import read_yaml
 
 PERCENT, UNITY = ("percentage",), ("0 to 1", "o to 1", "[0;1]")
 BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -72,7 +72,7 @@ def read_speos(file: Path) -> Conversion:
     UserError
         The file or one of its spectra cannot be read; a key is unknown, missing or wrong.
     """
-    top = _mapping(file, read_yaml(file), "(top level)")
+    top = _mapping(file, read_yaml(file, "the sensor file"), "(top level)")
     _only(file, "", top, tuple(KEYS))
     parts = {}
     for part, known in KEYS.items():
