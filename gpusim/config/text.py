@@ -21,6 +21,7 @@ from gpusim.errors import UserError
 # package has 6 kB; what is larger than a table by hand is JSON, .csv or .nc.
 MOST_YAML_BYTES = 4 << 20
 MOST_JSON_BYTES = 256 << 20
+MOST_TEXT_BYTES = 64 << 20  # tables and lists
 MOST_VALUES = 1_000_000  # with every alias written out
 DEEPEST = 32  # lists and mappings inside one another; a sensor file has 5
 LONGEST_NUMBER = 64  # characters: no float64 needs more than 24
@@ -80,6 +81,8 @@ def read_bytes(path: Path, what: str, most: int = 1 << 30, allowed: str | None =
         It cannot be read, or is larger.
     """
     try:
+        if path.exists() and not path.is_file():  # a device may never end, a pipe never begin
+            raise UserError(f"{what} cannot be read: it is no file", file=path, allowed=allowed)
         with path.open("rb") as file:
             content = file.read(most + 1)
     except (OSError, ValueError) as error:  # ValueError: a NUL in its name
@@ -90,6 +93,11 @@ def read_bytes(path: Path, what: str, most: int = 1 << 30, allowed: str | None =
             f"{what} is too large to be one", file=path, allowed=f"up to {most:,} bytes"
         )
     return content
+
+
+def read_text(path: Path, what: str) -> str:
+    """Return the text in a file, UTF-8; raise as `read_bytes` does, and where it is no text."""
+    return _decoded(read_bytes(path, what, MOST_TEXT_BYTES), path, what)
 
 
 def _decoded(content: bytes, path: Path, what: str) -> str:

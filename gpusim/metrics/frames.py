@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.config.arrays import read_npy, read_tiff
-from gpusim.config.text import read_json
+from gpusim.config.text import read_json, read_text
 from gpusim.errors import UserError
 from gpusim.metrics.flat_field import Light
 from gpusim.metrics.statistics import Accumulator, Level
@@ -220,14 +220,7 @@ def _camera(file: Path) -> dict:
 
 def _lines(listed: Path) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield number and fields of each line of the list."""
-    try:
-        text = listed.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(
-            f"the list of frames cannot be read: {error}",
-            file=listed,
-            allowed=f"a folder with {LIST}, or that file: see gpusim measure noise --help",
-        ) from error
+    text = read_text(listed, "the list of frames")
     reader = csv.DictReader(text.splitlines(), restkey="")
     titles = tuple(reader.fieldnames or ())
     light = [name for name in ("photons", "irradiance_w_m2") if name in titles]

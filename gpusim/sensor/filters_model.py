@@ -12,6 +12,7 @@ from pydantic import ValidationInfo, model_validator
 
 from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
+from gpusim.config.text import read_text
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
@@ -67,10 +68,7 @@ def read_spectrum(path: Path) -> tuple[list[float], list[float]]:
     UserError
         Where the file cannot be read, or a line is not two numbers that are not negative.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the spectrum cannot be read: {error}", file=path) from error
+    lines = read_text(path, "the spectrum").splitlines()
     rows = []
     for number, line in enumerate(lines, start=1):
         text = line.partition("#")[0].strip()

@@ -131,9 +131,12 @@ def test_a_name_that_no_file_can_have_is_refused():
         read_yaml(Path("a\0b.yaml"), "the sensor file")
 
 
-def test_a_file_that_never_ends_is_refused():
-    with pytest.raises(UserError, match="too large"):
+def test_what_never_ends_is_refused(tmp_path: Path):
+    with pytest.raises(UserError, match="it is no file"):
         read_yaml(Path("/dev/zero"), "the sensor file")
+    (tmp_path / "a.yaml").write_bytes(b"# \n" * (1 << 21))
+    with pytest.raises(UserError, match="too large to be one"):
+        read_yaml(tmp_path / "a.yaml", "the sensor file")
 
 
 def test_a_list_is_no_mapping(tmp_path: Path):
