@@ -249,7 +249,7 @@ def _read_numbers(made: Conversion, emva: dict, peak: float) -> None:
     if "ast" in emva and "dr" in emva:
         # dB of a ratio of amplitudes (EMVA 1288 release 3.1, section 2.5); bit: powers of two
         value, unit = _split(file, "EMVA Data.DR", emva["dr"])
-        if value > MOST_DR:
+        if unit != "1" and value > MOST_DR:
             raise UserError(
                 "the dynamic range is none",
                 file=file,
