@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -26,10 +28,6 @@ if TYPE_CHECKING:
 # chief ray lands elsewhere at the bank's wavelengths than at the lens's own.
 CORNER_SPARE = 1.02
 PRESETS = Path(__file__).parent / "data" / "cameras"
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Lens(Protocol):
@@ -49,7 +47,7 @@ class Lens(Protocol):
         """Return what is known of it, for the report."""
 
 
-class LensChoice(_Strict):
+class LensChoice(Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
     A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
@@ -83,7 +81,7 @@ class LensChoice(_Strict):
         return self
 
 
-class SensorChoice(_Strict):
+class SensorChoice(Strict):
     """Which sensor, and how many of its pixels, about its centre."""
 
     preset: str
@@ -91,7 +89,7 @@ class SensorChoice(_Strict):
     cols: int | None = Field(default=None, gt=0)
 
 
-class CameraFile(_Strict):
+class CameraFile(Strict):
     """Fields of a camera file; its filters stand in front of the lens.
 
     ``lens`` and ``sensor`` may each be a name or a file alone, too: see ``load_camera``.
@@ -100,7 +98,7 @@ class CameraFile(_Strict):
     title: str
     lens: LensChoice
     sensor: SensorChoice
-    filters: list[dict[str, object]] = []
+    filters: tuple[dict[str, object], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -183,25 +181,9 @@ def load_camera(name_or_path: str | Path) -> Camera:
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        named = data.get("lens") if isinstance(data, dict) else None
-        fields = CameraFile.model_validate(_spelled_out(data))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"The camera file cannot be read: {error}", file=path) from error
-    except yaml.YAMLError as error:
-        raise UserError(f"The camera file is not YAML: {error}", file=path) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise UserError(
-            f"The camera file is wrong: {first['msg'].removeprefix('Value error, ')}",
-            file=path,
-            field=".".join(str(part) for part in first["loc"]) or "(top level)",
-            value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg, "
-            "focus_shift_um, nearest_glasses} or lens {bank} or lens {mtf} or lens NAME-or-FILE, "
-            "sensor {preset, rows, cols} or sensor NAME-or-FILE, filters",
-        ) from error
+    data = read_yaml(path, "the camera file")
+    named = data.get("lens") if isinstance(data, dict) else None
+    fields = checked(CameraFile, _spelled_out(data), path)
     sensor = load_sensor(_beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)

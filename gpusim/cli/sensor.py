@@ -10,11 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from gpusim.cli.files import whole_file
+from gpusim.config.mistakes import UNITS
+from gpusim.config.text import parse_yaml, read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion, sensor_text
 from gpusim.sensor.isetcam import read_isetcam
 from gpusim.sensor.load import load_sensor, presets
-from gpusim.sensor.mistakes import UNITS, read_yaml
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.speos import is_speos, read_speos
 
@@ -64,7 +65,7 @@ def conversion(name: str) -> Conversion:
     path = Path(name)
     if path.suffix.lower() in ISETCAM:
         return read_isetcam(path)
-    if path.suffix.lower() in YAML and is_speos(read_yaml(path)):
+    if path.suffix.lower() in YAML and is_speos(read_yaml(path, "the sensor file")):
         return read_speos(path)
     # Files beside a sensor file are found from anywhere by their whole paths.
     sensor = load_sensor(path.resolve() if path.suffix else name)
@@ -76,8 +77,8 @@ def setting(text: str) -> tuple[str, object]:
     """Return a field's name and its value from ``FIELD=VALUE``, the value as in YAML."""
     field, sign, value = text.partition("=")
     try:
-        found = yaml.safe_load(value)
-    except yaml.YAMLError:
+        found = parse_yaml(value)
+    except ValueError:
         found = None
     if not sign or found is None:
         raise UserError(

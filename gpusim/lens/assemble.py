@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.interpolate import make_interp_spline
 
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
 from gpusim.lens.cone import with_exit_pupil
@@ -34,11 +34,7 @@ ALIASED_CONTRAST = 0.02
 MAX_SIZE = 1024  # samples across a PSF: the longest transform of the convolution
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Stated(_Strict):
+class Stated(Strict):
     """What a text beside the data must state, because the data do not hold it.
 
     Attributes
@@ -69,54 +65,6 @@ class Stated(_Strict):
         if not all(0 < value <= 1 for value in np.atleast_1d(self.transmission)):
             raise ValueError("transmission lies above 0 and up to 1")
         return self
-
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-def read_bytes(path: Path, what: str) -> bytes:
-    """Return a file's content, or one UserError that says what it should have been."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{what} cannot be read: {error.strerror}", file=path) from error
-
-
-def read_mapping(path: Path, what: str) -> dict[str, object]:
-    """Return the mapping in a YAML file, or one UserError."""
-    try:
-        data = yaml.safe_load(read_bytes(path, what).decode("utf-8"))
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        problem = " ".join(str(error).split())
-        raise UserError(f"not a YAML file: {problem}", file=path, allowed=what) from error
-    if not isinstance(data, dict):
-        raise UserError(
-            f"the file holds no {what}", file=path, value=type(data).__name__, allowed="a mapping"
-        )
-    return data
-
-
-def validated(model: type[Model], data: object, file: Path) -> Model:
-    """Return the model of ``data``, or one UserError that names the first wrong field."""
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p + 1) if isinstance(p, int) else str(p) for p in first["loc"])
-        if first["type"] == "missing":
-            problem, allowed = "a field is missing", f"{place} must be given in this file"
-        elif first["type"] == "extra_forbidden":
-            problem, allowed = "this field is not known", ", ".join(model.model_fields)
-        else:
-            problem, allowed = "a field is wrong", first["msg"].removeprefix("Value error, ")
-        value = first["input"]
-        raise UserError(
-            problem,
-            file=file,
-            field=place or None,
-            value=value if isinstance(value, str | int | float) else None,
-            allowed=allowed,
-        ) from error
 
 
 def per_wavelength(values: object, count: int, file: Path, field: str) -> np.ndarray:

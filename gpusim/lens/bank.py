@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from gpusim.config.arrays import MOST_BYTES
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.gpu.wgsl import shaders_root
@@ -622,6 +623,8 @@ def load_dataset(
     import xarray
 
     with xarray.open_dataset(path, engine="h5netcdf") as data:
+        if data.nbytes > MOST_BYTES:
+            raise ValueError(f"it says that it holds {data.nbytes:,} bytes, more than any bank")
         data.load()
         saved = data.attrs.pop(CHECKSUM, None)
         if saved is not None and saved != _checksum(data):

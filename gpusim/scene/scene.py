@@ -99,7 +99,7 @@ def make_scene(
 def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:
     from gpusim.scene.exr import read_exr
 
-    photograph = read_exr(path)
+    photograph = read_exr(path, needs_luminance=luminance_cd_m2 is None)
     known = luminance_cd_m2 or photograph.white_luminance_cd_m2
     scale = known or DEFAULT_WHITE_LUMINANCE_CD_M2
     notes = photograph.notes

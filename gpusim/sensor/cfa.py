@@ -6,7 +6,8 @@ from itertools import chain
 
 from pydantic import field_validator
 
-from gpusim.sensor.strict import Strict, wrong
+from gpusim.config.model import Strict
+from gpusim.sensor.strict import wrong
 
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
 CFA_LETTERS = "RGBCMYW"

@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
@@ -31,7 +32,7 @@ from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.smear_model import Smear
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
