@@ -17,29 +17,41 @@ from scipy.interpolate import CubicSpline
 MAP_ERROR_UM = 1e-5
 
 
-def _cubic(axis: np.ndarray, at: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Return the nodes (N,) of an axis that points (P,) within it need, with the share of each.
+def _nearest(axis: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes of an axis that points (P,) within it need, and the shares of each.
 
     From divided differences: the share of a node is the value of the polynomial that is 1 there.
+
+    Returns
+    -------
+    nodes : ndarray (N, P) of int
+        Four, or as many as there are.
+    shares : ndarray (N, P)
     """
     count = min(4, len(axis))
     above = np.searchsorted(axis, at, side="right")
     first = np.minimum(np.maximum(above - count // 2, 0), len(axis) - count)
-    found = []
-    for start in np.unique(first):
-        here = first == start
-        x = axis[start : start + count]
-        for node in range(count):
-            table = np.eye(count)[node]
-            for order in range(1, count):
-                table[order:] = (table[order:] - table[order - 1 : -1]) / (x[order:] - x[:-order])
-            value = np.zeros(np.count_nonzero(here))
-            for difference, one in zip(table[::-1], x[::-1], strict=True):
-                value = value * (at[here] - one) + difference
-            share = np.zeros(len(at))
-            share[here] = value
-            found.append((int(start) + node, share))
-    return found
+    starts = np.arange(len(axis) - count + 1)
+    tables = np.tile(np.eye(count)[:, :, None], len(starts))  # [node, order, start]
+    x = axis[starts + np.arange(count)[:, None]]
+    for order in range(1, count):
+        tables[:, order:] = (tables[:, order:] - tables[:, order - 1 : -1]) / (
+            x[order:] - x[:-order]
+        )
+    shares = np.zeros((count, len(at)))
+    for order in range(count - 1, -1, -1):
+        shares = shares * (at - x[order][first]) + tables[:, order][:, first]
+    return first + np.arange(count)[:, None], shares
+
+
+def _by_field(
+    fields: np.ndarray, sides: np.ndarray, shares: np.ndarray
+) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Yield each field that points need, on which side, with its share (P,) of them."""
+    signed = np.where(sides < 0, -fields - 1, fields)
+    for one in np.unique(signed):
+        share = np.where(signed == one, shares, 0.0).sum(axis=0)
+        yield (int(one), 1, share) if one >= 0 else (int(-one - 1), -1, share)
 
 
 class Heights:
@@ -71,13 +83,17 @@ class Heights:
         radius = np.hypot(*source.T)[:, None]
         return np.where(radius > 0, source / np.maximum(radius, 1e-9), [1.0, 0.0])
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fields (N, P) that source points (P, 2) need, their sides and shares."""
         radius = np.minimum(np.hypot(*source.T), self.radius_um[-1])
         both = np.concatenate([-self.radius_um[:0:-1], self.radius_um])
-        middle = len(self.radius_um) - 1
-        for place, share in _cubic(both, radius):
-            yield abs(place - middle), 1 if place >= middle else -1, share
+        places, shares = _nearest(both, radius)
+        places -= len(self.radius_um) - 1
+        return np.abs(places), np.where(places < 0, -1, 1), shares
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+        yield from _by_field(*self.near(source))
 
     def ideal(self, real: np.ndarray) -> np.ndarray:
         """Return the ideal-plane positions (..., 2) of real ones, um."""
@@ -92,13 +108,11 @@ class OneHeight(Heights):
 
     def __init__(self, bank: Any, radius_um: float) -> None:
         super().__init__(bank)
-        at = np.array([[radius_um, 0.0]])
-        self.mixed = [(field, side, share[0]) for field, side, share in super().shares(at)]
+        self.mixed = super().near(np.array([[radius_um, 0.0]]))
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the same fields for all source points (P, 2)."""
-        for field, side, share in self.mixed:
-            yield field, side, np.full(len(source), share)
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
+        return tuple(np.repeat(one, len(source), axis=1) for one in self.mixed)
 
 
 class TracedHeight(OneHeight):
@@ -117,7 +131,7 @@ class TracedHeight(OneHeight):
 
     def __init__(self, bank: Any, traced: Any, field: int, radius_um: float) -> None:
         super().__init__(bank, radius_um)
-        self.mixed = [(field, 1, 1.0)]
+        self.mixed = np.array([[field]]), np.array([[1]]), np.array([[1.0]])
         self.bank, self.own_um = traced, radius_um
 
     def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
@@ -180,17 +194,21 @@ class Grid:
         """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
         return np.broadcast_to([1.0, 0.0], source.shape)
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fields (N, P) that source points (P, 2) need, their sides and shares."""
         bank = self.bank
         ideal = self.ideal(source)
         height = np.hypot(*ideal.T)
         angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
-        across, down = (
-            _cubic(axis, np.clip(at, axis[0], axis[-1]))
+        (cols, across), (rows, down) = (
+            _nearest(axis, np.clip(at, axis[0], axis[-1]))
             for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg))
         )
-        for col, of_col in across:
-            for row, of_row in down:
-                yield row * len(bank.field_x_deg) + col, 1, of_col * of_row
+        fields = (rows * len(bank.field_x_deg) + cols[:, None]).reshape(-1, len(source))
+        shares = (down * across[:, None]).reshape(fields.shape)
+        return fields, np.ones_like(fields), shares
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+        yield from _by_field(*self.near(source))
