@@ -33,6 +33,8 @@ KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 
 # Of banks of 256 samples and 13 wavelengths: kernels of 0.04 MiB, and one in three of 0.8 MiB;
 # fields of 10 MiB. Probes come by height, and each needs four or five heights, of a grid 16 fields.
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
+KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
+TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 
 
@@ -77,6 +79,7 @@ class PointSpread:
         self.qe_there: dict[tuple[int, int], np.ndarray] = {}
         self.weights_there: dict[tuple[int, int], np.ndarray] = {}
         self.lights: dict[int, tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = {}
+        self.densities: dict[tuple[int, int, int, int], np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
         self.wide_splines: tuple[np.ndarray, set[int]] | None = None
@@ -168,13 +171,22 @@ class PointSpread:
         key = (channel, spectrum, field, node, zone)
         kernel = self.kernels.get(key)
         if kernel is None:
+            density = self._density(channel, spectrum, field, node)
+            middle, half = len(density) // 2, self._half(zone)
+            there = slice(middle - half, middle + half)
+            kernel = spline_filter(density[there, there], order=zone.degree)
+            _keep(self.kernels, key, kernel, KEPT_KERNELS)
+        return kernel
+
+    def _density(self, channel: int, spectrum: int, field: int, node: int) -> np.ndarray:
+        """Return H (n, n) at one bank field and azimuth, in its PSFs' frame, with PAD around."""
+        key = (channel, spectrum, field, node)
+        density = self.densities.get(key)
+        if density is None:
             rates = self._rates(channel, spectrum, field, node)
             images, across, down = self._light(field)
-            n = images.shape[1]
-            middle, half = n // 2, self._half(zone)
-            there = slice(middle - half, middle + half)
             if across is None:
-                density = np.tensordot(rates.sum(axis=1), images[:, there, there], axes=1)
+                density = np.tensordot(rates.sum(axis=1), images, axes=1)
             else:
                 if down is None:
                     moved = np.einsum("lx,lyx->yx", rates @ across, images)
@@ -184,10 +196,9 @@ class PointSpread:
                         for rate, image in zip(rates, images, strict=True)
                     )
                     moved = scipy.fft.ifft(moved, axis=0)
-                density = scipy.fft.irfft(moved[there], n)[:, there]
-            kernel = spline_filter(density, order=zone.degree)
-            _keep(self.kernels, key, kernel, KEPT_KERNELS)
-        return kernel
+                density = scipy.fft.irfft(moved, images.shape[1])
+            _keep(self.densities, key, density, KEPT_DENSITIES)
+        return density
 
     def _half(self, zone: Zone) -> int:
         """Return half the width of a zone's kernels, samples."""
@@ -224,10 +235,13 @@ class PointSpread:
                 ],
                 axis=-1,
             )
-            there = (way * at + side // 2 for at in (y, x))
-            found = _between(*there, side, zone.degree, len(kernels)) @ kernels
-            found = found.reshape(len(source), len(parts), len(spectra))
-            result += np.einsum("pfm,fp->pm", found, np.stack([share for *_, share in parts]))
+            for first in range(0, len(source), TOGETHER):
+                part = slice(first, first + TOGETHER)
+                there = (way * at[part] + side // 2 for at in (y, x))
+                found = _between(*there, side, zone.degree, len(kernels)) @ kernels
+                found = found.reshape(-1, len(parts), len(spectra))
+                for number, (*_, share) in enumerate(parts):
+                    result[part] += share[part, None] * found[:, number]
         return result.T
 
     def at(self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
