@@ -67,7 +67,7 @@ class Wide:
             name = pattern[row % len(pattern)][col % len(pattern[0])]
             channel = list(self.sensor.channels).index(name)
             t = self.t[lit]
-            light = self.spread.at(channel, self._shares(placed, source[lit]), t, source[lit])
+            light = self.spread.wide(channel, self._shares(placed, source[lit]), t, source[lit])
             out[number] = light.sum() * self.step_um**2 * self.area_um2
         return out
 
