@@ -35,6 +35,7 @@ from gpusim.gpu import (
     default_device,
 )
 from gpusim.gpu.pool import mebibytes
+from gpusim.isp.optics import Optics, optics_of
 from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
@@ -67,7 +68,7 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.ccd import ReadOut, needed, record_tile, taking
 from gpusim.sensor.frame import overlap, parts_around
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_readout, rects_of
+from gpusim.sensor.readout import Shot, noise_seed, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
@@ -87,6 +88,8 @@ class Capture:
         Mean electrons that the scene's white makes on the axis, by channel.
     transmission : ndarray (61,)
         Of the lens, at WAVELENGTHS_NM.
+    optics : Optics
+        What files say of the lens.
     notes : tuple of str
         How the scene was read and placed.
     plan : Plan
@@ -121,6 +124,7 @@ class Capture:
     electrons: np.ndarray | None
     white_e: dict[str, float]
     transmission: np.ndarray
+    optics: Optics
     notes: tuple[str, ...]
     plan: Plan
     times_s: dict[str, float]
@@ -334,7 +338,7 @@ class Renderer:
         seed : int
             Of the temporal noise, 0 to 2^64 - 1.
         frame : int
-            Frames of one seed have independent noise.
+            Frames of one seed have independent noise; so have those of other exposures and gains.
         temperature_c : float, optional
             Of the sensor; by default that at which its dark current was measured.
         tile : (x, y, width, height), optional
@@ -374,7 +378,8 @@ class Renderer:
             temperature_c = sensor.reference_temperature_c
         sensor.dark_current_at(temperature_c)  # refuses what is none
         kind = _ShiftedShot if sensor.is_ccd else _Shot
-        taken = Shot(exposure_s, seed, frame, temperature_c)
+        own_seed = noise_seed(seed, exposure_s, sensor.analogue_gain)
+        taken = Shot(exposure_s, own_seed, frame, temperature_c)
         shot = kind(self, rect, names, folder, taken)
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
@@ -432,6 +437,7 @@ class Renderer:
             transmission=np.interp(
                 WAVELENGTHS_NM, self.core.wavelengths_nm, self.core.transmission
             ),
+            optics=optics_of(self.camera.lens.title, self.bank),
             notes=self.scene.notes
             + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
             + tuple(shot.notes),

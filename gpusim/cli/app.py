@@ -86,11 +86,24 @@ def render(
         float | None,
         typer.Option(metavar="G", help="Analogue gain: a step that the sensor file lists."),
     ] = None,
+    iso: Annotated[
+        int | None,
+        typer.Option(metavar="S", help="The same by the ISO speed that the sensor file lists."),
+    ] = None,
+    ev: Annotated[
+        float, typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops.")
+    ] = 0.0,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise and fixed patterns.")
+        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise, of all frames.")
     ] = 7,
     frame: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="Frame number: new noise, same sensor.")
+        int,
+        typer.Option(
+            min=0,
+            max=2**32 - 1,
+            help="Frame number: new noise, same sensor. Count it on in a burst; shots of a "
+            "bracket, by exposure or gain, have noise of their own without.",
+        ),
     ] = 0,
     tile: Annotated[
         str | None,
@@ -121,6 +134,8 @@ def render(
 ) -> None:
     """Render a capture: raw.dng (.tif where DNG has no such filters), developed.png, report.
 
+    The picture is as bright as its exposure makes it: white is where the first channel saturates.
+
     Exit code 1 where the certificate does not meet the tolerance (the files are written), 2 for
     mistakes: a tolerance that cannot be met is one, and is refused before the work.
     """
@@ -137,6 +152,8 @@ def render(
         tolerance=tolerance,
         probes=certify,
         gain=gain,
+        iso=iso,
+        ev=ev,
         seed=seed,
         frame=frame,
         tile=tile,
@@ -232,11 +249,17 @@ def sensor(
 def develop(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The picture to write, a .png.")],
+    ev: Annotated[
+        float, typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops.")
+    ] = 0.0,
+    binned: Annotated[
+        bool, typer.Option("--binned", help="Of quad Bayer, one pixel for each cell of 2 x 2.")
+    ] = False,
 ) -> None:
-    """Develop a raw file through LibRaw into an sRGB picture."""
+    """Develop a raw file into an sRGB picture: through LibRaw, where it has the filter array."""
     from gpusim.cli.develop import run
 
-    run(raw, out)
+    run(raw, out, ev, binned=binned)
 
 
 @app.command()

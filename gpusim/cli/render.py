@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from PIL import Image
 
 from gpusim import report
@@ -21,8 +20,10 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.isp.develop import develop, develops, undeveloped
+from gpusim.isp.develop import check_ev, develop
 from gpusim.isp.dng import has_dng, write_dng
+from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
+from gpusim.isp.rawfile import read_raw
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.scene import make_scene
@@ -45,6 +46,8 @@ def run(
     tolerance: str,
     probes: int,
     gain: float | None,
+    iso: int | None,
+    ev: float,
     seed: int,
     frame: int,
     tile: str | None,
@@ -66,8 +69,13 @@ def run(
     memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
     camera = load_camera(camera_name)
+    if gain is not None and iso is not None:
+        raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
+    if iso is not None:
+        camera = replace(camera, sensor=camera.sensor.at_iso(iso))
+    check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2)
     device = default_device()
@@ -105,7 +113,7 @@ def run(
                 progress=progress,
             )
             progress("files", 0, 1)
-            facts = write(capture, folder)
+            facts = write(capture, folder, ev)
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
     screen.show_capture(facts, out)
@@ -173,43 +181,42 @@ def kept_planes(text: str) -> tuple[str, ...]:
     return planes
 
 
-def write(capture: Capture, folder: Path) -> dict[str, Any]:
+def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
     """Write all files of a capture into `folder`; return the facts of the report.
 
-    Where no DNG reader has the filter array, the raw frame is a TIFF, and the picture is grey.
+    The picture is shown brighter by `ev` stops, and the raw's BaselineExposure says so. Of quad
+    Bayer there is a Bayer raw of all pixels and one of all cells besides, and a picture of each.
     """
     planes = {name: getattr(capture, name) for name in KEPT_PLANES}
     kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
     sensor = capture.camera.sensor.cut(*capture.lit[:2])
     raw = "raw.dng" if has_dng(sensor) else "raw.tif"
-    names = [raw, "developed.png", "report.json", "report.html", *kept]
-    if raw == "raw.dng":
-        write_dng(
-            folder / raw,
-            capture.raw,
-            sensor,
-            active_area=capture.active_area,
-            masked_areas=capture.masked_areas,
-            white_e=capture.white_e,
-            exposure_s=capture.exposure_s,
-            transmission=capture.transmission,
-        )
-    else:
-        from tifffile import imwrite
-
-        plain = np.ascontiguousarray(capture.raw, np.uint16)
-        imwrite(folder / raw, plain, photometric="minisblack")
-    row, col, rows, cols = capture.active_area
-    if raw == "raw.dng" and develops(sensor, rows, cols):
-        developed = develop(folder / raw)
-    else:
-        lit = capture.raw[row : row + rows, col : col + cols]
-        developed = undeveloped(lit, sensor, capture.white_e)
-        note = f"LibRaw does not develop this filter array at this size: {raw}, and a grey picture"
-        capture = replace(capture, notes=(*capture.notes, note))
+    names = [raw, "developed.png", "report.json", "report.html"]
+    write_dng(
+        folder / raw,
+        capture.raw,
+        sensor,
+        active_area=capture.active_area,
+        masked_areas=capture.masked_areas,
+        white_e=capture.white_e,
+        exposure_s=capture.exposure_s,
+        transmission=capture.transmission,
+        optics=capture.optics,
+        place=capture.lit[:2],
+        temperature_c=capture.temperature_c,
+        ev=ev,
+    )
+    developed = develop(folder / raw)
     Image.fromarray(developed).save(folder / "developed.png")
+    if quad_phase(sensor.cfa.letters) is not None and min(capture.lit[2:]) >= 2 * PERIOD:
+        frame = read_raw(folder / raw)
+        for kind in ("remosaiced", "binned"):
+            write_bayer(frame, folder / f"{kind}.dng", binned=kind == "binned")
+        Image.fromarray(develop(folder / "binned.dng")).save(folder / "binned.png")
+        names += ["remosaiced.dng", "binned.dng", "binned.png"]
     for name, plane in kept.items():
         write_exr(folder / name, {"Y": plane})
+    names += kept
     facts = report.facts(capture, files=names, command=["gpusim", *sys.argv[1:]])
     (folder / "report.json").write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n")
     (folder / "report.html").write_text(report.page(facts, developed), encoding="utf-8")

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
-from gpusim.report.words import duration, error, mebibytes, sigmas, tolerance
+from gpusim.report.words import duration, error, mebibytes, saturated, sigmas, tolerance
 
 RUNNERS_UP_SHOWN = 3  # the report has all
 
@@ -99,6 +99,7 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
             f"at row {row}, column {col}; {certificate['confidence']}",
         ):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(saturated(facts), markup=False, highlight=False)
     for name in facts["files"]:
         console.print(str(folder / name), markup=False, highlight=False, soft_wrap=True)
 

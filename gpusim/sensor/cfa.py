@@ -9,7 +9,8 @@ from pydantic import field_validator
 from gpusim.config.model import Strict
 from gpusim.sensor.strict import wrong
 
-# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
+# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name, in the
+# order of TIFF/EP's CFAPattern (ISO 12234-2), in which red is 0 and white 6.
 CFA_LETTERS = "RGBCMYW"
 # By the names under which they are known; W is what RCCB and RCCC call C, clear.
 PATTERNS = {

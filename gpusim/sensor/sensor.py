@@ -278,6 +278,24 @@ class Sensor(Strict):
             }
         )
 
+    def at_iso(self, iso: int) -> Sensor:
+        """Return the sensor at the step of its analogue gain that has this ISO speed.
+
+        Raises
+        ------
+        UserError
+            The file lists no such step.
+        """
+        steps = {step.iso: step for step in self.analogue_gains if step.iso is not None}
+        if iso not in steps:
+            raise UserError(
+                f"the sensor {self.name} has no such ISO speed",
+                field="iso",
+                value=iso,
+                allowed=", ".join(map(str, steps)) or "none: its file lists no speeds; see --gain",
+            )
+        return self.at_gain(steps[iso].gain)
+
     def at_low_gain(self) -> Sensor:
         """Return the sensor as it reads at the low gain of two."""
         dual = self.dual_gain
