@@ -117,38 +117,8 @@ class Camera:
     sensor: Sensor
 
     def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        """Return the lens's PSF bank.
-
-        Raises
-        ------
-        UserError
-            When the image circle does not reach the corners of the sensor.
-        """
-        bank = self.lens.bank(progress)
-        # The corner that is farthest from the image circle's centre.
-        sides = zip((self.sensor.cols, self.sensor.rows), bank.centre_um, strict=True)
-        corner_um = math.hypot(*(n * self.sensor.pixel_pitch_um / 2 + abs(c) for n, c in sides))
-        if bank.image_circle_um < corner_um:
-            raise UserError(
-                f"The image circle of {self.lens.title} misses the corners of the sensor.",
-                field="lens",
-                value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: fewer pixels, another "
-                "lens, or a larger focal_length_mm of a prescription",
-            )
-        if bank.rectilinear_circle_um < corner_um:
-            from gpusim.lens.bank import RECTILINEAR_DEG
-
-            # Scenes lie on the ideal plane, which has no place for light from the side.
-            raise UserError(
-                f"The corners of the sensor see more than {RECTILINEAR_DEG:g} deg off the axis of "
-                f"{self.lens.title}: no scene reaches so far, for scenes are flat.",
-                field="sensor",
-                value=f"corner at {corner_um / 1e3:.3f} mm",
-                allowed=f"at most {bank.rectilinear_circle_um / 1e3:.3f} mm: a longer focal "
-                "length or fewer pixels",
-            )
-        return bank
+        """Return the lens's PSF bank."""
+        return self.lens.bank(progress)
 
 
 def presets() -> list[str]:

@@ -36,7 +36,7 @@ from gpusim.gpu import (
 )
 from gpusim.gpu.pool import mebibytes
 from gpusim.isp.optics import Optics, optics_of
-from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.field_bank import FieldBank, seen_as
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
@@ -197,8 +197,7 @@ class Renderer:
     Raises
     ------
     UserError
-        When the image circle misses the sensor, the plan cannot be met or the memory does not
-        suffice.
+        When the plan cannot be met or the memory does not suffice.
     """
 
     def __init__(
@@ -259,6 +258,7 @@ class Renderer:
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
         whole = camera.bank(progress=lambda done, total: report("lens", done, total))
+        whole = seen_as(whole, scene.projection)
         self.bank, self.core = whole, whole.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise

@@ -55,6 +55,13 @@ def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
     return np.array(chosen, int).reshape(-1, 2)
 
 
+def beyond_circle(bank: FieldBank, sensor: Sensor, pixels: np.ndarray) -> np.ndarray:
+    """Return which pixels (P, 2) have their middle beyond the circle that light reaches."""
+    middle = np.array([sensor.rows, sensor.cols]) / 2
+    at_um = (pixels + 0.5 - middle)[:, ::-1] * sensor.pixel_pitch_um
+    return np.hypot(*(at_um - bank.centre_um).T) > bank.rectilinear_circle_um
+
+
 def seen_from(
     level: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
 ) -> Chart | PlacedRaster:

@@ -72,6 +72,13 @@ def render(
         float | None,
         typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
     ] = None,
+    projection: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How the scene lies: rectilinear, to 85 degrees off the axis; or angular, to 180.",
+        ),
+    ] = "rectilinear",
     tolerance: Annotated[
         str,
         typer.Option(
@@ -149,6 +156,7 @@ def render(
         exposure=exposure,
         temperature_c=temperature,
         luminance_cd_m2=luminance,
+        projection=projection,
         tolerance=tolerance,
         probes=certify,
         gain=gain,

@@ -24,6 +24,7 @@ from gpusim.isp.develop import check_ev, develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
+from gpusim.lens.field_bank import seen_as
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.scene import make_scene
@@ -43,6 +44,7 @@ def run(
     exposure: str,
     temperature_c: float | None,
     luminance_cd_m2: float | None,
+    projection: str,
     tolerance: str,
     probes: int,
     gain: float | None,
@@ -77,11 +79,12 @@ def run(
         camera = replace(camera, sensor=camera.sensor.at_iso(iso))
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    scene = make_scene(scene_name, luminance_cd_m2)
+    scene = make_scene(scene_name, luminance_cd_m2, projection=projection)
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
             bank = camera.bank(lambda done, total: progress("lens", done, total))
+            bank = seen_as(bank, scene.projection)
             costs = adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )

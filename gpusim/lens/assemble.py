@@ -346,6 +346,9 @@ def check_bank(bank: Bank, file: Path) -> None:
         rays = np.shape(bank.cone)[2] if np.ndim(bank.cone) == 4 else 0
         shapes |= {"chief": (*table, 2), "cone": (*table, rays, 3)}
 
+    if bank.ray_deg is not None:
+        rays = len(np.atleast_1d(bank.ray_deg))
+        shapes |= {"ray_deg": (rays,), "ray_um": (rays, count)}
     if bank.halo is not None:
         levels, across = np.shape(bank.halo)[0], np.shape(bank.halo)[-1]
         shapes |= {"halo": (levels, *table, across, across), "halo_pitch_um": (levels,)}
@@ -373,7 +376,8 @@ def check_bank(bank: Bank, file: Path) -> None:
     for name in ("efl_mm", "f_number", "pitch_um"):
         if not (np.isfinite(getattr(bank, name)) and getattr(bank, name) > 0):
             raise wrong(name, getattr(bank, name), "above 0")
-    for name in ("field_deg", "real_height_um"):
+    rising = ("field_deg", "real_height_um")
+    for name in rising if bank.ray_deg is None else (*rising, "ray_deg", "ray_um"):
         array = getattr(bank, name)
         if np.any(array[0] != 0) or not (np.diff(array, axis=0) > 0).all():
             raise wrong(name, "not rising from 0", "0 at the first field, then rising")
@@ -384,6 +388,10 @@ def check_bank(bank: Bank, file: Path) -> None:
     if not np.allclose(bank.ideal_height_um, ideal, rtol=1e-6, atol=1e-6):
         raise wrong("ideal_height_um", "other heights", "efl_mm times tan(field_deg)")
     folds = [FieldMap(theta, column, efl_um).folds_at for column in bank.real_height_um.T]
+    if bank.ray_deg is not None and not np.allclose(
+        [bank.ray_deg[-1], *bank.ray_um[-1]], [bank.field_deg[-1], *bank.real_height_um[-1]]
+    ):
+        raise wrong("ray_deg, ray_um", "another end", "the last field")
     if any(fold is not None for fold in folds):
         angle = np.degrees(min(fold for fold in folds if fold is not None))
         raise wrong("real_height_um", f"falling from {angle:.4g} deg", "rising between fields too")

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.places import FieldPsfs, Places
+from gpusim.lens.projection import Projection
 
 
 class FieldBank(Protocol):
@@ -36,6 +38,8 @@ class FieldBank(Protocol):
         Fields that stand for all, the middle first.
     spectral_degree : int
         Of what lies between the wavelengths: see `gpusim.lens.lines`.
+    projection : Projection
+        How the scene lies on the ideal plane.
     """
 
     wavelengths_nm: np.ndarray
@@ -46,6 +50,7 @@ class FieldBank(Protocol):
     transmission: np.ndarray
     centre_um: tuple[float, float]
     spectral_degree: int
+    projection: Projection
 
     @property
     def levels(self) -> tuple[FieldBank, ...]:
@@ -96,3 +101,11 @@ class FieldBank(Protocol):
 
     def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
         """Return the relative illumination at real image points, by wavelength first."""
+
+
+AnyBank = TypeVar("AnyBank", bound=FieldBank)
+
+
+def seen_as(bank: AnyBank, projection: Projection) -> AnyBank:
+    """Return a bank before a scene of another projection; as it is where it has that already."""
+    return bank if bank.projection == projection else replace(bank, projection=projection)

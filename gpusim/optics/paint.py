@@ -155,9 +155,6 @@ def tiles_by_block(
     grid = scale.grid
     # From a tile's middle to its corners, and the Gaussian's reach: Phi(-6) = 1e-9.
     reach_um = (TILE / np.sqrt(2) + 6 * scale.sigma) * scale.pitch_um
-    margin_um = (
-        1.01 * chief_ray.stretch * reach_um
-    )  # 1.01: f32, and the map's curvature within a tile
     across, down = (np.arange(0, side, TILE) for side in grid.block)
     corners = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     tiles: list[tuple[int, int, int, int]] = []
@@ -173,10 +170,13 @@ def tiles_by_block(
         )
         off_um = np.hypot(*(middle_um - chief_ray.centre_um).T)
         rim = off_um > chief_ray.radius_um - reach_um
+        # By how much the map stretches what is so near; 1.01 for f32.
+        stretch = chief_ray.stretch_within(off_um - reach_um, off_um + reach_um)
+        margins_um = 1.01 * stretch * reach_um
         with_edges = []
         first = len(tiles)
         for place, (x, y) in enumerate(corners):
-            ground, near = chart.background, []
+            ground, near, margin_um = chart.background, [], margins_um[place]
             for n, distance in zip(numbers, distance_um[:, place], strict=True):
                 if distance < -margin_um:  # so do those around it, which come before
                     ground = chart.primitives[n].material
@@ -261,7 +261,7 @@ class Paint:
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.lists: tuple[Resident, ...] = ()
         size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
-        size |= {"DEGREE": chief_ray.degree, "DISTORTION": chief_ray.distortion}
+        size |= {"AXIS": chief_ray.has_axis, "DISTORTION": chief_ray.distortion}
         self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:

@@ -17,7 +17,7 @@ from scipy.optimize import nnls
 from gpusim.gpu import Device, Kernel, Recording, Use
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.lens.places import Heights
-from gpusim.optics.chief_ray import RadialMap
+from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
@@ -58,7 +58,7 @@ RUNS = 3  # in each turn, of which the fastest counts
 SIDE = 512  # of the frame for the sensor's stages, pixels
 PLANES = 3
 SUPPORT = 12  # of the direct sum, sim samples
-FLAT = RadialMap(np.array([1.0, 0.01, 0, 0, 0, 0, 0, 0]), 1e4)
+FLAT = radial_map(lambda real_um: real_um * (1 + 0.01 * (real_um / 1e4) ** 2), 1e4)
 NOTHING = """
 struct Params { number: u32 }
 @group(0) @binding(0) var<uniform> params: Params;

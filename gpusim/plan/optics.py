@@ -14,7 +14,7 @@ from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
 from gpusim.lens.sampling import PITCH_UM
 from gpusim.optics import paint, warp
-from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
+from gpusim.optics.chief_ray import ChiefRayMap, black_share, chief_ray_map
 from gpusim.optics.convolve import Scratch
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
@@ -81,6 +81,7 @@ MODES_REACH = 32
 MODES_CELLS = (6, 4)
 MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
 LATERAL = "lateral"  # the stage of lateral colour
+RIM = "image circle"  # the stage that leaves black what lies beyond it
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
 
@@ -303,10 +304,12 @@ class _Problem:
         distorts, moves = self._chief_ray.distortion, self.bank.lateral_um > 0
         forced = {name: ", forced" * (name in self.force) for name in ("distortion", LATERAL)}
         return (
+            self._rim(),
             PlanStage(
                 "distortion",
                 distorts,
-                "where each sample lies on the ideal plane, by a polynomial" + forced["distortion"]
+                "where each sample lies on the ideal plane, by splines to "
+                f"{self._chief_ray.error_um:.0e} um" + forced["distortion"]
                 if distorts
                 else "the lens has none: the ideal and the real image are one",
             ),
@@ -318,6 +321,27 @@ class _Problem:
                 else "the lens has none: no colour is moved" + forced[LATERAL],
             ),
         )
+
+    def _rim(self) -> PlanStage:
+        """Describe where the image ends, and what of the sensor lies beyond."""
+        bank, sensor = self.bank, self.sensor
+        whole, flat = (
+            black_share(sensor, bank.centre_um, radius)
+            for radius in (bank.image_circle_um, bank.rectilinear_circle_um)
+        )
+        if whole == flat == 0:
+            return PlanStage(RIM, False, "the image circle covers the sensor")
+        words = []
+        if whole > 0:
+            words.append(
+                f"the sensor reaches beyond the image circle: {whole:.2%} of its pixels are black"
+            )
+        if flat > whole:
+            words.append(
+                f"the scene is flat and ends {bank.projection.end_deg:g} deg off the axis, before "
+                f"the image circle: {flat:.2%} of the pixels are black (--projection angular)"
+            )
+        return PlanStage(RIM, True, "; ".join(words))
 
     def scales(self, chosen: Candidate) -> tuple[Scale, ...]:
         """Return the parts of a candidate with their kernels, of all planes and channels."""

@@ -175,8 +175,9 @@ class Grid:
         off = np.hypot(*field.T)
         self.circle = np.hypot(*landed[off > 0.999999 * off.max()].T).min()
         self.span = 1.2 * np.abs(landed).max()
-        tangent = np.tan(np.radians(off)) / np.where(off > 0, off, 1.0)
-        wanted = 1e3 * bank.efl_mm * tangent[:, None] * field
+        self.flat = bank.projection.name == "rectilinear"
+        height = np.tan(np.radians(off)) if self.flat else np.radians(off)
+        wanted = 1e3 * bank.efl_mm * (height / np.where(off > 0, off, 1.0))[:, None] * field
         for degree in range(3, 15, 2):
             basis = self._basis(landed, degree)
             terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
@@ -217,7 +218,8 @@ class Grid:
         bank = self.bank
         ideal = self.ideal(source)
         height = np.hypot(*ideal.T)
-        angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
+        angle = height / (1e3 * bank.efl_mm)
+        angle = np.degrees(np.arctan(angle) if self.flat else angle)
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
         return tuple(
             Cubics(axis, np.clip(at, axis[0], axis[-1]))

@@ -21,18 +21,17 @@ override BX: u32 = 336u;       // block width, samples
 override BY: u32 = 336u;       // block height, samples
 override J: u32 = 3u;          // coefficient planes, 1 to 8
 override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
-override DEGREE: u32 = 0u;     // of the chief-ray map of a lens without an axis; 0: it has one
+override AXIS: bool = true;     // the chief-ray map is that of a lens with an axis, see common/chief_ray
 override DISTORTION: bool = true;   // the ideal and the real image differ
 
 const DISC = 1u;               // kind of primitive; 0 is a rectangle
 const SMALL_DISC = 2u;
 
 struct Params {
-    g_low: vec4f,             // chief-ray map, see common/chief_ray
-    g_high: vec4f,
     circle: vec2f,            // centre of the image circle
     origin: vec2f,            // sample (0, 0) of the block
-    inverse_radius2: f32,
+    inverse_radius2: f32,     // of that circle
+    pieces: f32,              // of the chief-ray map, see common/chief_ray
     sigma: f32,
     first: u32,               // of the dispatch's tiles
 }

@@ -1,8 +1,7 @@
 """Paint: against convolution with the Gaussian, shape by shape, in float64.
 
 Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The
-distance to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of
-the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
+distance to an edge is off by 30 roundings of the position, |u| at most 200 samples (24 of the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
 Gaussian of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The
 width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the
 shader's first-order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A
@@ -13,7 +12,7 @@ Weights act on differences of materials, and at most two shapes have an edge at 
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import DEFAULT_GRID, bank, bent, scene, shader_terms, shapes
+from optics.made import DEFAULT_GRID, bank, bent, pieces_of, scene, shader_terms, shapes
 from scipy.special import i0e, ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
@@ -38,8 +37,8 @@ from gpusim.scene.chart import Chart, Disc, Rect
 
 F32 = np.float32
 WEIGHT = 5e-4
-IDENTITY = np.eye(8)[0]
-BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
+IDENTITY = np.zeros((1, 4))
+BENT = pieces_of([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01])
 NO_KERNELS = FieldKernels(np.zeros((3, 1, 3, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 
 
@@ -86,11 +85,10 @@ def on_device(
         "optics/paint",
         (len(tiles), 1, 1),
         {
-            "g_low": np.full(4, 9.0) if general else distortion[:4],
-            "g_high": np.full(4, 9.0) if general else distortion[4:],
             "circle": circle,
             "origin": origin,
             "inverse_radius2": radius**-2,
+            "pieces": len(distortion) - 3 if general else len(distortion),
             "sigma": sigma,
             "first": 2,
         },
@@ -99,13 +97,13 @@ def on_device(
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
             "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
-            "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
+            "terms": shader_terms(distortion),
         },
         {"planes": (planes * shape[0] * shape[1] + 400, F32)},
         BX=shape[1],
         BY=shape[0],
         J=planes,
-        DEGREE=len(distortion) - 1 if general else 0,
+        AXIS=not general,
     )["planes"]
     assert unwritten(result[-400:]).all()
     return result[:-400].reshape(-1, *shape)
@@ -195,7 +193,7 @@ def test_small_discs_under_a_map_that_shears(radius: float):
     Strips leave 3e-6, Phi twice 1e-6; a disc's coverage changes by at most 0.4 / s along a position
     that is off by 30 roundings of 200 samples, 4e-4, as in the header.
     """
-    bend = {"distortion": np.array([0.95, -0.15, 0, 0, 0, 0, 0, 0]), "radius": 150.0}
+    bend = {"distortion": pieces_of([0.95, -0.15]), "radius": 150.0}
     middle = np.array([91.3, 66.8])
     centre, jacobian = chief_ray_twin(middle, **bend)
     least = np.linalg.svd(jacobian, compute_uv=False)[-1]
@@ -262,15 +260,15 @@ def test_the_chart_is_warped_and_so_is_the_gaussian():
     assert np.abs(round_blur - expected).max() > 0.02
 
 
-@pytest.mark.parametrize("degree", [3, 8])
-def test_a_lens_without_an_axis_warps_the_gaussian_in_its_own_way(degree: int):
+@pytest.mark.parametrize("cells", [3, 8])
+def test_a_lens_without_an_axis_warps_the_gaussian_in_its_own_way(cells: int):
     """Shear and anamorphic stretch; and the rim of the image circle, about its own centre."""
     radius, circle = 50.0, (4.5, -2.5)
-    terms = bent(degree, degree, radius, 0.4).astype(F32).astype(float)
+    terms = bent(cells, cells, radius, 0.2)
     stack = [Rect(22, 14, 22, 14, 0.4, 1), Disc(21, 12, 11, 2)]
     place = {"distortion": terms, "radius": radius, "circle": circle}
-    # Positions take (degree + 1) (degree + 2) roundings of at most 1.4 radii: WEIGHT has twice
-    # those 4e-4 samples.
+    # Positions take some 40 roundings of at most 0.4 radii and one of u itself: WEIGHT has more
+    # than twice those 5e-5 samples.
     check(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
     expected = reference(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
     for wrong in (
@@ -310,7 +308,7 @@ def test_tiles_far_from_the_first_know_where_they_are():
     edge = 1.9 * 1590.0
     for shape, half_size in (((3, 1611), (edge, 1e4)), ((1611, 3), (1e4, edge))):
         rect = Rect(0.0, 0.0, *half_size, 0.0, 1)
-        found = on_device([rect], table, (0.5, 0.5), shape, distortion=1.9 * IDENTITY)[0]
+        found = on_device([rect], table, (0.5, 0.5), shape, distortion=pieces_of([1.9]))[0]
         z = (1590 - (np.arange(1611) + 0.5)) / 0.8
         expected = np.broadcast_to(0.2 + 0.8 * ndtr(z), (3, 1611))
         # f32 at 3000 samples: 4 * 2^-24 * 3000 = 7e-4, over 1.5 of sigma, with a density of 0.4.
@@ -380,7 +378,7 @@ def test_the_host_paints_blocks_of_the_real_plane(device: Device):
             origin,
             GRID.block[::-1],
             sigma=SIGMA,
-            distortion=chief_ray.coefficients,
+            distortion=chief_ray.pieces,
             radius=chief_ray.radius_um / PITCH_UM,
         )
         assert np.ptp(expected) > 0.5
@@ -474,8 +472,8 @@ def test_tiles_know_their_ground_and_their_edges():
                 if place < plain:
                     assert count == 0
                     assert radius.max() < chief_ray.radius_um - 6 * SIGMA * PITCH_UM
-                g = np.polynomial.Polynomial(chief_ray.coefficients)
-                factor = g(np.minimum(radius / chief_ray.radius_um, 1) ** 2)
+                at_um = np.minimum(radius, chief_ray.radius_um)
+                factor = LENS.ideal_from_real(at_um)[0] / at_um
                 listed = chosen[start : start + count]
                 # What is not listed has no edge within six sigma of any sample...
                 for number in set(range(len(primitives))) - set(listed):
