@@ -18,7 +18,7 @@ PRIMITIVE = np.dtype(
         ("half_size", "<f4", 2),
         ("axis", "<f4", 2),
         ("kind", "<u4"),
-        ("material", "<u4"),
+        ("step", "<u4"),
     ]
 )
 # Standard deviation of the Gaussian low-pass, sim samples. At 0.8 the alias of an edge's 0.75
@@ -190,13 +190,40 @@ def tiles_by_block(
     return np.array(tiles, np.uint32), np.array([*chosen, 0], np.uint32), ranges
 
 
-def primitive_row(shape: Rect | Disc, pitch_um: float, sigma: float, least_stretch: float) -> tuple:
+def with_steps(
+    coefficients: np.ndarray, materials: Sequence[int], under: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows of coefficients with those of steps between materials, and each step's row.
+
+    Parameters
+    ----------
+    coefficients : ndarray (M, J)
+        Of the materials.
+    materials, under : sequence of int (P,)
+        Of each primitive, and of what it lies in.
+
+    Returns
+    -------
+    rows : ndarray (M + N, J)
+    steps : ndarray (P,) of int
+    """
+    pairs = np.stack([materials, under], axis=1).astype(int).reshape(-1, 2)
+    distinct, number = np.unique(pairs, axis=0, return_inverse=True)
+    changes = coefficients[distinct[:, 0]] - coefficients[distinct[:, 1]]
+    return np.concatenate([coefficients, changes]), len(coefficients) + number.ravel()
+
+
+def primitive_row(
+    shape: Rect | Disc, step: int, pitch_um: float, sigma: float, least_stretch: float
+) -> tuple:
     """Return a primitive as a row of `PRIMITIVE`.
 
     Parameters
     ----------
     shape : Rect or Disc
         In um.
+    step : int
+        Row of the step from what is around it to its own material.
     pitch_um : float
         Of the sim grid.
     sigma : float
@@ -208,13 +235,13 @@ def primitive_row(shape: Rect | Disc, pitch_um: float, sigma: float, least_stret
     if not isinstance(shape, Disc):
         size = (shape.half_w / pitch_um, shape.half_h / pitch_um)
         axis = (np.cos(shape.angle_rad), np.sin(shape.angle_rad))
-        return (centre, size, axis, RECTANGLE_KIND, shape.material)
+        return (centre, size, axis, RECTANGLE_KIND, step)
     radius = shape.radius / pitch_um
     if radius >= SMALL_DISC * sigma:
-        return (centre, (radius, 0.0), (1.0, 0.0), DISC_KIND, shape.material)
+        return (centre, (radius, 0.0), (1.0, 0.0), DISC_KIND, step)
     strips = min(np.ceil(5 + 2.5 * radius / (sigma * least_stretch)), MOST_STRIPS)
     axis = (np.cos(np.pi / strips), np.sin(np.pi / strips))
-    return (centre, (radius, strips), axis, SMALL_DISC_KIND, shape.material)
+    return (centre, (radius, strips), axis, SMALL_DISC_KIND, step)
 
 
 class Paint:
@@ -248,10 +275,12 @@ class Paint:
         self.device, self.chart, self.scale, self.chief_ray = device, chart, scale, chief_ray
         table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
         least_stretch = chief_ray.least_stretch
-        for place, shape in enumerate(chart.primitives):
-            table[place] = primitive_row(shape, scale.pitch_um, scale.sigma, least_stretch)
-        materials = np.zeros((len(coefficients), 8), np.float32)
-        materials[:, : coefficients.shape[1]] = coefficients
+        own = [shape.material for shape in chart.primitives]
+        rows, steps = with_steps(coefficients, own, chart.under)
+        for place, (shape, step) in enumerate(zip(chart.primitives, steps, strict=True)):
+            table[place] = primitive_row(shape, step, scale.pitch_um, scale.sigma, least_stretch)
+        materials = np.zeros((len(rows), 8), np.float32)
+        materials[:, : rows.shape[1]] = rows
         self.seen, self.needed = primitives_by_block(
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )

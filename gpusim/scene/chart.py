@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -101,6 +102,15 @@ def _clearance(a: Primitive, b: Primitive) -> float:
     return float(min(a.distance(*b.corners().T).min(), b.distance(*a.corners().T).min()))
 
 
+def materials_under(primitives: Sequence[Primitive], background: int) -> np.ndarray:
+    """Return the index (P,) of the material all around each primitive, in painter's order."""
+    under = np.full(len(primitives), background)
+    x, y = np.array([(shape.cx, shape.cy) for shape in primitives]).reshape(-1, 2).T
+    for number, shape in enumerate(primitives, start=1):
+        under[number:][shape.distance(x[number:], y[number:]) <= 0] = shape.material
+    return under
+
+
 @dataclass(frozen=True)
 class Chart:
     """Materials painted over a background, in painter's order.
@@ -170,6 +180,11 @@ class Chart:
                 )
             gap = min(gap, distance)
         return gap
+
+    @cached_property
+    def under(self) -> np.ndarray:
+        """Index of the material around each primitive."""
+        return materials_under(self.primitives, self.background)
 
     def placed(self, half_height_um: float) -> Chart:
         """Return the chart in um on a sensor of that half-height."""

@@ -30,10 +30,11 @@ from gpusim.optics.paint import (
     primitive_row,
     primitives_by_block,
     tiles_by_block,
+    with_steps,
 )
 from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
-from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.chart import Chart, Disc, Rect, materials_under
 
 F32 = np.float32
 WEIGHT = 5e-4
@@ -66,14 +67,16 @@ def on_device(
     """
     rng = np.random.default_rng(len(shapes))
     place = rng.permutation(len(shapes) + 3)[: len(shapes)]
+    under = materials_under(shapes, background)
+    coefficients, steps = with_steps(table, [one.material for one in shapes], under)
     rows = np.zeros(len(shapes) + 3, PRIMITIVE)
     rows["half_size"] = rows["axis"] = np.nan  # of those that the block does not see
-    for at, one in zip(place, shapes, strict=True):
-        rows[at] = primitive_row(one, 1.0, sigma, least_stretch)
+    for at, one, step in zip(place, shapes, steps, strict=True):
+        rows[at] = primitive_row(one, step, 1.0, sigma, least_stretch)
         if rows[at]["kind"] == DISC_KIND:
             rows[at]["half_size"][1] = np.nan
-    eight = np.full((len(table), 8), np.nan, F32)
-    eight[:, : table.shape[1]] = table
+    eight = np.full((len(coefficients), 8), np.nan, F32)
+    eight[:, : table.shape[1]] = coefficients
     planes = table.shape[1]
     general = distortion.ndim == 3
     tiles = [
@@ -127,8 +130,9 @@ def reference(
             "half_size": (one.radius,) if isinstance(one, Disc) else (one.half_w, one.half_h),
             "angle": None if isinstance(one, Disc) else one.angle_rad,
             "material": one.material,
+            "under": under,
         }
-        for one in shapes
+        for one, under in zip(shapes, materials_under(shapes, background), strict=True)
     ]
     return paint(rows, table, background, origin, shape, sigma, distortion, radius, circle)
 
@@ -226,6 +230,17 @@ def test_shapes_within_shapes_in_painters_order():
     found = check(stack, table, (-31.5, -20.5), (41, 63), background=3)
     turned = on_device(stack[::-1], table, (-31.5, -20.5), (41, 63), background=3)
     assert np.abs(found - turned).max() > 0.3  # a control: the order does matter
+
+
+def test_outlines_that_are_nearer_than_the_gaussian_is_wide():
+    """Two bars a sample apart are a wide bar with a gap: what is between them is no product."""
+    table = materials(2, 1)
+    place = (-9.5, -7.5), (17, 19)
+    bars = on_device([Rect(x, 0.3, 2.0, 6.0, 0.0, 1) for x in (-2.5, 2.5)], table, *place)
+    wide = Rect(0, 0.3, 4.5, 6.0, 0.0, 1)
+    # The gap ends where the bar does, as near as a chart's outlines may come.
+    gap = on_device([wide, Rect(0, 0.3, 0.5, 6.0 - 1e-6, 0.0, 0)], table, *place)
+    assert_close(bars, gap, atol=4 * WEIGHT * np.ptp(table))
 
 
 @pytest.mark.parametrize("planes", range(1, 9))
