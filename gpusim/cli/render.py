@@ -207,7 +207,8 @@ def write(capture: Capture, folder: Path) -> dict[str, Any]:
         developed = undeveloped(lit, sensor, capture.white_e)
         note = f"LibRaw does not develop this filter array at this size: {raw}, and a grey picture"
         capture = replace(capture, notes=(*capture.notes, note))
-    Image.fromarray(developed).save(folder / "developed.png")
+    # Noise hardly compresses: of 3 MP 5.7 MB in 0.46 s, at the default level 5.1 MB in 0.87 s.
+    Image.fromarray(developed).save(folder / "developed.png", compress_level=3)
     for name, plane in kept.items():
         write_exr(folder / name, {"Y": plane})
     facts = report.facts(capture, files=names, command=["gpusim", *sys.argv[1:]])
