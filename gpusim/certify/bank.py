@@ -282,15 +282,15 @@ def _changes(
         if not len(own):
             return
         for level in range(levels):
-            for sign, (bank, fields) in zip((-1, 1), pairs[number](level), strict=True):
-                given = (bank, sensor, scene.spectra, WAVELENGTHS_NM, fields)
-                if level:
-                    seen = seen_from(bank, sensor, scene, placed)
-                    changes[own] += sign * Wide(*given).at(seen, pixels[own])
-                else:
-                    truth = Truth(*given)
-                    evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-                    changes[own] += sign * evaluate(placed, pixels[own])
+            ours, (theirs, fields) = pairs[number](level)
+            given = (theirs, sensor, scene.spectra, WAVELENGTHS_NM, fields, ours)
+            if level:
+                seen = seen_from(theirs, sensor, scene, placed)
+                changes[own] += Wide(*given).at(seen, pixels[own])
+            else:
+                truth = Truth(*given)
+                evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
+                changes[own] += evaluate(placed, pixels[own])
 
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(of_height, range(len(pairs))))

@@ -210,7 +210,8 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
         ev=ev,
     )
     developed = develop(folder / raw)
-    Image.fromarray(developed).save(folder / "developed.png")
+    # Noise hardly compresses: of 3 MP 5.7 MB in 0.46 s, at the default level 5.1 MB in 0.87 s.
+    Image.fromarray(developed).save(folder / "developed.png", compress_level=3)
     if quad_phase(sensor.cfa.letters) is not None and min(capture.lit[2:]) >= 2 * PERIOD:
         frame = read_raw(folder / raw)
         for kind in ("remosaiced", "binned"):

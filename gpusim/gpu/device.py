@@ -10,10 +10,11 @@ from importlib import metadata
 
 import numpy as np
 import wgpu
-from wgpu.backends.wgpu_native import lib
+from wgpu.backends.wgpu_native import ffi, lib
 
 from gpusim.errors import UserError
 
+from .c_types import parse_few
 from .layout import ShaderError
 from .pool import (
     MAX_BINDING_BYTES,
@@ -24,6 +25,8 @@ from .pool import (
     Pool,
     Use,
 )
+
+parse_few(ffi)
 
 # Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
 # not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.

@@ -72,6 +72,7 @@ class Heights:
         self.bank = bank
         reference = list(bank.wavelengths_nm).index(bank.reference_nm)
         self.radius_um = np.asarray(bank.real_height_um[:, reference], np.float64)
+        self.used = range(len(self.radius_um))  # those that some source point needs
         self.centre, self.circle = np.zeros(2), self.radius_um[-1]
         # The map is asked millions of times: a spline of it, and beyond the circle a straight line.
         # Between 4096 knots it is off by 1e-9 um at most.
@@ -122,6 +123,7 @@ class OneHeight(Heights):
     def __init__(self, bank: Any, radius_um: float) -> None:
         super().__init__(bank)
         self.mixed = super().near(np.array([[radius_um, 0.0]]))
+        self.used = sorted(set(self.mixed[0].ravel().tolist()))
 
     def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
@@ -150,6 +152,7 @@ class TracedHeight(OneHeight):
     def __init__(self, bank: Any, traced: Any, field: int, radius_um: float) -> None:
         super().__init__(bank, radius_um)
         self.mixed = np.array([[field]]), np.array([[1]]), np.array([[1.0]])
+        self.used = [field]
         self.bank, self.own_um = traced, radius_um
 
     def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
@@ -169,6 +172,7 @@ class Grid:
 
     def __init__(self, bank: Any) -> None:
         self.bank = bank
+        self.used = range(len(bank.field_x_deg) * len(bank.field_y_deg))
         self.centre = np.array([bank.ray_x_um[0], bank.ray_y_um[0]])
         field = np.stack([bank.ray_x_deg, bank.ray_y_deg], axis=1)
         landed = np.stack([bank.ray_x_um, bank.ray_y_um], axis=1) - self.centre

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import map_coordinates, spline_filter, spline_filter1d
+from scipy.ndimage import map_coordinates, spline_filter
 from scipy.sparse import csr_array
 
 from gpusim.reference.angle import NODES, MeanQe
@@ -279,10 +279,10 @@ class PointSpread:
     def wide(
         self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray
     ) -> np.ndarray:
-        """Return the same as `at` of PSFs that are smooth, at t within them: all lines at once.
+        """Return the same as `at`, of PSFs that are smooth, at t within them: all lines at once.
 
-        Each PSF is moved by its lateral colour once, by its spline, and has a spline of its own
-        there. What a point needs of all fields and lines is one row of a sparse matrix.
+        Each PSF is moved by its lateral colour once, and has a spline of its own there. What a
+        point needs of all fields and lines is one row of a sparse matrix.
         """
         fields, sides, shares = self.fields.near(source)
         table, side = self._wide_splines(np.unique(fields))
@@ -312,24 +312,27 @@ class PointSpread:
             count = math.prod(self.bank.psf.shape[:-3])
             most = max(
                 np.abs(self.fields.light(field, line)[2]).max()
-                for field in range(count)
+                for field in self.fields.used
                 for line in range(lines)
             )
-            side = self.bank.psf.shape[-1] + 2 * (SPLINE_PAD + math.ceil(most / pitch))
+            half = self.bank.psf.shape[-1] // 2 + SPLINE_PAD + math.ceil(most / pitch)
+            side = 2 * scipy.fft.next_fast_len(half, real=True)
             self.wide_splines = np.zeros((count, side, side, lines)), set()
         table, there = self.wide_splines
         side = table.shape[1]
         for field in set(fields.tolist()) - there:
-            for line in range(lines):
+            images, moves = np.zeros((lines, side, side)), []
+            for line, image in enumerate(images):
                 psf, illumination, shift = self.fields.light(field, line)
-                around = (side - len(psf)) // 2
-                spline = spline_filter(
-                    np.pad(psf * np.float64(illumination / pitch**2), around), order=3
-                )
-                for axis, way in enumerate(reversed(shift)):
-                    if way:
-                        spline = _moved(spline, way / pitch, axis)
-                table[field, ..., line] = spline
+                around = side // 2 - len(psf) // 2
+                image[around : around + len(psf), around : around + len(psf)] = psf
+                image *= np.float64(illumination / pitch**2)
+                moves.append(shift)
+            x, y = np.array(moves).T / pitch
+            spectra = scipy.fft.rfft2(images)
+            spectra *= _moved(x, scipy.fft.rfftfreq(side))[:, None]
+            spectra *= _moved(y, scipy.fft.fftfreq(side))[:, :, None]
+            table[field] = np.moveaxis(scipy.fft.irfft2(spectra, (side, side)), 0, -1)
             there.add(field)
         return table.reshape(-1, lines), side
 
@@ -346,6 +349,20 @@ class PointSpread:
                 ]
             )
         return self.psf_splines[field]
+
+
+def spreads_of(
+    sensor: Any,
+    spectra: np.ndarray,
+    wavelengths_nm: np.ndarray,
+    first: tuple[Any, Heights | Grid],
+    less: tuple[Any, Heights | Grid] | None,
+) -> list[tuple[float, PointSpread]]:
+    """Return what a bank with its fields spreads, and with the sign of it what it has more."""
+    return [
+        (sign, PointSpread(bank, sensor, fields, spectra, wavelengths_nm))
+        for sign, (bank, fields) in ((1.0, first), *(((-1.0, less),) if less else ()))
+    ]
 
 
 def _line_splines(bank: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -410,13 +427,18 @@ def _taps(at: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
     return cell.astype(np.int32) - degree // 2, np.stack(splines, axis=-1)
 
 
-def _moved(spline: np.ndarray, way: float, axis: int) -> np.ndarray:
-    """Return the coefficients of a cubic spline moved along an axis by so many samples."""
-    first, weights = _taps(np.array(-way), 3)
-    moved = sum(
-        weight * np.roll(spline, -(int(first) + tap), axis) for tap, weight in enumerate(weights)
-    )
-    return spline_filter1d(moved, order=3, axis=axis)
+def _moved(ways: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Return by what transforms (L, F) of samples become those of splines moved by so many samples.
+
+    Frequencies in cycles a sample. The samples of a cubic spline with coefficients of transform C
+    have C (4 + 2 cos w) / 6; moved, those of the B-splines around in place of 1/6, 4/6, 1/6.
+    """
+    turn = np.exp(-2j * np.pi * frequencies)
+    of_samples = (4 + 2 * turn.real) / 6
+    first, weights = _taps(-ways, 3)
+    numbers = -(first[:, None] + np.arange(4))
+    moved = np.einsum("lt,ltf->lf", weights, turn ** numbers[..., None])
+    return np.where(ways[:, None] == 0, of_samples, moved) / of_samples**2
 
 
 def _keep(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:

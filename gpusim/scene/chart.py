@@ -193,7 +193,10 @@ class Chart:
             extents = ("radius",) if isinstance(p, Disc) else ("half_w", "half_h")
             changed = {name: getattr(p, name) * half_height_um for name in ("cx", "cy", *extents)}
             scaled.append(replace(p, **changed))
-        return replace(self, primitives=tuple(scaled))
+        # Nothing crosses now that did not before: the gap is as much larger, and not sought anew.
+        placed = object.__new__(Chart)
+        placed.__dict__.update(vars(self), primitives=tuple(scaled), gap=self.gap * half_height_um)
+        return placed
 
     def material_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the index of the material at each point; an outline belongs to its primitive.
