@@ -19,6 +19,8 @@ from gpusim.errors import UserError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
+
     from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
 
@@ -118,15 +120,17 @@ class Camera:
     lens: Lens
     sensor: Sensor
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        """Return the lens's PSF bank.
+    def bank(
+        self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
+    ) -> FieldBank:
+        """Return the lens's PSF bank; ``sampling`` as for `Prescription.bank`.
 
         Raises
         ------
         UserError
             When the image circle does not reach the corners of the sensor.
         """
-        bank = self.lens.bank(progress)
+        bank = self.lens.bank(progress, **sampling)
         # The corner that is farthest from the image circle's centre.
         sides = zip((self.sensor.cols, self.sensor.rows), bank.centre_um, strict=True)
         corner_um = math.hypot(*(n * self.sensor.pixel_pitch_um / 2 + abs(c) for n, c in sides))

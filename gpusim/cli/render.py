@@ -25,6 +25,7 @@ from gpusim.isp.develop import develop, develops, undeveloped
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.density import bank_density
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -73,12 +74,26 @@ def run(
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
-            bank = camera.bank(lambda done, total: progress("lens", done, total))
+
+            def tracing(done: int, total: int) -> None:
+                progress("lens", done, total)
+
+            given = camera.lens, camera.sensor, scene, accuracy, exposure_s, tracing
+            density = bank_density(*given)
+            bank = camera.bank(tracing, **({} if density is None else density.sampling))
             costs = adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
         plan = plan_optics(
-            bank, camera.sensor, scene, accuracy, costs, noise, method, exposure_s=exposure_s
+            bank,
+            camera.sensor,
+            scene,
+            accuracy,
+            costs,
+            noise,
+            method,
+            exposure_s=exposure_s,
+            density=density,
         )
         print(plan.text())
         return 0
