@@ -6,7 +6,6 @@ somebody else computed, or a table of its MTF (`gpusim.lens.ready`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
@@ -20,6 +19,8 @@ from gpusim.errors import UserError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    import numpy as np
 
     from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
@@ -116,9 +117,11 @@ class Camera:
     lens: Lens
     sensor: Sensor
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        """Return the lens's PSF bank."""
-        return self.lens.bank(progress)
+    def bank(
+        self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
+    ) -> FieldBank:
+        """Return the lens's PSF bank; ``sampling`` as for `Prescription.bank`."""
+        return self.lens.bank(progress, **sampling)
 
 
 def presets() -> list[str]:

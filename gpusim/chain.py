@@ -49,6 +49,7 @@ from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
+from gpusim.plan.density import bank_density
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
@@ -257,8 +258,16 @@ class Renderer:
         """Plan, and place the scene on the sensor."""
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
-        whole = camera.bank(progress=lambda done, total: report("lens", done, total))
-        whole = seen_as(whole, scene.projection)
+
+        def tracing(done: int, total: int) -> None:
+            report("lens", done, total)
+
+        # Of a camera that brings a bank along there is no lens to ask.
+        lens = getattr(camera, "lens", None)
+        given = lens, sensor, scene, self.accuracy, self.longest_s, tracing
+        self.density = bank_density(*given)
+        sampling = {} if self.density is None else self.density.sampling
+        whole = seen_as(camera.bank(progress=tracing, **sampling), scene.projection)
         self.bank, self.core = whole, whole.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise
@@ -301,7 +310,9 @@ class Renderer:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
         given = self.bank, sensor, self.scene, self.accuracy, self._costs, self._noise
-        return plans_optics(*given, method, force, self.longest_s, count=count)
+        return plans_optics(
+            *given, method, force, self.longest_s, count=count, density=self.density
+        )
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""

@@ -27,6 +27,7 @@ from gpusim.isp.rawfile import read_raw
 from gpusim.lens.field_bank import seen_as
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.density import bank_density
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -83,13 +84,27 @@ def run(
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
-            bank = camera.bank(lambda done, total: progress("lens", done, total))
-            bank = seen_as(bank, scene.projection)
+
+            def tracing(done: int, total: int) -> None:
+                progress("lens", done, total)
+
+            given = camera.lens, camera.sensor, scene, accuracy, exposure_s, tracing
+            density = bank_density(*given)
+            sampling = {} if density is None else density.sampling
+            bank = seen_as(camera.bank(tracing, **sampling), scene.projection)
             costs = adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
         plan = plan_optics(
-            bank, camera.sensor, scene, accuracy, costs, noise, method, exposure_s=exposure_s
+            bank,
+            camera.sensor,
+            scene,
+            accuracy,
+            costs,
+            noise,
+            method,
+            exposure_s=exposure_s,
+            density=density,
         )
         print(plan.text())
         return 0

@@ -276,16 +276,19 @@ class Prescription(Strict):
         """Whether no surface is decentred or tilted."""
         return all(surface.is_centred for surface in self.surfaces)
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
+    def bank(
+        self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
+    ) -> FieldBank:
         """Return its PSF bank, from the cache on disk where it is there.
 
-        Over both directions of the field where a surface is decentred or tilted.
+        Over both directions of the field where a surface is decentred or tilted. ``sampling``:
+        ``field_deg`` and ``wavelengths_nm``, in place of the default ones.
         """
         from gpusim.lens.bank import cached_bank
         from gpusim.lens.plane_bank import cached_plane_bank
 
         cached = cached_bank if self.is_centred else cached_plane_bank
-        return cached(self, progress=progress)
+        return cached(self, progress=progress, **sampling)
 
     def derived(self, step: str, **changes: object) -> Prescription:
         """Return a changed copy that remembers the step."""

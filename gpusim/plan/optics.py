@@ -33,6 +33,7 @@ from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.density import Density, LensShare
 from gpusim.plan.halo import describe_halo, halo_levels
 from gpusim.plan.layout import (
     TRANSFORMS,
@@ -95,6 +96,7 @@ def plan_optics(
     method: str | None = None,
     force: Collection[str] = (),
     exposure_s: float = math.inf,
+    density: Density | None = None,
 ) -> Plan:
     """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
 
@@ -118,6 +120,8 @@ def plan_optics(
     exposure_s : float
         Longest that will be captured: to a tolerance in sigmas, the noise of the brightest signal
         that the scene makes in it counts.
+    density : Density, optional
+        How well the bank stands for its lens: the engine gets what that leaves of the tolerance.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def plan_optics(
         small as the tolerance asks: which, and the nearest tolerance that can be met.
     """
     given = bank, sensor, scene, accuracy, costs, noise, method, force, exposure_s
-    return plans_optics(*given, count=1)[0]
+    return plans_optics(*given, count=1, density=density)[0]
 
 
 def plans_optics(
@@ -141,11 +145,13 @@ def plans_optics(
     exposure_s: float = math.inf,
     *,
     count: int,
+    density: Density | None = None,
 ) -> list[Plan]:
     """Return the plan of `plan_optics`, and then those that it takes for the next cheapest.
 
     At most `count` in all; all meet the tolerance that the first one is made for.
     """
+    lens = None if density is None else LensShare(density, bank)
     levels, bank = bank.levels, bank.levels[0]
     if method not in (None, *METHODS):
         raise UserError(
@@ -169,9 +175,11 @@ def plans_optics(
             ANGLE_SHARE * tolerance,
         )
         asked = replace(relative, tolerance=tolerance)
-        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels)
+        if lens is not None:
+            asked = replace(asked, tolerance=lens.left_of(tolerance))
+        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, tolerance)
         candidates = problem.candidates(methods, "tail" in force)
-        return _Attempt(problem, candidates, choose(candidates)[0])
+        return _Attempt(problem, candidates, choose(candidates)[0], lens, tolerance)
 
     found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal))
     problem, rest = found.problem, [one for one in found.candidates if one is not found.chosen]
@@ -179,7 +187,7 @@ def plans_optics(
     taken = [found.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
     runners_up = choose(found.candidates)[1]
     return [
-        _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall)
+        _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall, lens)
         for one in taken
     ]
 
@@ -190,6 +198,7 @@ def _plan(
     runners_up: tuple[RunnerUp, ...],
     noise: bool,
     shortfall: str,
+    lens: LensShare | None,
 ) -> Plan:
     """Return a candidate as a plan."""
     basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
@@ -205,7 +214,11 @@ def _plan(
         identity,
         noise,
         force,
-        (*problem.left_out(), describe_halo(problem.levels, halo)),
+        (
+            *problem.left_out(),
+            *(() if lens is None else lens.stages),
+            describe_halo(problem.levels, halo),
+        ),
     )
     of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
     return Plan(
@@ -231,14 +244,18 @@ class _Attempt:
     problem: _Problem
     candidates: list[Candidate]
     chosen: Candidate
+    lens: LensShare | None
+    tolerance: float
 
     @property
     def excess(self) -> float:
-        return max(self._planes, self.chosen.excess)
+        return max(self._planes, self.chosen.excess, self._lens)
 
     @property
     def why(self) -> str:
         chosen = self.chosen
+        if self._lens >= max(self._planes, chosen.excess):
+            return self.lens.density.why
         if self._planes >= chosen.excess:
             return (
                 f"the planes of the scene's spectra cannot err by less: the shaders carry "
@@ -253,6 +270,11 @@ class _Attempt:
         return f"the error of its {chosen.worst} is {error:.1e} at least, above {limit:.1e}"
 
     @property
+    def _lens(self) -> float:
+        """The bank's error over its limit."""
+        return 0.0 if self.lens is None else self.lens.excess(self.tolerance)
+
+    @property
     def _planes(self) -> float:
         """The planes' error over its limit."""
         problem = self.problem
@@ -261,7 +283,11 @@ class _Attempt:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What is to be convolved, and how well."""
+    """What is to be convolved, and how well.
+
+    `accuracy` is what the bank leaves to the engine of the `whole` tolerance. The sim grid, which
+    can be chosen in two steps alone, is held to the whole.
+    """
 
     bank: FieldBank
     sensor: Sensor
@@ -271,22 +297,23 @@ class _Problem:
     basis: Basis
     force: Collection[str]
     levels: tuple[FieldBank, ...]
+    whole: float
 
     def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
         """Return the ways to convolve, worked out as far as they may be chosen.
 
         `cut`: of those that the tolerance allows, only those that cut the PSFs.
         """
-        tolerance, period = self.accuracy.tolerance, self.planes.period
+        period = self.planes.period
         allowed = [n for n in OVERSAMPLINGS if n * period <= 8]
         found: list[Candidate] = []
         for oversampling in allowed:
             alias = self._alias(oversampling)
             # A finer grid than is needed only costs more.
             enough = any(one.parts and one.excess <= 1 for one in found)
-            if enough or (alias > tolerance and oversampling != allowed[-1]):
+            if enough or (alias > self.whole and oversampling != allowed[-1]):
                 name = f"{oversampling} samples a pixel"
-                errors, limits = {"alias": alias}, {"alias": tolerance}
+                errors, limits = {"alias": alias}, {"alias": self.whole}
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
                 continue
             # After one that exceeds its limits: a finer grid is tried where it costs least.
@@ -378,7 +405,7 @@ class _Problem:
             self.has_edges,
         )
         errors = {"alias": alias, "nodes": nodes}
-        limits = {knob: tolerance for knob in ("alias", "nodes", "modes")}
+        limits = {"alias": self.whole, "nodes": tolerance, "modes": tolerance}
         limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
         tail = None
         if cut_um is not None:
