@@ -23,6 +23,8 @@ class FieldBank(Protocol):
     wavelengths_nm : ndarray (L,)
     reference_nm, reference : float, int
         The wavelength whose chief ray defines the real plane, and its index.
+    efl_mm, f_number : float
+        As the lens is known.
     psf : ndarray (..., L, n, n)
     pitch_um : float
         Of the PSFs' samples.
@@ -44,6 +46,8 @@ class FieldBank(Protocol):
 
     wavelengths_nm: np.ndarray
     reference_nm: float
+    efl_mm: float
+    f_number: float
     psf: np.ndarray
     pitch_um: float
     projected_solid_angle_sr: np.ndarray
