@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -478,12 +480,24 @@ def test_a_wrong_scene_is_refused(tmp_path: Path):
         refused(tmp_path / name, tmp_path / name, "channel R", "row 1, column 2")
 
 
-def test_a_sensor_beyond_the_image_circle_is_refused(tmp_path: Path):
+def test_a_sensor_beyond_the_image_circle_is_flagged(tmp_path: Path):
     # The whole sensor: its corner lies 3.93 mm from the axis, the lens's circle has 3.30 mm.
     file = tmp_path / "camera.yaml"
     file.write_text(CAMERA.replace(", rows: 96, cols: 128", ""))
-    ran = gpusim("render", file, "demo", "--out", tmp_path / "out")
-    assert_refused(ran, "image circle", "focal_length_mm")
+    tile = ("--tile", "0,0,64,48", "--certify", "0", "--tolerance", "1e-2")
+    ran = gpusim("render", file, "grey", "--out", tmp_path / "out", *tile)
+    assert ran.code == 0, ran.err
+    facts = json.loads((tmp_path / "out" / "report.json").read_text())
+    (stage,) = [one for one in facts["plan"]["stages"] if one["name"] == "image circle"]
+    assert "beyond the image circle" in stage["reason"] and stage["runs"]
+    share = float(re.search(r"([0-9.]+)% of its pixels are black", stage["reason"])[1])
+    rows, cols, pitch = 3040, 4056, 1.55
+    row, col = np.ogrid[:rows, :cols]
+    off_um = np.hypot(row + 0.5 - rows / 2, col + 0.5 - cols / 2) * pitch
+    radius_um = np.quantile(off_um, 1 - share / 100)
+    assert 3200 < radius_um < 3400
+    assert "warning: the sensor reaches beyond" in " ".join(ran.out.split())
+    assert escape(stage["reason"]) in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_an_unknown_adapter_is_refused(tmp_path: Path):

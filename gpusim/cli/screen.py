@@ -14,6 +14,7 @@ from rich.text import Text
 
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
+from gpusim.plan.stages import RIM
 from gpusim.report.words import duration, error, mebibytes, saturated, sigmas, tolerance
 
 RUNNERS_UP_SHOWN = 3  # the report has all
@@ -71,6 +72,10 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
     console.print(f"{device['adapter']}, {device['driver']}, {device['backend']}", markup=False)
     console.print(stages(facts))
     plan = facts["plan"]
+    for stage in plan["stages"]:
+        if stage["name"] == RIM and stage["runs"]:
+            text = f"warning: {stage['reason']}"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
     console.print(f"convolved by {plan['name']}", markup=False, highlight=False)
     if plan["shortfall"]:
         text = f"best effort: {plan['shortfall']}"

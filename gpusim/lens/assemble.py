@@ -24,8 +24,7 @@ from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import Heights, half_turned
 
-# The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
-# odd terms through a table leave it room to follow the inverse.
+# Tables are rounded and have few heights: six odd terms through them are smooth.
 DISTORTION_TERMS = 6
 # Largest misfit of those terms to a table of chief rays: the pixel of the smallest sensors.
 DISTORTION_MISFIT_UM = 1.0

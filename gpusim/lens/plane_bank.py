@@ -535,7 +535,7 @@ def cached_plane_bank(prescription: Prescription, **settings: object) -> PlaneBa
 
 
 def _chief_rays(system: System, reference_nm: float, largest_deg: float) -> dict[str, np.ndarray]:
-    """Trace the chief rays of the map, as many as it takes, by the names of the bank's variables."""
+    """Trace as many chief rays as the map takes, by the names of the bank's variables."""
     count = RINGS
     while True:
         rays = _on_rings(system, reference_nm, largest_deg, count)

@@ -1,10 +1,10 @@
-"""Where light lands that a lens without symmetry sends: from the real image plane to the ideal one.
+"""Where light lands that a lens without symmetry sends: from the real image to the ideal one.
 
-The ideal plane is that of a distortion-free camera whose axis is the lens's: a height that goes with
-the field angle, in the direction of the field. Chief rays are traced on rings of field angle. Around
-a ring they are a Fourier series, and across the rings, through the middle, its coefficients are
-splines; so the map from field to image is known everywhere. The one back is a bicubic spline over
-the square around the image circle, fitted to many points of it.
+The ideal plane is that of a distortion-free camera whose axis is the lens's: a height that goes
+with the field angle, in the direction of the field. Chief rays are traced on rings of field angle.
+Around a ring they are a Fourier series, and across the rings, through the middle, its coefficients
+are splines; so the map from field to image is known everywhere. The one back is a bicubic spline
+over the square around the image circle, fitted to many points of it.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ class Rings:
                 "the chief rays of the map are no rings",
                 field="ray_x_deg, ray_y_deg",
                 value=f"{len(theta)} rays, {spokes} of them at the rim",
-                allowed="(0, 0), then 4 rings or more, each with the same 4 even directions or more",
+                allowed="(0, 0), then 4 rings or more in the same even directions, 4 or more",
             )
         # The azimuth of spoke k, from y towards x, is that of the first and k steps.
         self.first = float(np.arctan2(*grid[-1, 0]))

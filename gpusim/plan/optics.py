@@ -46,7 +46,7 @@ from gpusim.plan.layout import (
 from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
-from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
+from gpusim.plan.stages import CCD_STAGES, RIM, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -82,7 +82,6 @@ MODES_REACH = 32
 MODES_CELLS = (6, 4)
 MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
 LATERAL = "lateral"  # the stage of lateral colour
-RIM = "image circle"  # the stage that leaves black what lies beyond it
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
 

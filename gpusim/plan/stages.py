@@ -22,6 +22,7 @@ from gpusim.sensor.sensor import Sensor
 COLUMNS = 100  # of the plan's text
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 REASON = 60  # of which a reason may take
+RIM = "image circle"  # the stage that leaves black what lies beyond it
 CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from gpusim.plan.stages import RIM
 from gpusim.report.probes import probe_map
 from gpusim.report.words import (
     duration,
@@ -147,6 +148,14 @@ def _embedded(image: Image.Image, form: str, **options: Any) -> str:
     return f"data:image/{form.lower()};base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
+def _rim(facts: Mapping[str, Any]) -> str:
+    """Return what of the sensor no light reaches, if any."""
+    reasons = [
+        one["reason"] for one in facts["plan"]["stages"] if one["name"] == RIM and one["runs"]
+    ]
+    return "".join(f"<p><strong>Black</strong>: {escape(reason)}.</p>\n" for reason in reasons)
+
+
 def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
     """Return the overview with the frames of the crops, and the crops."""
     rows, cols = developed.shape[:2]
@@ -173,7 +182,7 @@ def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
 <g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
 <figcaption>The developed raw, at {size[0]} x {size[1]} px. {escape(saturated(facts))}.
 The frames are the crops below, which show each pixel as it is.</figcaption></figure>
-<div class="crops">{crops}</div>"""
+{_rim(facts)}<div class="crops">{crops}</div>"""
 
 
 def _stages(facts: Mapping[str, Any]) -> str:

@@ -81,7 +81,8 @@ def make_scene(
     Raises
     ------
     UserError
-        For an unknown name, illuminant or projection, a luminance that is not positive, or an unusable file.
+        For an unknown name, illuminant or projection, a luminance that is not positive, or an
+        unusable file.
     """
     if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
         raise UserError(

@@ -1,11 +1,12 @@
 """Paint: against convolution with the Gaussian, shape by shape, in float64.
 
 Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The
-distance to an edge is off by 30 roundings of the position, |u| at most 200 samples (24 of the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
-Gaussian of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The
-width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the
-shader's first-order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A
-smaller one is cut into strips, which leave 3e-6.
+distance to an edge is off by 30 roundings of the position, |u| at most 200 samples (24 of the map,
+see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a Gaussian
+of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The width takes
+some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the shader's first-
+order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A smaller one is
+cut into strips, which leave 3e-6.
 Weights act on differences of materials, and at most two shapes have an edge at one place.
 """
 

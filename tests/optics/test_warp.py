@@ -1,7 +1,7 @@
 """Warp: against SciPy's cubic splines, down to rasters of one sample, at borders and the rim.
 
-Tolerance. The point u = centre + scale (x + x d): x + x d is off by 20 roundings at most, of |x| and
-twice the largest coefficient (see test_distortion), and four follow, of |u| + |centre|. The
+Tolerance. The point u = centre + scale (x + x d): x + x d is off by 20 roundings at most, of |x|
+and twice the largest coefficient (see test_distortion), and four follow, of |u| + |centre|. The
 spline's gradient is at most 1.5 C along each axis, C the largest |coefficient| (sum |beta3'| <=
 1.5). Sixteen products with weights of some 8 roundings each: 4 + 4 + 8 + 8 = 24 of C.
 """
