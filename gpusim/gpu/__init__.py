@@ -1,5 +1,6 @@
 """The GPU layer: the only place that knows wgpu."""
 
+from .compiling import Compiled, compiling
 from .device import Array, Device, DeviceLostError, Resident, default_device, devices
 from .kernel import Kernel
 from .layout import ShaderError
@@ -8,6 +9,7 @@ from .recording import Recording, Result
 
 __all__ = [
     "Array",
+    "Compiled",
     "Device",
     "DeviceLostError",
     "Kernel",
@@ -17,6 +19,7 @@ __all__ = [
     "Result",
     "ShaderError",
     "Use",
+    "compiling",
     "default_device",
     "devices",
 ]

@@ -14,6 +14,7 @@ from wgpu.backends.wgpu_native import lib
 
 from gpusim.errors import UserError
 
+from .compiling import Compiled
 from .layout import ShaderError
 from .pool import (
     MAX_BINDING_BYTES,
@@ -186,6 +187,8 @@ class Device:
         Passes are timed by the GPU; switched off when its ticks turn out to be nonsense.
     lost : bool
         Nothing works on it any more.
+    compiled : dict of object to Compiled
+        What each kernel that has run took to compile, by the kernel's key.
     """
 
     def __init__(self, adapter: wgpu.GPUAdapter, budget: int) -> None:
@@ -199,6 +202,7 @@ class Device:
         self.lost = False
         self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
+        self.compiled: dict[object, Compiled] = {}  # by recording.py, in order of time
         self._on_the_way = 0  # bytes of uploads
         self._fence = self.gpu.create_buffer(
             label="fence", size=16, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
