@@ -2,6 +2,7 @@
 
 from .compiling import Compiled, compiling
 from .device import Array, Device, DeviceLostError, Resident, default_device, devices
+from .exact import need_double_float
 from .kernel import Kernel
 from .layout import ShaderError
 from .pool import OutOfMemoryError, Use
@@ -22,4 +23,5 @@ __all__ = [
     "compiling",
     "default_device",
     "devices",
+    "need_double_float",
 ]

@@ -75,7 +75,8 @@ def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:
     info = adapter.info
     return {
         "adapter": info["device"],
-        "driver": info["description"],
+        # SwiftShader has an empty text, others do not say more than their vendor.
+        "driver": info["description"] or info["vendor"] or "driver of no name",
         "backend": info["backend_type"],
         "type": info["adapter_type"],
     }
@@ -202,6 +203,7 @@ class Device:
         self.lost = False
         self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
+        self.double_float: bool | None = None  # not tested yet: see exact.py
         self.compiled: dict[object, Compiled] = {}  # by recording.py, in order of time
         self._on_the_way = 0  # bytes of uploads
         self._fence = self.gpu.create_buffer(

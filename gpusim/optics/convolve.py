@@ -43,7 +43,9 @@ class Scratch:
         pairs = -(-grid.sites // 2)
         lines = lines or planes
         # Squares of 16 x 17 numbers: see shaders/optics/columns.
-        slots = grid.length // 256 * 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
+        slots = (
+            grid.length // 256 * 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
+        )
         return {
             "planes": (planes, grid.block[1], grid.block[0]),
             "spectra": (lines, grid.block[1], grid.length, 2),
