@@ -14,6 +14,7 @@ from rich.text import Text
 
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
+from gpusim.gpu import compiling
 from gpusim.plan.stages import RIM
 from gpusim.report.words import duration, error, mebibytes, saturated, sigmas, tolerance
 
@@ -34,7 +35,10 @@ def show_warning(text: str) -> None:
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``."""
+    """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``.
+
+    Compiling is a phase of its own, whichever phase it falls in.
+    """
     columns = (
         TextColumn("{task.description:16}"),
         BarColumn(),
@@ -52,7 +56,8 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
                 tasks[phase] = bars.add_task(phase, total=total)
             bars.update(tasks[phase], completed=done, total=total)
 
-        yield progress
+        with compiling(lambda done, total: progress("compile", done, total)):
+            yield progress
 
 
 def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None = None) -> None:
