@@ -6,6 +6,7 @@ somebody else computed, or a table of its MTF (`gpusim.lens.ready`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
