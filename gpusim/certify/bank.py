@@ -23,7 +23,6 @@ from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
-from gpusim.certify.probes import seen_from
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.prescription import Prescription
@@ -281,8 +280,7 @@ def _changes(
             for sign, (bank, fields) in zip((-1, 1), pairs[number](level), strict=True):
                 given = (bank, sensor, scene.spectra, WAVELENGTHS_NM, fields)
                 if level:
-                    seen = seen_from(bank, sensor, scene, placed)
-                    changes[own] += sign * Wide(*given).at(seen, pixels[own])
+                    changes[own] += sign * Wide(*given).at(placed, pixels[own])
                 else:
                     truth = Truth(*given)
                     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster

@@ -1,16 +1,8 @@
-"""Which pixels a certificate looks at, and what they see."""
+"""Which pixels a certificate looks at."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-
-from gpusim.lens.field_bank import FieldBank
-from gpusim.scene.chart import Chart
-from gpusim.scene.raster import PlacedRaster
-from gpusim.scene.scene import Scene
-from gpusim.sensor.sensor import Sensor
 
 SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike
 EDGE_SHARE = 0.5  # of the probes lie on the steepest edges
@@ -53,13 +45,3 @@ def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
             else:
                 chosen.append((int(rng.integers(row0, row1)), int(rng.integers(col0, col1))))
     return np.array(chosen, int).reshape(-1, 2)
-
-
-def seen_from(
-    level: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
-) -> Chart | PlacedRaster:
-    """Return what a level of a halo sees: of a photograph, highlights are samples like others."""
-    if isinstance(placed, Chart):
-        return placed
-    half = (side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-    return replace(scene.source, whole=True).placed(*half, level.pitch_um)
