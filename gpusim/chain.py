@@ -74,6 +74,8 @@ from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
 
+KEPT_SHARE = 4  # of the budget, a quarter at most of the host's memory for the light of a frame
+
 
 @dataclass(frozen=True)
 class Capture:
@@ -167,7 +169,8 @@ class Renderer:
     """A camera in front of a scene, planned and prepared on a device.
 
     Scene and kernels come onto the device with the first frame that needs them, and stay there for
-    the next as far as the memory goes.
+    the next as far as the memory goes. The light on the pixels is kept, on the host, so that a
+    further frame of the same rectangle costs the sensor alone, whatever its exposure and seed.
 
     Parameters
     ----------
@@ -225,7 +228,9 @@ class Renderer:
         self.prepare_s: dict[str, float] = {}
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolution] = []
-        self.splats: list[Splat] = []
+        self.splat: Splat | None = None
+        self.splatted: _Splatted | None = None
+        self.kept: dict[Rect, np.ndarray] = {}  # electrons/s of the planes, by tile
         self.halo: Halo | None = None
         self.tight = False  # the adapter has less than the budget: kernels of one block at a time
         self.resident_glare: Resident | None = None
@@ -293,7 +298,7 @@ class Renderer:
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
             lights = self.placed.highlights, scene.spectra, self.plan.tolerance
-            self.splats.append(Splat(self.device, self.core, sensor, *lights))
+            self.splat = Splat(self.device, self.core, sensor, *lights)
         sites = list(planes_of(sensor).channels)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
             convolve = convolution(self.device, scale, source.needed, sensor.response_um, sites)
@@ -316,12 +321,22 @@ class Renderer:
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
-        for part in (*self.sources, *self.convolutions, *self.splats):
+        for part in (*self.sources, *self.convolutions):
             part.release()
         if self.halo is not None:
             self.halo.release()
         if self.resident_glare is not None:
             self.resident_glare.destroy()
+
+    def drop_light(self) -> None:
+        """Forget the light of the last frame: the next one is convolved anew, with what is held."""
+        self.kept.clear()
+
+    def keep_light(self, tile: Rect, rates: Resident) -> None:
+        """Keep the light of a tile of whole periods, as long as a share of the budget holds it."""
+        held = sum(one.nbytes for one in self.kept.values())
+        if held + rates.nbytes <= self.memory_bytes // KEPT_SHARE:
+            self.kept[tile] = self.device.read(rates)
 
     def _spent(self, what: str, started: float) -> float:
         now = time.perf_counter()
@@ -577,6 +592,9 @@ class Renderer:
         seen = self.lit(rect)
         self._hold_halo(aligned(seen, self.period), report)
         started = self._spent("halo", started)
+        if self.splat is not None:
+            self._hold_splat(aligned(seen, self.period), report)
+            started = self._spent("splat", started)
         for source, scale in zip(self.sources, self.plan.scales, strict=True):
             source.prepare([b for b in scale.grid.blocks_for(*seen) if source.needed[b]])
         started = self._spent("scene", started)
@@ -608,7 +626,8 @@ class Renderer:
             self.halo = None
         sensor = self.camera.sensor
         banks = [self.bank.levels[level.number] for level in self.plan.halo]
-        grids = [coarse_grid(bank, sensor) for bank in banks]
+        edges = isinstance(self.scene.source, Chart)
+        grids = [coarse_grid(bank, sensor, edges) for bank in banks]
         light = []
         for done, (level, bank, grid, part) in enumerate(
             zip(self.plan.halo, banks, grids, coarse_rects(grids, rect), strict=True)
@@ -630,6 +649,15 @@ class Renderer:
                 renderer.release()
         report("halo", len(banks), len(banks))
         self.halo = Halo(self.device, sensor, grids, light, rect)
+
+    def _hold_splat(self, rect: Rect, report: Progress) -> None:
+        """Work out what highlights bring to a rectangle of lit pixels, and keep it on the host."""
+        if self.splatted is not None and self.splatted.covers(rect):
+            return
+        self.splatted = None
+        tiles = tiles_of(rect, self.period, self.memory_bytes, None, self.layers)
+        light = self.splat.light(tiles, lambda done, total: report("splat", done, total))
+        self.splatted = _Splatted(rect, self.period, tiles, light)
 
     def light(self, rect: Rect) -> np.ndarray:
         """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
@@ -678,6 +706,8 @@ class _Shot:
         period = renderer.period
         self._check_memory()
         tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px, renderer.layers))
+        wanted = {aligned(renderer.lit(tile), period) for tile in tiles}
+        renderer.kept = {tile: one for tile, one in renderer.kept.items() if tile in wanted}
         done, left = 0, sum(map(self._steps, tiles))
 
         def advance() -> None:
@@ -704,7 +734,8 @@ class _Shot:
 
     def _steps(self, tile: Rect) -> int:
         renderer = self.renderer
-        return sum(1 for _ in renderer.lines(aligned(renderer.lit(tile), renderer.period))) + 1
+        whole = aligned(renderer.lit(tile), renderer.period)
+        return 1 + (0 if whole in renderer.kept else sum(1 for _ in renderer.lines(whole)))
 
     def _check_memory(self) -> None:
         pool = self.renderer.device.pool
@@ -734,35 +765,45 @@ class _Shot:
         sites = (count, whole[2] // period, whole[3] // period)
         rates = device.empty("rates", sites, np.float32)
         try:
-            rec = Recording(device)
-            rec.clear(rates)
-            rec.run()
-            for number, line in renderer.lines(whole):
-                parts = deque(self._parts(number, line))
-                while parts:
-                    blocks = parts.popleft()
-                    try:
-                        self._load(number, blocks)
-                    except OutOfMemoryError:
-                        if len(blocks) == 1:
-                            raise
-                        parts.extendleft([blocks[len(blocks) // 2 :], blocks[: len(blocks) // 2]])
-                    else:
-                        self._blocks(number, blocks, rates, whole)
-                advance()
-            for splat in renderer.splats:
+            if whole in renderer.kept:
                 rec = Recording(device)
-                splat.record(rec, rates, whole)
-                self._run(rec)
-            if renderer.halo is not None:
-                rec = Recording(device)
-                renderer.halo.record(rec, rates, whole)
-                self._run(rec)
+                rec.upload(rates, renderer.kept[whole])
+                rec.run()
+            else:
+                self._lit(rates, whole, advance)
+                renderer.keep_light(whole, rates)
             self._finish(tile, rates, whole)
             advance()
         finally:
             rates.destroy()
         self.work["tiles"] += 1
+
+    def _lit(self, rates: Resident, whole: Rect, advance: Callable[[], None]) -> None:
+        """Bring the light to the planes of the sites of a rectangle: blocks, highlights, halo."""
+        renderer = self.renderer
+        rec = Recording(renderer.device)
+        if renderer.splatted is None:
+            rec.clear(rates)
+        else:
+            rec.upload(rates, renderer.splatted.on(whole))
+        rec.run()
+        for number, line in renderer.lines(whole):
+            parts = deque(self._parts(number, line))
+            while parts:
+                blocks = parts.popleft()
+                try:
+                    self._load(number, blocks)
+                except OutOfMemoryError:
+                    if len(blocks) == 1:
+                        raise
+                    parts.extendleft([blocks[len(blocks) // 2 :], blocks[: len(blocks) // 2]])
+                else:
+                    self._blocks(number, blocks, rates, whole)
+            advance()
+        if renderer.halo is not None:
+            rec = Recording(renderer.device)
+            renderer.halo.record(rec, rates, whole)
+            self._run(rec)
 
     def _parts(self, number: int, line: list[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
         """Cut a line of blocks into parts whose kernels fit the memory together."""
@@ -855,6 +896,32 @@ class _Shot:
         return result
 
 
+class _Splatted:
+    """The light of highlights on a rectangle of lit pixels, electrons/s of the planes, by tile."""
+
+    def __init__(self, rect: Rect, period: int, tiles: list[Rect], light: list[np.ndarray]) -> None:
+        self.rect, self.period = rect, period
+        _, _, rows, cols = aligned(rect, period)
+        self.light = np.empty((len(light[0]), rows // period, cols // period), np.float32)
+        for tile, part in zip(tiles, light, strict=True):
+            self._part(tile)[...] = part
+
+    def covers(self, rect: Rect) -> bool:
+        """Return whether the light on a rectangle is there."""
+        return overlap(self.rect, rect) == rect
+
+    def on(self, rect: Rect) -> np.ndarray:
+        """Return the light (S, rows, cols) on a rectangle of whole periods."""
+        return np.ascontiguousarray(self._part(rect))
+
+    def _part(self, rect: Rect) -> np.ndarray:
+        period = self.period
+        row, col = (
+            (own - first) // period for own, first in zip(rect[:2], self.rect[:2], strict=True)
+        )
+        return self.light[:, row : row + -(-rect[2] // period), col : col + -(-rect[3] // period)]
+
+
 @dataclass(frozen=True)
 class _CoarseCamera:
     """A level of a halo before a coarse sensor."""
@@ -872,7 +939,7 @@ def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
     if isinstance(scene.source, Chart):
         scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
         return replace(scene, source=scene.source.placed(scale))
-    return replace(scene, source=replace(scene.source, whole=True, half_um=half))
+    return replace(scene, source=replace(scene.source, half_um=half))
 
 
 class _Light(_Shot):

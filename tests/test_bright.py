@@ -10,6 +10,7 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, sensor
 
+from gpusim import chain
 from gpusim.chain import Capture, Renderer
 from gpusim.optics import splat
 from gpusim.plan import Accuracy
@@ -102,13 +103,13 @@ def test_the_plan_and_the_notes_say_how_many(sunny):
     assert stage.runs and stage.reason.startswith(f"{count} highlights")
     assert stage.predicted_cost_s > 0
     assert any(f"{count} samples brighter" in note for note in capture.notes)
-    assert capture.times_s["splat"] > 0
+    assert capture.prepare_s["splat"] > 0
 
 
 def test_a_scene_without_outliers_has_no_splat():
     planes = scenery(10.0)
     capture, placed = shot(planes, tolerance=1e-2)
-    assert "splat" not in capture.times_s
+    assert "splat" not in capture.prepare_s
     stage = next(stage for stage in capture.plan.stages if stage.name == "splat")
     assert not stage.runs and stage.predicted_cost_s is None
     assert len(placed.highlights) == 0 and placed.planes is planes
@@ -163,6 +164,33 @@ def test_tiles_change_not_one_bit():
         tiled = one.capture(0.01, keep=("rate",), tile_px=52)
     assert_close(tiled.rate, whole.rate, atol=0)
     assert_close(tiled.raw, whole.raw, atol=0)
+
+
+def test_a_further_frame_costs_the_sensor_alone():
+    """The light is that of the first, bit for bit, until it is dropped or asked for elsewhere."""
+    with rendering(scenery(1e9), tolerance=1e-2) as one:
+        first, second = (one.capture(0.01, seed=3, keep=("rate",)) for _ in range(2))
+        assert first.work["blocks"] > 0 and "warp" in first.times_s
+        assert second.work["blocks"] == 0
+        assert second.times_s.keys() & {"warp", "rows", "columns", "lattice", "direct"} == set()
+        assert_close(second.raw, first.raw.copy(), atol=0)
+        brighter = one.capture(0.02, keep=("rate",))
+        assert brighter.work["blocks"] == 0
+        assert_close(brighter.rate, first.rate, atol=0)
+        part = one.capture(0.01, tile=(30, 20, 41, 33), keep=("rate",))
+        assert part.work["blocks"] > 0
+        assert_close(part.rate, first.rate[20:53, 30:71].copy(), atol=0)
+        one.drop_light()
+        again = one.capture(0.01, seed=3)
+        assert again.work["blocks"] > 0
+        assert_close(again.raw, first.raw.copy(), atol=0)
+
+
+def test_light_is_kept_only_as_far_as_a_share_of_the_budget_goes(monkeypatch):
+    monkeypatch.setattr(chain, "KEPT_SHARE", 1 << 20)
+    with rendering(scenery(1e9), tolerance=1e-2) as one:
+        assert [one.capture(0.01).work["blocks"] > 0 for _ in range(2)] == [True, True]
+        assert not one.kept
 
 
 def test_the_certificate_holds_with_the_sun_in_the_frame():

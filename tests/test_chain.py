@@ -494,6 +494,7 @@ def test_memory_is_given_back(device: Device):
     assert device.pool.in_use > before
     one.capture(EXPOSURE_S)
     held = device.pool.in_use  # with the kernels, which the next frame needs as well
+    one.drop_light()
     shot = one.capture(EXPOSURE_S)
     assert device.pool.in_use == held
     assert shot.work["nodes"] == 0 < shot.work["blocks"]

@@ -186,6 +186,7 @@ class Clock:
         return SimpleNamespace(
             capture=lambda exposure_s: spend(plan.frame_s),
             planned=lambda: spend(10.0),
+            drop_light=lambda: None,
             release=lambda: None,
         )
 

@@ -148,6 +148,12 @@ def error(actual: np.ndarray, expected: np.ndarray) -> dict[str, object]:
     return {"measure": "largest difference over largest value", "worst": float(worst)}
 
 
+def convolved(renderer: Renderer, **how: object) -> Capture:
+    """Capture with what is prepared, but not with the light of the frame before."""
+    renderer.drop_light()
+    return renderer.capture(EXPOSURE_S, **how)
+
+
 def render_demo(device: Device, frame: tuple[int, int]) -> Job:
     """Time a capture of the demonstration camera, whose frame is its own."""
     camera = load_camera("demo")
@@ -155,7 +161,7 @@ def render_demo(device: Device, frame: tuple[int, int]) -> Job:
     certificate = renderer.capture(EXPOSURE_S).certificate
     renderer.accuracy = Accuracy(probes=0)
     return Job(
-        lambda: renderer.capture(EXPOSURE_S),
+        lambda: convolved(renderer),
         camera.sensor.rows * camera.sensor.cols,
         {
             "measure": f"relative to the true signal at {certificate.probes} probes",
@@ -274,7 +280,7 @@ class FrameRender:
             self.first_s, self.further = time.perf_counter() - started, []
             while sum(self.further) < further_s:
                 started = time.perf_counter()
-                renderer.capture(EXPOSURE_S, tile=tile)
+                convolved(renderer, tile=tile)
                 self.further.append(time.perf_counter() - started)
         finally:
             renderer.release()
@@ -392,7 +398,7 @@ def tolerances_job(
                 except UserError as refused:
                     found["refused"] = refused.problem
                     continue
-                shots = [renderer.capture(EXPOSURE_S, keep=("rate",)) for _ in range(3)]
+                shots = [convolved(renderer, keep=("rate",)) for _ in range(3)]
                 rate = shots[0].rate
                 if pixels is None:
                     pixels = choose_probes(rate, sensor.period[0], probes)
@@ -413,7 +419,7 @@ def tolerances_job(
                 print(found, file=sys.stderr, flush=True)
             slower += sum(tight < loose for loose, tight in pairwise(times))
     return Job(
-        lambda: last.capture(EXPOSURE_S),
+        lambda: convolved(last),
         rows * cols,
         {"measure": "largest certified RMS error over its tolerance", "worst": worst},
         facts=lambda best: {

@@ -23,7 +23,7 @@ from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
-from gpusim.certify.probes import beyond_circle, seen_from
+from gpusim.certify.probes import beyond_circle
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.prescription import Prescription
@@ -285,8 +285,7 @@ def _changes(
             ours, (theirs, fields) = pairs[number](level)
             given = (theirs, sensor, scene.spectra, WAVELENGTHS_NM, fields, ours)
             if level:
-                seen = seen_from(theirs, sensor, scene, placed)
-                changes[own] += Wide(*given).at(seen, pixels[own])
+                changes[own] += Wide(*given).at(placed, pixels[own])
             else:
                 truth = Truth(*given)
                 evaluate = truth.chart if isinstance(placed, Chart) else truth.raster

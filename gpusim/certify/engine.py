@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import BLACK, EXACT, Certificate, Judged, Share, compare
-from gpusim.certify.probes import beyond_circle, choose_probes, seen_from
+from gpusim.certify.probes import beyond_circle, choose_probes
 from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
@@ -49,13 +49,7 @@ def true_rates(
     core, *halo = bank.levels
     truth = Truth(core, sensor, scene.spectra, WAVELENGTHS_NM)
     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-    wide = [
-        (
-            Wide(level, sensor, scene.spectra, WAVELENGTHS_NM),
-            seen_from(level, sensor, scene, placed),
-        )
-        for level in halo
-    ]
+    wide = [Wide(level, sensor, scene.spectra, WAVELENGTHS_NM) for level in halo]
     # Nearby pixels share kernels: in order of radius.
     centre = np.array([sensor.rows, sensor.cols]) / 2
     order = np.argsort(np.hypot(*(pixels - centre).T))
@@ -63,7 +57,7 @@ def true_rates(
 
     def rate_at(number: int) -> float:
         pixel = pixels[number : number + 1]
-        return evaluate(placed, pixel)[0] + sum(one.at(seen, pixel)[0] for one, seen in wide)
+        return evaluate(placed, pixel)[0] + sum(one.at(placed, pixel)[0] for one in wide)
 
     # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:

@@ -1,15 +1,10 @@
-"""Which pixels a certificate looks at, and what they see."""
+"""Which pixels a certificate looks at."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from gpusim.lens.field_bank import FieldBank
-from gpusim.scene.chart import Chart
-from gpusim.scene.raster import PlacedRaster
-from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike
@@ -60,13 +55,3 @@ def beyond_circle(bank: FieldBank, sensor: Sensor, pixels: np.ndarray) -> np.nda
     middle = np.array([sensor.rows, sensor.cols]) / 2
     at_um = (pixels + 0.5 - middle)[:, ::-1] * sensor.pixel_pitch_um
     return np.hypot(*(at_um - bank.centre_um).T) > bank.rectilinear_circle_um
-
-
-def seen_from(
-    level: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
-) -> Chart | PlacedRaster:
-    """Return what a level of a halo sees: of a photograph, highlights are samples like others."""
-    if isinstance(placed, Chart):
-        return placed
-    half = (side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-    return replace(scene.source, whole=True).placed(*half, level.pitch_um)

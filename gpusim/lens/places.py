@@ -68,12 +68,15 @@ class Places(Protocol):
         Of the list, the fields that hold the light: others only change how it is spread.
     opposite : tuple of int
         Of the list, the fields that stand beyond the axis: their PSFs are turned by half a turn.
+    neighbours : list of (int, int, float)
+        Pairs of the list that lie next to each other, and how far apart, um.
     """
 
     probes: tuple[int, ...]
     quadrants: tuple[tuple[int, int], ...]
     main: slice
     opposite: tuple[int, ...]
+    neighbours: list[tuple[int, int, float]]
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
@@ -141,6 +144,12 @@ class Heights:
         """The last."""
         return (len(self.radius_um),)
 
+    @property
+    def neighbours(self) -> list[tuple[int, int, float]]:
+        """Each height and the next."""
+        apart = enumerate(np.diff(self.radius_um).tolist())
+        return [(number, number + 1, step) for number, step in apart if step > 0]
+
     def blended(self, radius_um: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
         """Return numbers in the list and weights (..., 3 or 4) at heights up to the largest."""
         nodes = np.concatenate([-self.radius_um[1:2], self.radius_um])
@@ -207,6 +216,21 @@ class FieldGrid:
         across, down = len(self.x_deg), len(self.y_deg)
         middle = int(np.abs(self.y_deg).argmin() * across + np.abs(self.x_deg).argmin())
         return (middle, 0, across - 1, (down - 1) * across, down * across - 1)
+
+    @property
+    def neighbours(self) -> list[tuple[int, int, float]]:
+        """Along rows and columns; as far apart as angles that differ as much are in the middle."""
+        here, there = self.field_deg(-1.0, -1.0), self.field_deg(1.0, 1.0)
+        um_per_deg = [2.0 / abs(more - less) for less, more in zip(here, there, strict=True)]
+        numbers = np.arange(len(self.x_deg) * len(self.y_deg)).reshape(-1, len(self.x_deg))
+        found = []
+        for own, angle, scale in (
+            (numbers, self.x_deg, um_per_deg[0]),
+            (numbers.T, self.y_deg, um_per_deg[1]),
+        ):
+            for first, second, step in zip(own.T, own.T[1:], np.diff(angle) * scale, strict=False):
+                found += [(int(a), int(b), float(step)) for a, b in zip(first, second, strict=True)]
+        return found
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""

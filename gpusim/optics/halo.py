@@ -77,10 +77,14 @@ class CoarseGrid:
         return top, left, bottom - top, right - left
 
 
-def coarse_grid(level: Bank, sensor: Sensor) -> CoarseGrid:
-    """Return the coarse sensor for a level of a halo."""
+def coarse_grid(level: Bank, sensor: Sensor, edges: bool = True) -> CoarseGrid:
+    """Return the coarse sensor for a level of a halo.
+
+    ``edges``: the scene is a chart, of outlines. In a photograph a bright spot may stand anywhere,
+    and lights the shadows around it by the level's finest detail.
+    """
     share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
-    step = SMOOTH_STEP if share < LITTLE else STRUCTURED_STEP
+    step = SMOOTH_STEP if edges and share < LITTLE else STRUCTURED_STEP
     pitch = max(step * level.pitch_um, sensor.pixel_pitch_um)
     rows, cols = (
         math.ceil(count * sensor.pixel_pitch_um / pitch) + 2 * MARGIN

@@ -13,9 +13,12 @@ rays as closely as cubics do.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -23,9 +26,9 @@ import numpy as np
 import scipy.fft
 from threadpoolctl import threadpool_limits
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import FieldPsfs, Places, half_turned
+from gpusim.lens.places import FieldPsfs, Heights, Places, half_turned
 from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
@@ -34,6 +37,8 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Response
 from gpusim.sensor.planes import planes_of
 from gpusim.sensor.sensor import Sensor
+
+Rect = tuple[int, int, int, int]  # first row and column, rows and columns
 
 HIGHLIGHT = np.dtype(
     [
@@ -45,25 +50,28 @@ HIGHLIGHT = np.dtype(
 )
 PART = np.dtype([("table", "<u4"), ("share", "<f4")])
 SQUARE = 16  # CFA cells along a side of the squares for which highlights are listed
-LARGEST = 2.0  # pixels along a side of a highlight, of which one PSF is taken; others are cut up
+# Share of the PSF's light that may lie elsewhere at one side of a square than at the other, for a
+# tolerance of 1e-3: one PSF is taken of all of it, and larger ones are cut up. What is too much on
+# one half is too little on the other: next to the highlight this errs by a tenth of it.
+CHANGE = 0.01
 # Angles in 90 degrees at which tables are made, for a tolerance of 1e-3. Mixing between them errs
 # by 1e-3 to 2e-3 of a highlight next to it, and by 4e-5 rms of its light elsewhere (double Gauss at
 # f/2.8, squares of 1 to 2 pixels); with the square of the step.
 BINS = 16
-NODES = 2.0  # of the quadratures over aperture and square, per sample of the PSF
-DISPATCH_BYTES = 96 << 20  # of the tables of a dispatch; every adapter binds 128 MiB
+# Of the spline's spectrum, which its samples fold onto their own frequencies: multiples of their
+# rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely enough.
+ALIASES = (0, -1, 1, -2, 2)
+SLIGHT = 1e-5
+DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds as much
 # Of all tables. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
+SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
+PIECE_S = 0.25  # of the device's time in one go: as long as a person who interrupts it waits
 STEP_UM = 1e-3  # of differences of the chief-ray map, which is known to 1e-9 um
 NEWTON_STEPS = 30
+SMALL = 1e-7  # an angle whose sine is the angle
 FOUND_UM = 1e-4  # how near to an ideal point its real one leads
-
-
-def beta3(x: np.ndarray) -> np.ndarray:
-    """Return the cubic B-spline (Unser 1999, eq. 6)."""
-    outer, inner = np.maximum(2 - np.abs(x), 0.0), np.maximum(1 - np.abs(x), 0.0)
-    return outer**3 / 6 - 2 / 3 * inner**3
 
 
 def real_points(bank: FieldBank, ideal_um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -125,12 +133,43 @@ class Squares:
     light: np.ndarray
 
 
+def largest_um(bank: FieldBank, change: float) -> float:
+    """Return the side of squares from one side of which to the other so much of a PSF changes.
+
+    By the PSFs of neighbouring fields, at the reference wavelength: half of the sum of their
+    differences' sizes over how far they are apart; and of each PSF turned by a quarter of a turn,
+    over the quarter of a circle.
+    """
+
+    def psf(number: int) -> np.ndarray:
+        found = bank.field(number).psf[bank.reference].astype(np.float64)
+        return found / found.sum()
+
+    fields, places = bank.places(bank.image_circle_um)
+    most = 0.0
+    for one, other, apart_um in places.neighbours:
+        most = max(most, np.abs(psf(fields[one]) - psf(fields[other])).sum() / 2 / apart_um)
+    if isinstance(places, Heights):
+        for number, radius_um in enumerate(places.radius_um[1:], start=1):
+            found = psf(fields[number])[1:, 1:]  # about the middle
+            turn = np.abs(found - np.rot90(found)).sum() / 2
+            most = max(most, turn / (np.pi / 2 * radius_um))
+    return change / most if most > 0 else math.inf
+
+
 def squares_on_sensor(
-    bank: FieldBank, sensor: Sensor, highlights: Highlights, reach_um: float
+    bank: FieldBank,
+    sensor: Sensor,
+    highlights: Highlights,
+    reach_um: float,
+    most_um: float = math.inf,
 ) -> Squares:
-    """Place highlights on the real plane; those that no pixel sees are left out."""
+    """Place highlights on the real plane; those that no pixel sees are left out.
+
+    They are cut up into squares of at most `most_um`.
+    """
     pitch = sensor.pixel_pitch_um
-    cuts = math.ceil(highlights.size_um / (LARGEST * pitch))
+    cuts = max(1, math.ceil(highlights.size_um / most_um))
     size = highlights.size_um / cuts
     line = (np.arange(cuts) - (cuts - 1) / 2) * size
     inner = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
@@ -166,12 +205,11 @@ class Tables:
             response = AngularResponse(bank, sensor)
             even = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
             self.elsewhere = PlaceWeights(response, even, spectra, 0.0)
-        # From the middle of aperture and square to their corners, and lateral colour.
         aperture_um = self.aperture_um
         if isinstance(aperture_um, Response):
             aperture_um = 2 * aperture_um.reach
+        # From the middle of aperture and square to their corners, and lateral colour.
         corner = (aperture_um + largest_um) / np.sqrt(2) + bank.lateral_um
-        self.taps = math.ceil(corner / bank.pitch_um + 2)
         n = bank.psf.shape[-1]
         at = np.arange(n) - n // 2
         psf_lit = bank.psf.reshape(-1, n, n).any(axis=0)
@@ -187,15 +225,16 @@ class Tables:
     def spectra(self, field: FieldPsfs) -> np.ndarray:
         """Return the spectra (L, side, side / 2 + 1) of a field's PSFs, as density per um^2.
 
-        Samples of beta3 have the transform (2 + cos) / 3 in each direction. It is divided out
-        twice: once the PSF's samples become spline coefficients, and once what is tabulated does.
+        Samples of the cubic B-spline have the transform (2 + cos) / 3 in each direction. It is
+        divided out twice: once the PSF's samples become spline coefficients, and once what is
+        tabulated does.
         """
-        n = field.psf.shape[-1]
-        before = self.side // 2 - n // 2
+        n, side = field.psf.shape[-1], self.side
+        before = side // 2 - n // 2
         psf = field.psf.astype(np.float64) / self.bank.pitch_um**2
-        padded = np.pad(psf, ((0, 0), *[(before, self.side - n - before)] * 2))
-        line = (2 + np.cos(2 * np.pi * scipy.fft.fftfreq(self.side))) / 3
-        return scipy.fft.rfft2(padded) / (line[:, None] * line[: self.side // 2 + 1]) ** 2
+        padded = np.pad(psf, ((0, 0), *[(before, side - n - before)] * 2))
+        line = (2 + np.cos(2 * np.pi * scipy.fft.fftfreq(side))) / 3
+        return scipy.fft.rfft2(padded) / (line[:, None] * line[: side // 2 + 1]) ** 2
 
     @property
     def turns(self) -> int:
@@ -233,7 +272,7 @@ class Tables:
         square : ndarray (2, 2)
             Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
         """
-        boxes = scipy.fft.rfft2(self._boxes(field.shift_um / self.bank.pitch_um, angle, square))
+        boxes = self._boxes(field.shift_um / self.bank.pitch_um, angle, square)
         mixed = np.tensordot(weights * field.relative_illumination, spectra * boxes, axes=1)
         table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
         at = np.arange(self.side) - self.side // 2
@@ -242,37 +281,65 @@ class Tables:
         return np.maximum(table, 0.0)
 
     def _boxes(self, shifts: np.ndarray, angle: float, square: np.ndarray) -> np.ndarray:
-        """Return beta3 averaged over aperture and square, (L, side, side), middle at [0, 0].
+        """Return spectra of the cubic B-spline averaged over aperture and square.
 
-        In the frame of the PSFs. Each wavelength has its lateral colour.
+        (L, side, side / 2 + 1), in the frame of the PSFs; each wavelength (L, 2) lies where lateral
+        colour moves it. What is known in between, the transform of samples folds onto their own
+        frequencies: sinc^4 of the spline, with a sinc for each side of aperture and square.
         """
+        side, pitch = self.side, self.bank.pitch_um
+        fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
         # Columns are the PSFs' x and y axis.
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        parts, both = [], (square,)
-        if isinstance(self.aperture_um, Response):
-            places, shares = self.aperture_um.points(self.bank.pitch_um)
-            parts.append((places @ turn, shares))
-        else:
-            both = (self.aperture_um * np.eye(2), square)
-        for sides in both:
-            order = max(4, math.ceil(NODES * np.linalg.norm(sides, 2) / self.bank.pitch_um))
-            nodes, weights = np.polynomial.legendre.leggauss(order)
-            plane = np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2) / 2
-            parts.append((plane @ turn @ sides.T, np.outer(weights, weights).ravel() / 4))
-        (aperture, share), (shape, of_shape) = parts
-        offsets = (aperture[:, None] + shape).reshape(-1, 2) / self.bank.pitch_um
-        shares = np.outer(share, of_shape).ravel()
-        taps = np.arange(-self.taps, self.taps + 1)
-        boxes = np.zeros((len(shifts), self.side, self.side))
-        for box, (x, y) in zip(boxes, shifts, strict=True):
-            across = beta3(taps[:, None] + offsets[:, 0] - x)
-            down = beta3(taps[:, None] + offsets[:, 1] - y) * shares
-            box[np.ix_(taps, taps)] = down @ across.T
-        return boxes
+        result = np.zeros((len(shifts), side, len(fx)), np.complex128)
+        for down, across in itertools.product(ALIASES, ALIASES):
+            y, x = fy + down, fx + across
+            of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
+            if of_y.max() * of_x.max() < SLIGHT:
+                continue
+            sides = square.T / pitch
+            one = _turned_box(turn @ sides, x, y)
+            if isinstance(self.aperture_um, Response):
+                aperture = self.aperture_um / pitch
+                one = one * aperture.spectrum(
+                    turn[0, 0] * x + turn[0, 1] * y[:, None],
+                    turn[1, 0] * x + turn[1, 1] * y[:, None],
+                )
+            else:
+                one *= _turned_box(self.aperture_um / pitch * turn, x, y)
+            one *= of_x
+            one *= of_y[:, None]
+            for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
+                found += np.exp(-2j * np.pi * (across * moved_x + down * moved_y)) * one
+        for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
+            found *= np.exp(-2j * np.pi * moved_x * fx)
+            if moved_y:
+                found *= np.exp(-2j * np.pi * moved_y * fy)[:, None]
+        return result
+
+
+def _turned_box(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the spectrum (Y, X) of an even parallelogram at frequencies x (X,) and y (Y,).
+
+    `sides` (2, 2): its sides as rows; sinc of each one's product with the frequency.
+    """
+    found = 1.0
+    for of_x, of_y in np.pi * sides:
+        a, b = of_x * x, (of_y * y)[:, None]
+        # sin(a + b) from those of its parts: two lines instead of a plane of them.
+        sine = np.sin(a) * np.cos(b)
+        sine += np.cos(a) * np.sin(b)
+        total = a + b
+        small = np.abs(total) < SMALL
+        total[small] = 1.0
+        sine /= total
+        sine[small] = 1.0
+        found = found * sine
+    return found
 
 
 class Splat:
-    """Highlights on the device.
+    """Highlights, and the light that they bring to the pixels.
 
     Parameters
     ----------
@@ -296,128 +363,238 @@ class Splat:
         spectra: np.ndarray,
         tolerance: float,
     ) -> None:
+        self.device, self.bank, self.sensor = device, bank, sensor
         planes = planes_of(sensor)
         self.period, self.planes = planes.period, len(planes.channels)
+        self.site_channels = packed_channels(planes.channels)
         half_um = np.array([sensor.cols, sensor.rows]) * sensor.pixel_pitch_um / 2
         # As far as light can come from; some highlights there still miss all pixels.
         reach_um = bank.psf.shape[-1] * bank.pitch_um + bank.lateral_um
-        squares = squares_on_sensor(bank, sensor, highlights, reach_um)
-        self.groups: list[dict[str, Array]] = []
-        if not len(squares.light):
+        self.fields, places = bank.places(float(np.hypot(*half_um)) + reach_um)
+        finer = np.sqrt(1e-3 / tolerance)
+        most_um = largest_um(bank, CHANGE / finer)
+        self.squares = squares_on_sensor(bank, sensor, highlights, reach_um, most_um)
+        self.groups: list[np.ndarray] = []
+        if not len(self.squares.light):
             return
-        fields, places = bank.places(float(np.hypot(*half_um)) + reach_um)
+        squares = self.squares
         sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
-        kernels = Tables(bank, sensor, spectra, sides.max())
-        channels = sensor.channels
-        self.site_channels = packed_channels(planes.channels)
+        self.kernels = kernels = Tables(bank, sensor, spectra, sides.max())
         self.fours = -(-len(spectra) // 4)
-        # Reaches from a table's middle to zeros, and no tap lies beyond its border.
-        self.reach2 = (kernels.support + 2) ** 2
         self.across, self.down = (
             -(-count // (self.period * SQUARE)) for count in (sensor.cols, sensor.rows)
         )
-        table_bytes = 16 * self.fours * len(channels) * kernels.side**2
-        self.bins = max(FEWEST, math.ceil(BINS * np.sqrt(1e-3 / tolerance)))
+        self.table_bytes = 16 * self.fours * len(sensor.channels) * kernels.side**2
+        self.bins = max(FEWEST, math.ceil(BINS * finer))
         mixed = mixture(places, squares, self.bins, kernels.turns)
-        while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * table_bytes > TABLE_BYTES:
+        while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * self.table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
             mixed = mixture(places, squares, self.bins, kernels.turns)
+        self.mixed = mixed
         self.kernel = Kernel(
             "optics/splat",
             S=self.planes,
             PERIOD=self.period,
-            C=len(channels),
+            C=len(sensor.channels),
             FOURS=self.fours,
             N=kernels.side,
             MIXED=mixed.shares.shape[1],
         )
-        used, tables = distinct(mixed.keys)
-        opposite = np.isin(used[:, 0], places.opposite)
+        self.used, self.tables = distinct(mixed.keys)
+        self.opposite = np.isin(self.used[:, 0], places.opposite)
         # The map changes slowly: those that share a table share the mean of their shapes in it.
-        shapes = np.zeros((len(used), 2, 2))
+        self.shapes = np.zeros((len(self.used), 2, 2))
         own = turned(squares.slopes, mixed.axis) * squares.size_um
-        np.add.at(shapes, tables, own[:, None])
-        shapes /= np.bincount(tables.ravel())[:, None, None]
+        np.add.at(self.shapes, self.tables, own[:, None])
+        self.shapes /= np.bincount(self.tables.ravel())[:, None, None]
+        self.position = squares.real_um / sensor.pixel_pitch_um
+        self.position += np.array([sensor.cols, sensor.rows]) / 2
+        self.groups = groups(self.tables, self.table_bytes)
 
-        def made(chosen: np.ndarray) -> np.ndarray:
-            of_field = fields[used[chosen[0], 0]]
-            field = bank.field(of_field)
-            spectra = kernels.spectra(field)
-            result = []
-            for number in chosen:
-                angle = np.pi / 2 * used[number, 1] / self.bins
-                # Beyond the axis everything is half a turn on: aperture and square are as they are.
-                half = np.pi * opposite[number]
-                weights = kernels.weights_at(of_field, angle + half)
-                table = kernels.table(field, spectra, weights, angle + half, shapes[number])
-                table = half_turned(table) if half else table
-                result.append(np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1))
-            return np.stack(result)
+    def light(
+        self, tiles: Sequence[Rect], progress: Callable[[int, int], None] | None = None
+    ) -> list[np.ndarray]:
+        """Return the electrons/s (S, rows, cols) that highlights bring to tiles of the sensor.
 
-        for chosen in groups(tables, table_bytes):
-            needed, local = np.unique(tables[chosen], return_inverse=True)
-            by_field = np.split(needed, np.flatnonzero(np.diff(used[needed, 0])) + 1)
-            # SciPy and NumPy let go of the interpreter in their loops.
-            with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-                stacked = np.concatenate(list(pool.map(made, by_field)))
-            rows = np.zeros(len(chosen), HIGHLIGHT)
-            position = squares.real_um[chosen] / sensor.pixel_pitch_um
-            position += np.array([sensor.cols, sensor.rows]) / 2
-            rows["pixel"] = np.floor(position)
-            rows["place"] = position - np.floor(position) - 0.5
-            rows["axis"] = mixed.axis[chosen] * sensor.pixel_pitch_um / bank.pitch_um
-            parts = np.zeros(mixed.shares[chosen].shape, PART)
-            parts["table"] = local.reshape(parts.shape)
-            parts["share"] = mixed.shares[chosen]
-            reach = kernels.reach_um / (sensor.pixel_pitch_um * self.period)
-            starts, near = lists(position / self.period, reach, (self.across, self.down))
-            arrays = {
-                "highlights": rows.view(np.uint32),
-                "parts": parts.view(np.uint32),
-                "radiance": in_fours(squares.light[chosen]),
-                "starts": starts,
-                "near": near,
-                "tables": stacked,
-            }
-            self.groups.append(
-                {name: device.resident(f"splat {name}", one) for name, one in arrays.items()}
-            )
-
-    def release(self) -> None:
-        """Give the device's memory back."""
-        for group in self.groups:
-            for resident in group.values():
-                resident.destroy()
-
-    def record(self, rec: Recording, rates: Array, rect: tuple[int, int, int, int]) -> None:
-        """Add the highlights' light to the planes of the CFA sites.
+        Each the same, bit for bit, whatever the others: every pixel takes its highlights in one
+        order.
 
         Parameters
         ----------
-        rec : Recording
-        rates : buffer (S, rows, cols)
-            Of the rectangle; electrons/s are added to it.
-        rect : (row0, col0, rows, cols)
-            Rectangle of pixels, aligned to the CFA period.
+        tiles : sequence of (row0, col0, rows, cols)
+            Rectangles of pixels, aligned to the CFA period.
+        progress : callable, optional
+            Called with (done, total) tables made and pieces of their sums.
         """
-        row0, col0, rows, cols = (-(-value // self.period) for value in rect)
-        first = (col0 // SQUARE, row0 // SQUARE)
-        last = ((col0 + cols - 1) // SQUARE, (row0 + rows - 1) // SQUARE)
-        for group in self.groups:
+        cells = [tuple(-(-value // self.period) for value in tile) for tile in tiles]
+        light = [np.zeros((self.planes, *tile[2:]), np.float32) for tile in cells]
+        near = [own[self._reaches(own, cells)] for own in self.groups]
+        near = [own for own in near if len(own)]
+        work = []
+        for own in near:
+            starts, listed = self._lists(own)
+            pieces = [self._pieces(starts, tile) for tile in cells]
+            work.append((own, starts, listed, pieces))
+        # One after another: a table that the last ones had is there.
+        held: list[int] = []
+        total = 0
+        for own, _, _, pieces in work:
+            fresh = np.setdiff1d(self.tables[own], held)
+            total += len(fresh) + sum(map(len, pieces))
+            held = np.unique(self.tables[own])
+        done = itertools.count(1)
+
+        def advance() -> None:
+            if progress is not None:
+                progress(next(done), total)
+
+        made: dict[int, np.ndarray] = {}
+        for own, starts, listed, pieces in work:
+            made = self._made(np.unique(self.tables[own]), made, advance)
+            with self._on_device(own, starts, listed, made) as arrays:
+                for tile, found, rects in zip(cells, light, pieces, strict=True):
+                    if rects:
+                        self._add(arrays, tile, rects, found, advance)
+        return light
+
+    def _reaches(self, own: np.ndarray, cells: Sequence[Rect]) -> np.ndarray:
+        """Return which squares reach into one of some rectangles of CFA cells."""
+        reach = self.kernels.reach_um / self.sensor.pixel_pitch_um / self.period + 1
+        at = self.position[own] / self.period
+        found = np.zeros(len(own), bool)
+        for row, col, rows, cols in cells:
+            off = np.maximum(np.array([col, row]) - at, at - np.array([col + cols, row + rows]))
+            found |= (off < reach).all(axis=1)
+        return found
+
+    def _lists(self, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        reach = self.kernels.reach_um / (self.sensor.pixel_pitch_um * self.period)
+        return lists(self.position[own] / self.period, reach, (self.across, self.down))
+
+    def _pieces(self, starts: np.ndarray, tile: Rect) -> list[Rect]:
+        """Cut a tile of CFA cells, by squares of cells, into parts of at most PIECE_S each.
+
+        Row and column of the first square, rows and columns; those that no highlight reaches are
+        left out.
+        """
+        row, col, rows, cols = tile
+        counts = np.diff(starts.astype(np.int64)).reshape(self.down, self.across)
+        most = PIECE_S / (1e-9 * SPLAT_NS * self.planes * SQUARE**2)
+        top, left = row // SQUARE, col // SQUARE
+        bottom, right = (row + rows - 1) // SQUARE + 1, (col + cols - 1) // SQUARE + 1
+        todo, found = [(top, left, bottom - top, right - left)], []
+        while todo:
+            y, x, high, wide = part = todo.pop()
+            count = counts[y : y + high, x : x + wide].sum()
+            if not count:
+                continue
+            if count <= most or high == wide == 1:
+                found.append(part)
+            elif high >= wide:
+                todo += [(y, x, high // 2, wide), (y + high // 2, x, high - high // 2, wide)]
+            else:
+                todo += [(y, x, high, wide // 2), (y, x + wide // 2, high, wide - wide // 2)]
+        return found
+
+    def _made(
+        self, needed: np.ndarray, before: dict[int, np.ndarray], advance: Callable[[], None]
+    ) -> dict[int, np.ndarray]:
+        """Return tables by number; those that were made before are taken over."""
+        lacking = [number for number in needed.tolist() if number not in before]
+        made = {number: before[number] for number in needed.tolist() if number in before}
+        by_field: dict[int, tuple[FieldPsfs, np.ndarray]] = {}
+        for number in lacking:
+            of_field = self.fields[self.used[number, 0]]
+            if of_field not in by_field:
+                field = self.bank.field(of_field)
+                by_field[of_field] = field, self.kernels.spectra(field)
+
+        def one(number: int) -> np.ndarray:
+            of_field = self.fields[self.used[number, 0]]
+            # Beyond the axis everything is half a turn on: aperture and square are as they are.
+            half = np.pi * self.opposite[number]
+            angle = np.pi / 2 * self.used[number, 1] / self.bins + half
+            weights = self.kernels.weights_at(of_field, angle)
+            table = self.kernels.table(*by_field[of_field], weights, angle, self.shapes[number])
+            table = half_turned(table) if half else table
+            return np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1)
+
+        # SciPy and NumPy let go of the interpreter in their loops.
+        pool = ThreadPoolExecutor(os.cpu_count())
+        try:
+            with threadpool_limits(1):
+                for number, table in zip(lacking, pool.map(one, lacking), strict=True):
+                    made[number] = table
+                    advance()
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return made
+
+    @contextmanager
+    def _on_device(
+        self, own: np.ndarray, starts: np.ndarray, near: np.ndarray, made: dict[int, np.ndarray]
+    ) -> Iterator[dict[str, Resident]]:
+        """Bring squares, their lists and their tables onto the device for a while."""
+        needed, local = np.unique(self.tables[own], return_inverse=True)
+        scale = self.sensor.pixel_pitch_um / self.bank.pitch_um
+        rows = np.zeros(len(own), HIGHLIGHT)
+        position = self.position[own]
+        rows["pixel"] = np.floor(position)
+        rows["place"] = position - np.floor(position) - 0.5
+        rows["axis"] = self.mixed.axis[own] * scale
+        parts = np.zeros(self.mixed.shares[own].shape, PART)
+        parts["table"] = local.reshape(parts.shape)
+        parts["share"] = self.mixed.shares[own]
+        arrays = {
+            "highlights": rows.view(np.uint32),
+            "parts": parts.view(np.uint32),
+            "radiance": in_fours(self.squares.light[own]),
+            "starts": starts,
+            "near": near,
+            "tables": np.stack([made[number] for number in needed.tolist()]),
+        }
+        resident: dict[str, Resident] = {}
+        try:
+            for name, array in arrays.items():
+                resident[name] = self.device.resident(f"splat {name}", array)
+            yield resident
+        finally:
+            for one in resident.values():
+                one.destroy()
+
+    def _add(
+        self,
+        arrays: dict[str, Resident],
+        tile: Rect,
+        rects: list[Rect],
+        light: np.ndarray,
+        advance: Callable[[], None],
+    ) -> None:
+        """Add the light of squares on the device to that of a tile of CFA cells (S, rows, cols)."""
+        row0, col0, rows, cols = tile
+        rec = Recording(self.device)
+        rates = rec.buffer("rates", light.shape, np.float32)
+        rec.upload(rates, light)
+        for top, left, high, wide in rects:
             self.kernel.record(
                 rec,
-                groups=(last[0] - first[0] + 1, last[1] - first[1] + 1, self.planes),
+                groups=(wide, high, self.planes),
                 params={
-                    "first": first,
+                    "first": (left, top),
                     "origin": (col0, row0),
                     "size": (cols, rows),
                     "across": self.across,
-                    "reach2": self.reach2,
+                    # Reaches from a table's middle to zeros, and no tap lies beyond its border.
+                    "reach2": (self.kernels.support + 2) ** 2,
                     "site_channels": self.site_channels,
                 },
-                **group,
+                **arrays,
                 rates=rates,
             )
+            rec.mark()
+        label = rec.download(rates)
+        result = rec.run(lambda done, total: advance() if done <= len(rects) else None)
+        light[...] = result[label]
 
 
 def in_fours(values: np.ndarray) -> np.ndarray:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from gpusim.lens.field_bank import FieldBank
 from gpusim.plan.accuracy import LARGEST, SMALLEST, Accuracy
 from gpusim.plan.stage import PlanStage
+from gpusim.scene.chart import Chart
+from gpusim.scene.scene import Scene
 
 # Signal of a white around a dark patch over the patch's own: what the halo brings there counts so
 # much more. A level is left out where it brings less than this share of the tolerance even then.
@@ -16,6 +20,10 @@ LEFT_OUT = 0.1
 # charts have where it matters, between a patch and its neighbours of another brightness.
 SHARE = 0.3
 AROUND = 5.0
+# Of photographs, it is measured: their mean over what their darkest DARK hold. Beyond MOST_AROUND
+# more care costs more than the rest of a render.
+DARK = 0.05
+MOST_AROUND = 50.0
 
 
 @dataclass(frozen=True)
@@ -37,14 +45,31 @@ class HaloLevel:
     accuracy: Accuracy
 
 
-def halo_levels(levels: tuple[FieldBank, ...], accuracy: Accuracy) -> tuple[HaloLevel, ...]:
-    """Return which of a bank's levels a relative tolerance needs beside the core."""
+def surroundings(scene: Scene) -> float:
+    """Return how much brighter than what is dark in a scene that is which lights it from afar."""
+    if isinstance(scene.source, Chart):
+        return AROUND
+    brightness = scene.source.planes.max(axis=0)
+    lit = brightness[brightness > 0]
+    if not lit.size:
+        return AROUND
+    ratio = float(lit.mean(dtype=np.float64) / max(np.quantile(lit, DARK), 1e-30))
+    return min(max(ratio, AROUND), MOST_AROUND)
+
+
+def halo_levels(
+    levels: tuple[FieldBank, ...], accuracy: Accuracy, around: float = AROUND
+) -> tuple[HaloLevel, ...]:
+    """Return which of a bank's levels a relative tolerance needs beside the core.
+
+    ``around``: see `surroundings`.
+    """
     found = []
     for number, level in enumerate(levels[1:], start=1):
         share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
         if CONTRAST * share < LEFT_OUT * accuracy.tolerance:
             continue
-        allowed = SHARE * accuracy.tolerance / (AROUND * share)
+        allowed = SHARE * accuracy.tolerance / (around * share)
         own = Accuracy(min(max(allowed, SMALLEST), LARGEST), probes=0)
         found.append(HaloLevel(number, share, own))
     return tuple(found)

@@ -34,7 +34,7 @@ from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
-from gpusim.plan.halo import describe_halo, halo_levels
+from gpusim.plan.halo import describe_halo, halo_levels, surroundings
 from gpusim.plan.layout import (
     TRANSFORMS,
     Memory,
@@ -202,7 +202,7 @@ def _plan(
     """Return a candidate as a plan."""
     basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
     scales, force = problem.scales(chosen), problem.force
-    halo = halo_levels(problem.levels, problem.accuracy)
+    halo = halo_levels(problem.levels, problem.accuracy, surroundings(scene))
     identity = problem.identity(scales[0])
     stages = describe(
         chosen,

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
+from gpusim.optics.splat import SPLAT_NS
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.halo import HaloLevel
@@ -20,7 +21,6 @@ from gpusim.sensor.noise_model import LineNoise, Masks
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
-SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 REASON = 60  # of which a reason may take
 RIM = "image circle"  # the stage that leaves black what lies beyond it
 CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")

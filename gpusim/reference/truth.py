@@ -24,6 +24,7 @@ from scipy.ndimage import map_coordinates
 
 from gpusim.reference.coverage import cross, part_of
 from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.landing import landed
 from gpusim.reference.point_spread import spreads_of
 from gpusim.reference.quadrature import Zone
 
@@ -42,7 +43,6 @@ DEGREES = (5, 3)
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
 FINE_PITCH_UM = 0.5  # of banks; of coarser ones the zones are wider, by as much
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
-NEWTON_STEPS = 30
 MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
 HIGHLIGHT_ORDER = 4  # nodes across an aperture, and across a square as large
 
@@ -440,32 +440,10 @@ class Truth:
             corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)
             inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
             ideal = highlights.centre_um[:, None] + inner
-            real, stretch = self._real(ideal.reshape(-1, 2))
-            lit = np.hypot(*(real - self.fields.centre).T) <= self.fields.circle
-            areas = (
-                np.tile(shares, len(corners)) * cell**2 * (lit * stretch).reshape(ideal.shape[:2])
-            )
+            real, stretch = landed(self.fields, ideal.reshape(-1, 2))
+            areas = np.tile(shares, len(corners)) * cell**2 * stretch.reshape(ideal.shape[:2])
             self.squares = (highlights, real.reshape(ideal.shape), areas)
         return self.squares[1:]
-
-    def _real(self, ideal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where ideal-plane points (P, 2) land, and the map's stretch of areas there.
-
-        By Newton's steps on the map to the ideal plane. Where none lands, they end anywhere.
-        """
-        step = 1e-3
-        real = np.array(ideal, np.float64)
-        for _ in range(NEWTON_STEPS):
-            columns = [
-                (self.fields.ideal(real + d) - self.fields.ideal(real - d)) / (2 * step)
-                for d in step * np.eye(2)
-            ]
-            slopes = np.stack(columns, axis=2)
-            lack = ideal - self.fields.ideal(real)
-            if np.abs(lack).max() < 1e-7:
-                break
-            real += np.linalg.solve(slopes, lack[..., None])[..., 0]
-        return real, 1 / np.abs(np.linalg.det(slopes))
 
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um

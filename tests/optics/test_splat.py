@@ -8,22 +8,24 @@ and shares add up to 1 here, or are counted; N highlights are added one after an
 
 import numpy as np
 import pytest
+import scipy.fft
 from harness import assert_close, run_stage
 from optics.made import BLUE, FLAT, RED, ULP, bank, monochrome, plane_bank, sensor
+from scipy.interpolate import BSpline
 
-from gpusim.gpu import Device, Kernel, Recording
+from gpusim.gpu import Device, Kernel
 from gpusim.optics import splat as module
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.splat import (
+    CHANGE,
     HIGHLIGHT,
-    LARGEST,
     PART,
     Splat,
     Tables,
-    beta3,
     distinct,
     groups,
     in_fours,
+    largest_um,
     lists,
     mixture,
     real_points,
@@ -160,17 +162,6 @@ def test_a_rectangle_of_the_frame_has_the_same_bits():
     )
 
 
-def test_beta3_is_the_cubic_b_spline():
-    x = np.linspace(-2.5, 2.5, 501)
-    box = np.abs(x) <= 0.5
-    spline = box / box.sum()
-    for _ in range(3):
-        spline = np.convolve(spline, box / box.sum(), mode="same")
-    # Boxes of 101 instead of 100 steps: 1 % wider.
-    assert_close(beta3(x), spline * 100, atol=0.02)
-    assert beta3(np.arange(-2.0, 3.0)) == pytest.approx([0, 1 / 6, 4 / 6, 1 / 6, 0], abs=1e-15)
-
-
 # Host
 
 
@@ -183,18 +174,12 @@ def on_sensor(device, camera, highlights, lens=LENS, tolerance=1e-3, rects=None)
     stage = Splat(device, lens, camera, highlights, SPECTRA, tolerance)
     period = camera.period[0]
     frame = np.full((camera.rows, camera.cols), np.nan, F32)
-    for row, col, rows, cols in rects or [(0, 0, camera.rows, camera.cols)]:
-        rec = Recording(device)
-        rates = rec.buffer("rates", (period**2, -(-rows // period), -(-cols // period)), F32)
-        rec.clear(rates)
-        stage.record(rec, rates, (row, col, rows, cols))
-        label = rec.download(rates)
-        planes = rec.run()[label]
+    tiles = rects or [(0, 0, camera.rows, camera.cols)]
+    for (row, col, rows, cols), planes in zip(tiles, stage.light(tiles), strict=True):
         for site in range(period**2):
             part = frame[row : row + rows, col : col + cols]
             part = part[site // period :: period, site % period :: period]
             part[...] = planes[site][: part.shape[0], : part.shape[1]]
-    stage.release()
     return frame
 
 
@@ -229,9 +214,8 @@ def test_a_highlight_lights_pixels_as_in_the_truth(device: Device, place):
 @pytest.mark.parametrize("place", PLACES[[0, 2]])
 def test_an_aperture_that_is_no_square_sees_highlights_as_in_the_truth(device: Device, place):
     """An L that moves over the image: the same only after a whole turn of the azimuth."""
-    parts = [Part(x=0, y=0, width=1, height=0.4), Part(x=0, y=0.4, width=0.5, height=0.6)]
-    shape = Aperture(rectangles=parts)
-    moved = {"fill_factor": shape.area, "aperture": shape, "scan_motion_px": (0.6, -1.0)}
+    moved = l_shaped()
+    shape = moved["aperture"]
     camera = sensor(**moved)
     one = Highlights(place[None], PITCH, np.array([[1e9, 2e9, 0.5e9]]))
     pixels = around(camera, LENS, place)
@@ -274,11 +258,60 @@ def test_a_highlight_keeps_its_energy(device: Device, size_um: float):
     assert found == pytest.approx(expected, rel=1e-4)
 
 
+def l_shaped() -> dict[str, object]:
+    parts = [Part(x=0, y=0, width=1, height=0.4), Part(x=0, y=0.4, width=0.5, height=0.6)]
+    shape = Aperture(rectangles=parts)
+    return {"fill_factor": shape.area, "aperture": shape, "scan_motion_px": (0.6, -1.0)}
+
+
+@pytest.mark.parametrize("shaped", [False, True], ids=["square", "moving L"])
+def test_boxes_are_the_spline_averaged_over_aperture_and_square(shaped: bool):
+    """Against sums over points of both; of a turned pixel and a parallelogram."""
+    camera = sensor(**(l_shaped() if shaped else {}))
+    kernels = Tables(LENS, camera, SPECTRA, 2 * PITCH)
+    square, angle, shift = np.array([[2.0, 0.3], [-0.4, 1.7]]), 0.7, np.array([0.3, -0.6])
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    line, share = np.polynomial.legendre.leggauss(12)
+    nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
+    even = np.outer(share, share).ravel() / 4
+    if shaped:
+        seen, shares = camera.response_um.points(0.4)
+    else:
+        seen, shares = nodes * camera.response_um, even
+    # A point of the pixel sees to its side of what lies there; squares are even.
+    offsets = ((seen @ turn)[:, None] + nodes @ turn @ square.T).reshape(-1, 2) / 0.5
+    weights = np.outer(shares, even).ravel()
+    spline = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
+    found = scipy.fft.irfft2(
+        kernels._boxes(shift[None], angle, square)[0], s=(kernels.side, kernels.side)
+    )
+    places = [(0, 0), (1, -2), (-3, 1), (4, 4), (-2, -5), (0, 6)]
+    expected = [
+        weights
+        @ np.nan_to_num(spline(x + offsets[:, 0] - shift[0]) * spline(y + offsets[:, 1] - shift[1]))
+        for y, x in places
+    ]
+    # Three nodes and more between the knots of a cubic; the aliases beyond the second: SLIGHT.
+    assert_close(found[tuple(np.transpose(places))], np.array(expected), atol=1e-4 * found.max())
+    assert found.sum() == pytest.approx(1, abs=1e-12)
+
+
+def test_squares_are_as_large_as_the_psf_lets_them():
+    """Half as large where it changes twice as much, and where half as much is allowed."""
+    size = largest_um(LENS, 0.01)
+    assert largest_um(LENS, 0.005) == pytest.approx(size / 2)
+    fast, slow = (bank(coma_um=2.0, circle_um=circle) for circle in (82.5, 165.0))
+    assert largest_um(fast, 0.01) == pytest.approx(largest_um(slow, 0.01) / 2, rel=0.02)
+    assert largest_um(bank(coma_um=0.0), 0.01) > 5 * size
+    # A grid of fields in both directions says the same of the same PSFs.
+    assert 1.0 < largest_um(plane_bank(coma_um=2.0), 0.01) < 100.0
+
+
 def test_a_large_highlight_is_cut_up(device: Device):
     """A square of 12 um with the PSF of each of its parts."""
     camera = sensor()
     big = Highlights(np.array([[-40.0, 28.0]]), 12.0, np.array([[1e6, 0.0, 2e6]]))
-    assert big.size_um > 3 * LARGEST * PITCH
+    assert big.size_um > largest_um(LENS, CHANGE)
     pixels = around(camera, LENS, big.centre_um[0], (-7, -5, -4, -2, 3, 4))
     expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(big, pixels)
     found = on_sensor(device, camera, big)[pixels[:, 0], pixels[:, 1]].astype(float)
@@ -405,11 +438,10 @@ def test_angles_are_as_many_as_the_tolerance_asks_and_the_memory_holds(
 ):
     if table_bytes is not None:
         monkeypatch.setattr(module, "TABLE_BYTES", table_bytes)
-    one = Highlights(PLACES[:1], PITCH, np.ones((1, 1)))
+    one = Highlights(PLACES[:1], 0.1, np.ones((1, 1)))
     stage = Splat(device, LENS, monochrome(), one, SPECTRA[:1], tolerance)
     assert stage.bins == bins
-    assert stage.groups[0]["tables"].shape[:3] == (8, 1, 1)
-    stage.release()
+    assert stage.tables.shape == (1, 8)
 
 
 def test_real_points_are_where_the_map_leads_back():
