@@ -45,6 +45,7 @@ from gpusim.plan.layout import (
 from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
+from gpusim.plan.splat import describe_splat
 from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -195,6 +196,8 @@ def _plan(
     scales, force = problem.scales(chosen), problem.force
     halo = halo_levels(problem.levels, problem.accuracy, surroundings(scene))
     identity = problem.identity(scales[0])
+    tolerance = problem.accuracy.tolerance
+    splat = describe_splat(problem.bank, sensor, scene, problem._placed, tolerance, costs)
     stages = describe(
         chosen,
         basis,
@@ -205,6 +208,7 @@ def _plan(
         noise,
         force,
         (*problem.left_out(), describe_halo(problem.levels, halo)),
+        splat,
     )
     of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
     return Plan(
@@ -214,7 +218,8 @@ def _plan(
         name=chosen.name,
         predicted_s=sum(part.layout.frame_s for part in chosen.parts)
         + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
-        kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
+        kernels_s=sum(part.layout.kernels_s for part in chosen.parts)
+        + (splat.predicted_cost_s or 0.0),
         rates=costs.source,
         runners_up=runners_up,
         halo=halo,
