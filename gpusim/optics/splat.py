@@ -272,50 +272,58 @@ class Tables:
         square : ndarray (2, 2)
             Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
         """
-        boxes = self._boxes(field.shift_um / self.bank.pitch_um, angle, square)
-        mixed = np.tensordot(weights * field.relative_illumination, spectra * boxes, axes=1)
+        shifts, pitch_um = field.shift_um / self.bank.pitch_um, self.bank.pitch_um
+        spread = spectra * boxes(self.side, pitch_um, self.aperture_um, shifts, angle, square)
+        mixed = np.tensordot(weights * field.relative_illumination, spread, axes=1)
         table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
         at = np.arange(self.side) - self.side // 2
         # Beyond lies rounding; and where the PSF is cut off, its spline swings below zero.
         table[..., np.hypot(at, at[:, None]) > self.support] = 0.0
         return np.maximum(table, 0.0)
 
-    def _boxes(self, shifts: np.ndarray, angle: float, square: np.ndarray) -> np.ndarray:
-        """Return spectra of the cubic B-spline averaged over aperture and square.
 
-        (L, side, side / 2 + 1), in the frame of the PSFs; each wavelength (L, 2) lies where lateral
-        colour moves it. What is known in between, the transform of samples folds onto their own
-        frequencies: sinc^4 of the spline, with a sinc for each side of aperture and square.
-        """
-        side, pitch = self.side, self.bank.pitch_um
-        fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
-        # Columns are the PSFs' x and y axis.
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        result = np.zeros((len(shifts), side, len(fx)), np.complex128)
-        for down, across in itertools.product(ALIASES, ALIASES):
-            y, x = fy + down, fx + across
-            of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
-            if of_y.max() * of_x.max() < SLIGHT:
-                continue
-            sides = square.T / pitch
-            one = _turned_box(turn @ sides, x, y)
-            if isinstance(self.aperture_um, Response):
-                aperture = self.aperture_um / pitch
-                one = one * aperture.spectrum(
-                    turn[0, 0] * x + turn[0, 1] * y[:, None],
-                    turn[1, 0] * x + turn[1, 1] * y[:, None],
-                )
-            else:
-                one *= _turned_box(self.aperture_um / pitch * turn, x, y)
-            one *= of_x
-            one *= of_y[:, None]
-            for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
-                found += np.exp(-2j * np.pi * (across * moved_x + down * moved_y)) * one
+def boxes(
+    side: int,
+    pitch_um: float,
+    aperture_um: float | Response,
+    shifts: np.ndarray,
+    angle: float,
+    square: np.ndarray,
+) -> np.ndarray:
+    """Return spectra of the cubic B-spline averaged over aperture and square.
+
+    (L, side, side / 2 + 1), in the frame of the PSFs, whose samples are the pitch apart; each
+    wavelength (L, 2) lies where lateral colour moves it, samples. What is known in between, the
+    transform of samples folds onto their own frequencies: sinc^4 of the spline, with a sinc for
+    each side of aperture and square. ``angle`` and ``square``: see `Tables.table`.
+    """
+    fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
+    # Columns are the PSFs' x and y axis.
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    result = np.zeros((len(shifts), side, len(fx)), np.complex128)
+    for down, across in itertools.product(ALIASES, ALIASES):
+        y, x = fy + down, fx + across
+        of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
+        if of_y.max() * of_x.max() < SLIGHT:
+            continue
+        one = _turned_box(turn @ square.T / pitch_um, x, y)
+        if isinstance(aperture_um, Response):
+            aperture = aperture_um / pitch_um
+            one = one * aperture.spectrum(
+                turn[0, 0] * x + turn[0, 1] * y[:, None],
+                turn[1, 0] * x + turn[1, 1] * y[:, None],
+            )
+        else:
+            one *= _turned_box(aperture_um / pitch_um * turn, x, y)
+        one *= of_x
+        one *= of_y[:, None]
         for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
-            found *= np.exp(-2j * np.pi * moved_x * fx)
-            if moved_y:
-                found *= np.exp(-2j * np.pi * moved_y * fy)[:, None]
-        return result
+            found += np.exp(-2j * np.pi * (across * moved_x + down * moved_y)) * one
+    for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
+        found *= np.exp(-2j * np.pi * moved_x * fx)
+        if moved_y:
+            found *= np.exp(-2j * np.pi * moved_y * fy)[:, None]
+    return result
 
 
 def _turned_box(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -343,7 +351,8 @@ class Splat:
 
     Parameters
     ----------
-    device : Device
+    device : Device or None
+        None: to plan, and not to run.
     bank : FieldBank
     sensor : Sensor
     highlights : Highlights
@@ -356,7 +365,7 @@ class Splat:
 
     def __init__(
         self,
-        device: Device,
+        device: Device | None,
         bank: FieldBank,
         sensor: Sensor,
         highlights: Highlights,
@@ -410,6 +419,19 @@ class Splat:
         self.position = squares.real_um / sensor.pixel_pitch_um
         self.position += np.array([sensor.cols, sensor.rows]) / 2
         self.groups = groups(self.tables, self.table_bytes)
+
+    def work(self) -> dict[str, float]:
+        """Return the samples of all tables by wavelength, and the highlights' pixels."""
+        if not self.groups:
+            return {"tables": 0.0, "splat": 0.0}
+        lines = len(self.bank.wavelengths_nm)
+        pixels = math.pi * (self.kernels.reach_um / self.sensor.pixel_pitch_um) ** 2
+        pixels = min(pixels, self.sensor.rows * self.sensor.cols)
+        pixels *= self.planes / self.period**2
+        return {
+            "tables": float(len(self.used) * lines * self.kernels.side**2),
+            "splat": float(len(self.squares.light) * pixels),
+        }
 
     def light(
         self, tiles: Sequence[Rect], progress: Callable[[int, int], None] | None = None

@@ -26,6 +26,7 @@ from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
+from gpusim.optics.splat import HIGHLIGHT, PART, SQUARE, boxes
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs
 from gpusim.plan.layout import TRANSFORMS
@@ -57,6 +58,7 @@ TURNS = 2  # in which everything is timed; the first also compiles
 RUNS = 3  # in each turn, of which the fastest counts
 SIDE = 512  # of the frame for the sensor's stages, pixels
 PLANES = 3
+BOXES = 0.68  # of the time that a table takes: measured on 90 of them, of 288 samples a side
 SUPPORT = 12  # of the direct sum, sim samples
 FLAT = radial_map(lambda real_um: real_um * (1 + 0.01 * (real_um / 1e4) ** 2), 1e4)
 NOTHING = """
@@ -138,7 +140,7 @@ def measure(device: Device, progress: Progress | None = None) -> Costs:
     them against one another, and a machine with other work runs now faster and now slower.
     """
     tell = progress or (lambda done, total: None)
-    parts = (_host, _source, _transforms, _others, _sensor, _ccd, _dispatch)
+    parts = (_host, _splat, _source, _transforms, _others, _sensor, _ccd, _dispatch)
     best: dict[Callable, tuple[float, dict[str | int, float]]] = {}
     for number, part in enumerate(TURNS * parts):
         tell(number, TURNS * len(parts))
@@ -214,6 +216,52 @@ def _host(device: Device) -> dict[str | int, float]:
     return {
         "kernels": 1e9 * of_kernels / (2 * half_size) ** 2,
         "spectra": 1e9 * of_spectra / length**2,
+    }
+
+
+def _splat(device: Device) -> dict[str | int, float]:
+    """Time the spectra of tables' boxes, on all cores, and highlights that light every pixel.
+
+    The boxes are BOXES of what a table takes.
+    """
+    side, lines, cells, count = 256, 13, 8 * SQUARE, 16
+    shifts = np.linspace(-1.0, 1.0, 2 * lines).reshape(lines, 2)
+
+    def one(number: int) -> np.ndarray:
+        return boxes(side, 0.5, 1.55, shifts, 0.1 * number, 2.0 * np.eye(2))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        started = time.perf_counter()
+        list(pool.map(one, range(4)))
+        boxes_s = (time.perf_counter() - started) / 4
+
+    rows, parts = np.zeros(count, HIGHLIGHT), np.zeros((count, 8), PART)
+    rows["pixel"], rows["axis"] = cells, (0.1, 0.0)
+    parts["share"], parts["table"] = 1 / 8, np.arange(8)
+    starts = count * np.arange((cells // SQUARE) ** 2 + 1, dtype=np.uint32)
+    arrays = {
+        "highlights": rows.view(np.uint32),
+        "parts": parts.view(np.uint32),
+        "radiance": np.ones((count, 1, 4), np.float32),
+        "starts": starts,
+        "near": np.tile(np.arange(count, dtype=np.uint32), len(starts)),
+        "tables": np.ones((8, 3, 1, 64, 64, 4), np.float32),
+    }
+    rec = Recording(device)
+    rates = rec.buffer("rates", (4, cells, cells), np.float32)
+    rec.clear(rates)
+    buffers = {}
+    for name, array in arrays.items():
+        buffers[name] = rec.buffer(name, array.shape, array.dtype)
+        rec.upload(buffers[name], array)
+    groups = (cells // SQUARE, cells // SQUARE, 4)
+    whole = {"first": (0, 0), "origin": (0, 0), "size": (cells, cells)}
+    sites = {"across": groups[0], "reach2": 30.0**2, "site_channels": (0, 0, 0, 0)}
+    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, FOURS=1, N=64, MIXED=8)
+    kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
+    return {
+        "tables": 1e9 * boxes_s / BOXES / (lines * side**2),
+        "splat": 1e9 * _fastest(rec)["splat"] / (count * 4 * cells**2),
     }
 
 

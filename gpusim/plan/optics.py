@@ -46,6 +46,7 @@ from gpusim.plan.layout import (
 from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
+from gpusim.plan.splat import describe_splat
 from gpusim.plan.stages import CCD_STAGES, RIM, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -204,6 +205,8 @@ def _plan(
     scales, force = problem.scales(chosen), problem.force
     halo = halo_levels(problem.levels, problem.accuracy, surroundings(scene))
     identity = problem.identity(scales[0])
+    tolerance = problem.accuracy.tolerance
+    splat = describe_splat(problem.bank, sensor, scene, problem._placed, tolerance, costs)
     stages = describe(
         chosen,
         basis,
@@ -218,6 +221,7 @@ def _plan(
             *(() if lens is None else lens.stages),
             describe_halo(problem.levels, halo),
         ),
+        splat,
     )
     of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
     return Plan(
@@ -227,7 +231,8 @@ def _plan(
         name=chosen.name,
         predicted_s=sum(part.layout.frame_s for part in chosen.parts)
         + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
-        kernels_s=sum(part.layout.kernels_s for part in chosen.parts),
+        kernels_s=sum(part.layout.kernels_s for part in chosen.parts)
+        + (splat.predicted_cost_s or 0.0),
         rates=costs.source,
         runners_up=runners_up,
         halo=halo,

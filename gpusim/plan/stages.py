@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
-from gpusim.optics.splat import SPLAT_NS
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.halo import HaloLevel
@@ -43,7 +42,7 @@ class Plan:
     predicted_s : float
         Of one frame, everything together.
     kernels_s : float
-        Of the kernels, which are made once.
+        Of the kernels and the highlights' light, which are made once.
     rates : str
         Whose rates the predictions are made from.
     runners_up : tuple of RunnerUp
@@ -81,7 +80,7 @@ class Plan:
             first = f"{state:5}{stage.name}"
             lines += _row(first, stage.reason, stage.predicted_error, stage.predicted_cost_s)
         lines += _row("", "with all dispatches", None, self.predicted_s)
-        lines += _row("", "kernels, made once", None, self.kernels_s)
+        lines += _row("", "kernels and highlights, made once", None, self.kernels_s)
         lines += ["", *_row("chosen", self.name, None, None)]
         if self.shortfall:
             lines += _row("best effort", self.shortfall, None, None)
@@ -113,10 +112,12 @@ def describe(
     noise: bool,
     force: Collection[str],
     of_lens: tuple[PlanStage, ...],
+    splat: PlanStage,
 ) -> tuple[PlanStage, ...]:
     """Describe the chain, stage by stage.
 
-    ``identity``: of the warp onto the first grid; ``of_lens``: what the lens does to the image.
+    ``identity``: of the warp onto the first grid; ``of_lens``: what the lens does to the image;
+    ``splat``: how highlights are held apart.
     """
     planes = basis.coefficients.shape[1]
     is_chart = isinstance(scene.source, Chart)
@@ -133,9 +134,6 @@ def describe(
         return PlanStage(name, needed or forced, used if needed else unused + ", forced" * forced)
 
     source = f"{planes} of {len(scene.spectra)} spectra are told apart by the camera"
-    highlights = 0 if is_chart else len(scene.source.split.rows)
-    last = layouts[-1].grid
-    lit = (2 * last.half_size / last.oversampling) ** 2  # pixels that one highlight lights
     return (
         PlanStage("illumination", False, "the target is lit evenly"),
         PlanStage(
@@ -182,15 +180,7 @@ def describe(
             else "whole PSFs on one grid cost less, or the tolerance allows no cut",
             chosen.errors.get("cut"),
         ),
-        PlanStage(
-            "splat",
-            highlights > 0,
-            f"{highlights} highlights, each with the PSF of its own place"
-            if highlights
-            else "no part of the scene outshines the rest",
-            None,
-            1e-9 * SPLAT_NS * highlights * lit if highlights else None,
-        ),
+        splat,
         *_sensor_stages(sensor, costs, noise, part),
     )
 

@@ -22,6 +22,7 @@ from gpusim.optics.splat import (
     PART,
     Splat,
     Tables,
+    boxes,
     distinct,
     groups,
     in_fours,
@@ -268,7 +269,6 @@ def l_shaped() -> dict[str, object]:
 def test_boxes_are_the_spline_averaged_over_aperture_and_square(shaped: bool):
     """Against sums over points of both; of a turned pixel and a parallelogram."""
     camera = sensor(**(l_shaped() if shaped else {}))
-    kernels = Tables(LENS, camera, SPECTRA, 2 * PITCH)
     square, angle, shift = np.array([[2.0, 0.3], [-0.4, 1.7]]), 0.7, np.array([0.3, -0.6])
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     line, share = np.polynomial.legendre.leggauss(12)
@@ -282,9 +282,9 @@ def test_boxes_are_the_spline_averaged_over_aperture_and_square(shaped: bool):
     offsets = ((seen @ turn)[:, None] + nodes @ turn @ square.T).reshape(-1, 2) / 0.5
     weights = np.outer(shares, even).ravel()
     spline = BSpline.basis_element(np.arange(-2.0, 3.0), extrapolate=False)
-    found = scipy.fft.irfft2(
-        kernels._boxes(shift[None], angle, square)[0], s=(kernels.side, kernels.side)
-    )
+    side = 48
+    spectrum = boxes(side, 0.5, camera.response_um, shift[None], angle, square)[0]
+    found = scipy.fft.irfft2(spectrum, s=(side, side))
     places = [(0, 0), (1, -2), (-3, 1), (4, 4), (-2, -5), (0, 6)]
     expected = [
         weights

@@ -1,0 +1,30 @@
+"""What a photograph's highlights take: their tables on the host, and their sums."""
+
+from __future__ import annotations
+
+from gpusim.lens.field_bank import FieldBank
+from gpusim.optics.splat import Splat
+from gpusim.plan.costs import Costs
+from gpusim.plan.stage import PlanStage
+from gpusim.scene.chart import Chart
+from gpusim.scene.raster import PlacedRaster
+from gpusim.scene.scene import Scene
+from gpusim.sensor.sensor import Sensor
+
+
+def describe_splat(
+    bank: FieldBank,
+    sensor: Sensor,
+    scene: Scene,
+    placed: Chart | PlacedRaster,
+    tolerance: float,
+    costs: Costs,
+) -> PlanStage:
+    """Describe the stage; its cost is that of the whole frame, and no further frame has it."""
+    count = 0 if isinstance(placed, Chart) else len(placed.highlights)
+    if not count:
+        return PlanStage("splat", False, "no part of the scene outshines the rest")
+    work = Splat(None, bank, sensor, placed.highlights, scene.spectra, tolerance).work()
+    cost_s = sum(costs.seconds(name, amount) for name, amount in work.items())
+    text = f"{count} highlights, each with the PSF of its own place, once a scene"
+    return PlanStage("splat", True, text, None, cost_s)
