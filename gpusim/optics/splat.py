@@ -322,14 +322,13 @@ class Splat:
         while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
             mixed = mixture(places, squares, self.bins, kernels.turns)
+        self.mixed = mixed.shares.shape[1]
         self.kernel = Kernel(
             "optics/splat",
             S=self.planes,
             PERIOD=self.period,
             C=len(channels),
-            FOURS=self.fours,
             N=kernels.side,
-            MIXED=mixed.shares.shape[1],
         )
         used, tables = distinct(mixed.keys)
         opposite = np.isin(used[:, 0], places.opposite)
@@ -413,6 +412,8 @@ class Splat:
                     "size": (cols, rows),
                     "across": self.across,
                     "reach2": self.reach2,
+                    "fours": self.fours,
+                    "mixed": self.mixed,
                     "site_channels": self.site_channels,
                 },
                 **group,
