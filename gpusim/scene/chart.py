@@ -153,6 +153,10 @@ class Chart:
                 raise ValueError(f"primitive {i}: extent {min(extents)} is not positive")
         _ = self.gap  # computing it finds what crosses, touches or hides
 
+    def __hash__(self) -> int:
+        # Caches ask often; by all primitives it takes a millisecond.
+        return hash((self.materials, self.background, len(self.primitives)))
+
     @cached_property
     def gap(self) -> float:
         """Least distance between any two outlines, in the primitives' unit; infinite below two."""
