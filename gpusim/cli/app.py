@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from gpusim.cli.stop import stopping
 from gpusim.errors import UserError
 
 app = typer.Typer(
@@ -41,7 +42,8 @@ def main() -> None:
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     warnings.showwarning = _show_warning
     try:
-        app()
+        with stopping():
+            app()
     except UserError as error:
         from gpusim.cli.screen import show_error
 
@@ -110,6 +112,12 @@ def render(
         str | None,
         typer.Option(metavar="NAME", help="fft, direct or modes; planned if not given."),
     ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="REPORT", help="Plan as in this report.json: the same raw, byte for byte."
+        ),
+    ] = None,
     noise: Annotated[
         bool, typer.Option(help="Draw noise and fixed patterns; else the mean signal.")
     ] = True,
@@ -145,6 +153,7 @@ def render(
         keep=keep,
         noise=noise,
         method=method,
+        plan=plan,
         best_effort=best_effort,
         dry_run=dry_run,
     ):

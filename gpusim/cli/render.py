@@ -24,7 +24,7 @@ from gpusim.gpu import default_device
 from gpusim.isp.develop import develop, develops, undeveloped
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.plan import Accuracy, plan_optics
-from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.calibrate import adapter_costs, planned_costs
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -53,6 +53,7 @@ def run(
     keep: str,
     noise: bool,
     method: str | None,
+    plan: Path | None,
     best_effort: bool,
     dry_run: bool,
 ) -> int:
@@ -70,17 +71,18 @@ def run(
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2)
+    costs = None if plan is None else planned_costs(plan)
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
             bank = camera.bank(lambda done, total: progress("lens", done, total))
-            costs = adapter_costs(
+            costs = costs or adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
-        plan = plan_optics(
+        chosen = plan_optics(
             bank, camera.sensor, scene, accuracy, costs, noise, method, exposure_s=exposure_s
         )
-        print(plan.text())
+        print(chosen.text())
         return 0
     with staging(out) as folder:
         with (
@@ -102,6 +104,7 @@ def run(
                 folder=Path(work),
                 noise=noise,
                 method=method,
+                costs=costs,
                 progress=progress,
             )
             progress("files", 0, 1)
