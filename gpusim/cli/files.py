@@ -16,11 +16,8 @@ from gpusim.errors import UserError
 PREFIX, LOCK = ".gpusim-", ".lock"
 JUST_MADE_S = 60.0  # between the making of a folder and its lock lie microseconds
 # What a disk says when it takes no more: full, over quota, the file too large for it or for
-# `ulimit -f`, broken, read-only; and of a folder that is gone, or not ours any more.
-DISK = (
-    *(errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS),
-    *(errno.ENOENT, errno.ENOTDIR, errno.ESTALE, errno.EACCES, errno.EPERM),
-)
+# `ulimit -f`, broken, read-only.
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 @contextmanager
@@ -55,9 +52,9 @@ def staging(folder: Path) -> Iterator[Path]:
             if file.name != LOCK:
                 file.replace(folder / file.name)
     except OSError as error:
-        if error.errno not in DISK:
-            raise
         gone = not temporary.is_dir()
+        if error.errno not in DISK and not gone:
+            raise
         reason = "the output folder was removed" if gone else error.strerror
         raise UserError(f"writing failed: {reason}", file=folder) from error
     finally:

@@ -29,6 +29,8 @@ from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from gpusim.chain import Capture
 
 KEPT_PLANES = ("electrons", "rate")
@@ -56,17 +58,22 @@ def run(
     plan: Path | None,
     best_effort: bool,
     dry_run: bool,
+    lens: Mapping[str, float | None],
+    sensor: str | None,
+    show: str,
 ) -> int:
     """Render one capture into the folder `out` and show what was done; return the exit code.
 
-    `dry_run`: show the plan, and neither render nor write.
+    `dry_run`: show the plan, and neither render nor write. `lens`, `sensor`: in place of the
+    camera's, see `load_camera`. `show`: "table", "json" or "nothing".
     """
     exposure_s = exposure_seconds(exposure)
     planes = kept_planes(keep)
     rectangle = None if tile is None else rectangle_of(tile)
     memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
-    camera = load_camera(camera_name)
+    changes = {name: value for name, value in lens.items() if value is not None}
+    camera = load_camera(camera_name, changes, sensor)
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
@@ -86,7 +93,7 @@ def run(
         return 0
     with staging(out) as folder:
         with (
-            screen.progress_bar() as progress,
+            screen.progress_bar(show != "nothing") as progress,
             tempfile.TemporaryDirectory(prefix="planes-", dir=folder) as work,
         ):
             capture = take(
@@ -111,7 +118,10 @@ def run(
             facts = write(capture, folder)
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
-    screen.show_capture(facts, out)
+    if show == "json":
+        print(json.dumps(facts, indent=1, allow_nan=False))
+    elif show == "table":
+        screen.show_capture(facts, out)
     return 0 if facts["certificate"] is None or facts["certificate"]["met"] else 1
 
 

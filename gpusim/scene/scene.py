@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.scene.chart import Chart
 from gpusim.scene.charts import CHARTS
@@ -89,7 +90,7 @@ def make_scene(
     if path.suffix.lower() == ".exr":
         return _photograph(path, luminance_cd_m2)
     raise UserError(
-        "unknown scene",
+        f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
         allowed=f"{', '.join(CHARTS)}, or a file NAME.exr",

@@ -449,7 +449,7 @@ def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
     content = file.read_bytes()
     rng = np.random.default_rng(17)
     damages = [content[:100], b"", content[: len(content) // 2], content + content]
-    for _ in range(40):  # 16 bytes anywhere: header, groups, names, data
+    for _ in range(10):  # 16 bytes anywhere: header, groups, names, data
         at = int(rng.integers(0, len(content) - 16))
         damages.append(content[:at] + rng.bytes(16) + content[at + 16 :])
     for damaged in damages:
@@ -460,4 +460,4 @@ def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
             np.testing.assert_array_equal(found.real_height_um, whole.real_height_um)
             assert found.provenance == whole.provenance
     # Once for each damage that counts: not fatal, nor for ever.
-    assert 20 < len(computed) <= 1 + len(damages)
+    assert 8 < len(computed) <= 1 + len(damages)
