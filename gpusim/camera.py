@@ -15,11 +15,12 @@ from pydantic import Field, model_validator
 
 from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
+from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     import numpy as np
 
@@ -130,8 +131,15 @@ def presets() -> list[str]:
     return sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
 
-def load_camera(name_or_path: str | Path) -> Camera:
+def load_camera(
+    name_or_path: str | Path,
+    lens: Mapping[str, float] | None = None,
+    sensor: str | None = None,
+) -> Camera:
     """Load a camera file, or a preset by its name.
+
+    ``lens`` holds fields of a `LensChoice` and ``sensor`` names another sensor, both in place of
+    the file's own; of another sensor all pixels are used.
 
     A file's ``lens`` is a mapping (``LensChoice``) or the name or file of a lens, whose kind is
     recognised; its ``sensor`` a mapping (``SensorChoice``) or the name or file of a sensor.
@@ -150,7 +158,7 @@ def load_camera(name_or_path: str | Path) -> Camera:
         path = PRESETS / f"{name_or_path}.yaml"
         if not path.exists():
             raise UserError(
-                "There is no camera of that name.",
+                _no_camera(str(name_or_path)),
                 field="CAMERA",
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
@@ -158,14 +166,46 @@ def load_camera(name_or_path: str | Path) -> Camera:
     data = read_yaml(path, "the camera file")
     named = data.get("lens") if isinstance(data, dict) else None
     fields = checked(CameraFile, _spelled_out(data), path)
-    sensor = load_sensor(_beside(path, fields.sensor.preset))
+    ready = _ready_place(path, named) if isinstance(named, str) else None
+    if lens and ready is not None:
+        raise UserError(
+            "a ready-made lens is used as it is: it has no surfaces to trace again",
+            file=path,
+            field=f"lens.{next(iter(lens))}",
+            allowed="a camera whose lens is a prescription",
+        )
+    if lens:
+        chosen = fields.lens.model_dump(exclude_none=True) | dict(lens)
+        data = _spelled_out(data) | {"lens": chosen}
+        fields = checked(CameraFile, data, path)
+    if sensor is not None:
+        fields = fields.model_copy(update={"sensor": SensorChoice(preset=sensor)})
+    sensor = load_sensor(sensor or _beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)
-    ready = _ready_place(path, named) if isinstance(named, str) else None
     lens = load_ready(ready) if ready is not None else _lens(path, fields.lens, sensor)
     # Light passes those in front of the lens first: the product is the same.
     filters = [*sensor.filters, *load_filters(fields.filters, path)]
     return Camera(fields.title, lens, sensor.model_copy(update={"filters": filters}))
+
+
+def _no_camera(name: str) -> str:
+    """Say that there is no camera of a name: of which kind it is, or which may be meant."""
+    from gpusim.lens.prescription import presets as lenses
+    from gpusim.lens.ready import mtf_presets
+    from gpusim.sensor.load import presets as sensors
+
+    kinds = {"lens": {*lenses(), *mtf_presets()}, "sensor": set(sensors())}
+    for kind, names in kinds.items():
+        if name in names:
+            having = []
+            for camera in presets():
+                said = read_yaml(PRESETS / f"{camera}.yaml", "the camera file")[kind]
+                if name in (said.values() if isinstance(said, dict) else [said]):
+                    having.append(camera)
+            found = f"cameras with it: {', '.join(having)}" if having else "no camera has it"
+            return f"{name} is a {kind}; {found}"
+    return f"there is no camera of that name{perhaps(name, presets())}"
 
 
 def _spelled_out(data: object) -> object:

@@ -120,6 +120,8 @@ class Capture:
         What was asked for.
     temperature_c : float
         Of the sensor.
+    costs : Costs or None
+        The rates that the plan was made from: with them it is made again.
     """
 
     raw: np.ndarray
@@ -145,6 +147,7 @@ class Capture:
     exposure_s: float
     accuracy: Accuracy
     temperature_c: float
+    costs: Costs | None = None
 
     @property
     def lit(self) -> Rect:
@@ -456,6 +459,7 @@ class Renderer:
                 ),
             )
         return Capture(
+            costs=self._costs,
             raw=shot.on_rect("dn"),
             rate=shot.on_rect("rate") if "rate" in keep else None,
             electrons=shot.on_rect("electrons") if "electrons" in keep else None,
@@ -1111,11 +1115,13 @@ def capture(
     noise: bool = True,
     method: str | None = None,
     gain: float | None = None,
+    costs: Costs | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`.
 
-    ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`.
+    ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`. ``costs``: the rates that
+    the plan is made from, those of the adapter if not given.
     """
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
@@ -1130,6 +1136,7 @@ def capture(
         exposure_s=exposure_s,
         noise=noise,
         method=method,
+        costs=costs,
     )
     try:
         return renderer.capture(

@@ -23,7 +23,7 @@ from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
 from gpusim.plan import Accuracy
-from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -50,6 +50,16 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def shot(out: Path, *arguments: object) -> Ran:
     return gpusim("render", "demo", "demo", "--out", out, *arguments)
+
+
+def test_a_report_plans_the_next_render_as_its_own(asked: dict[str, Any], tmp_path: Path):
+    report = tmp_path / "report.json"
+    ns = {name: 3.0 + number for number, name in enumerate(LAVAPIPE.ns)}
+    costs = dataclasses.replace(LAVAPIPE, source="another day", ns=ns)
+    report.write_text(json.dumps({"costs": content_of(costs)}))
+    assert shot(tmp_path / "out", "--plan", report).code == 0
+    assert asked["costs"] == costs
+    assert_refused(shot(tmp_path / "b", "--plan", tmp_path / "none.json"), "cannot be read")
 
 
 # what it writes

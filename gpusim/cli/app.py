@@ -11,13 +11,14 @@ from typing import Annotated
 
 import typer
 
+from gpusim.cli.files import DISK
+from gpusim.cli.stop import stopping
 from gpusim.errors import UserError
 
 app = typer.Typer(
     name="gpusim",
     help="Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -34,19 +35,67 @@ BestEffort = Annotated[
     ),
 ]
 
+FocalLength = Annotated[
+    float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
+]
+FNumber = Annotated[
+    float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
+]
+FocusShift = Annotated[
+    float | None,
+    typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
+]
+
 
 def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
     # Mesa asks libwayland for a screen, which complains on stderr where this is not set.
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):  # a terminal without the letters of a lens's name
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        with stopping():
+            try:
+                app()
+            finally:
+                sys.stdout.flush()  # a full disk is told here, not after the end
     except UserError as error:
-        from gpusim.cli.screen import show_error
+        _refuse(error)
+    except OSError as error:
+        if error.errno not in DISK:
+            raise
+        # What is left in the buffer cannot be written either: Python would say so again.
+        sys.stdout = open(os.devnull, "w")
+        _refuse(UserError(f"the output cannot be written: {error.strerror}", field="stdout"))
+    except MemoryError:
+        _refuse(UserError("there is not enough memory", allowed="fewer pixels, or more memory"))
 
-        show_error(error)
-        sys.exit(2)
+
+def _refuse(error: UserError) -> None:
+    from gpusim.cli.screen import show_error
+
+    show_error(error)
+    sys.exit(2)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from gpusim import __version__
+
+        print(f"gpusim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers."""
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:
@@ -130,12 +179,31 @@ def render(
         str | None,
         typer.Option(metavar="NAME", help="fft, direct or modes; planned if not given."),
     ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="REPORT", help="Plan as in this report.json: the same raw, byte for byte."
+        ),
+    ] = None,
     noise: Annotated[
         bool, typer.Option(help="Draw noise and fixed patterns; else the mean signal.")
     ] = True,
     best_effort: BestEffort = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show the plan; render and write nothing.")
+    ] = False,
+    focal_length: FocalLength = None,
+    f_number: FNumber = None,
+    focus_shift: FocusShift = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option("--sensor", metavar="SENSOR", help="Another sensor: a preset or a file."),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the report as JSON, no table.")
     ] = False,
     adapter: Adapter = None,
 ) -> None:
@@ -170,8 +238,16 @@ def render(
         keep=keep,
         noise=noise,
         method=method,
+        plan=plan,
         best_effort=best_effort,
         dry_run=dry_run,
+        lens={
+            "focal_length_mm": focal_length,
+            "f_number": f_number,
+            "focus_shift_um": focus_shift,
+        },
+        sensor=sensor,
+        show="json" if as_json else "nothing" if quiet else "table",
     ):
         raise typer.Exit(code)
 
@@ -188,6 +264,26 @@ def chart(
 
 
 @app.command()
+def charts() -> None:
+    """List the charts."""
+    from rich.console import Console
+
+    from gpusim.cli.chart import library
+
+    Console().print(library())
+
+
+@app.command()
+def cameras() -> None:
+    """List the cameras that come with the package."""
+    from rich.console import Console
+
+    from gpusim.cli.cameras import library
+
+    Console().print(library())
+
+
+@app.command()
 def lens(
     name: Annotated[
         str | None,
@@ -198,16 +294,9 @@ def lens(
             "it, the presets.",
         ),
     ] = None,
-    focal_length: Annotated[
-        float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
-    ] = None,
-    f_number: Annotated[
-        float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
-    ] = None,
-    focus_shift: Annotated[
-        float | None,
-        typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
-    ] = None,
+    focal_length: FocalLength = None,
+    f_number: FNumber = None,
+    focus_shift: FocusShift = None,
     nearest_glasses: Annotated[
         bool,
         typer.Option(

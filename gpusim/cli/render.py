@@ -26,12 +26,14 @@ from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.lens.field_bank import seen_as
 from gpusim.plan import Accuracy, plan_optics
-from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.calibrate import adapter_costs, planned_costs
 from gpusim.plan.density import bank_density
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from gpusim.chain import Capture
 
 KEPT_PLANES = ("electrons", "rate")
@@ -59,19 +61,25 @@ def run(
     keep: str,
     noise: bool,
     method: str | None,
+    plan: Path | None,
     best_effort: bool,
     dry_run: bool,
+    lens: Mapping[str, float | None],
+    sensor: str | None,
+    show: str,
 ) -> int:
     """Render one capture into the folder `out` and show what was done; return the exit code.
 
-    `dry_run`: show the plan, and neither render nor write.
+    `dry_run`: show the plan, and neither render nor write. `lens`, `sensor`: in place of the
+    camera's, see `load_camera`. `show`: "table", "json" or "nothing".
     """
     exposure_s = exposure_seconds(exposure)
     planes = kept_planes(keep)
     rectangle = None if tile is None else rectangle_of(tile)
     memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
-    camera = load_camera(camera_name)
+    changes = {name: value for name, value in lens.items() if value is not None}
+    camera = load_camera(camera_name, changes, sensor)
     if gain is not None and iso is not None:
         raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
     if gain is not None:
@@ -81,6 +89,7 @@ def run(
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2, projection=projection)
+    costs = None if plan is None else planned_costs(plan)
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
@@ -92,10 +101,10 @@ def run(
             density = bank_density(*given)
             sampling = {} if density is None else density.sampling
             bank = seen_as(camera.bank(tracing, **sampling), scene.projection)
-            costs = adapter_costs(
+            costs = costs or adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
-        plan = plan_optics(
+        chosen = plan_optics(
             bank,
             camera.sensor,
             scene,
@@ -106,11 +115,11 @@ def run(
             exposure_s=exposure_s,
             density=density,
         )
-        print(plan.text())
+        print(chosen.text())
         return 0
     with staging(out) as folder:
         with (
-            screen.progress_bar() as progress,
+            screen.progress_bar(show != "nothing") as progress,
             tempfile.TemporaryDirectory(prefix="planes-", dir=folder) as work,
         ):
             capture = take(
@@ -128,13 +137,17 @@ def run(
                 folder=Path(work),
                 noise=noise,
                 method=method,
+                costs=costs,
                 progress=progress,
             )
             progress("files", 0, 1)
             facts = write(capture, folder, ev)
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
-    screen.show_capture(facts, out)
+    if show == "json":
+        print(json.dumps(facts, indent=1, allow_nan=False))
+    elif show == "table":
+        screen.show_capture(facts, out)
     return 0 if facts["certificate"] is None or facts["certificate"]["met"] else 1
 
 

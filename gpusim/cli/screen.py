@@ -34,7 +34,7 @@ def show_warning(text: str) -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar(shown: bool = True) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``.
 
     Compiling is a phase of its own, whichever phase it falls in.
@@ -47,7 +47,7 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     )
     console = Console(stderr=True)
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        *columns, console=console, transient=True, disable=not (shown and console.is_terminal)
     ) as bars:
         tasks: dict[str, Any] = {}
 

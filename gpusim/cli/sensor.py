@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -47,9 +49,8 @@ def run(name: str | None, settings: list[str], out: Path | None) -> None:
             )
         Console().print(library())
         return
-    given = dict(map(setting, settings))
     made = conversion(name)
-    sensor = made.sensor(given)
+    sensor = made.sensor(settled(made.fields, map(setting, settings)))
     console = Console()
     console.print(data_sheet(sensor))
     for text in made.unused:
@@ -85,6 +86,26 @@ def setting(text: str) -> tuple[str, object]:
             "not a field with a value", field="--set", value=text, allowed="FIELD=VALUE: rows=480"
         )
     return field.strip(), found
+
+
+def settled(
+    fields: Mapping[str, object], settings: Iterable[tuple[str, object]]
+) -> dict[str, object]:
+    """Return the fields that settings change; a dotted name, ``cfa.pattern``, is one in a part."""
+    given: dict[str, object] = {}
+    for dotted, value in settings:
+        field, *inner = dotted.split(".")
+        if not inner:
+            given[field] = value
+            continue
+        start = given.get(field, fields.get(field))
+        part = given[field] = copy.deepcopy(start) if isinstance(start, dict) else {}
+        for name in inner[:-1]:
+            if not isinstance(part.get(name), dict):
+                part[name] = {}
+            part = part[name]
+        part[inner[-1]] = value
+    return given
 
 
 def library() -> Table:

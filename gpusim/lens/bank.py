@@ -559,17 +559,16 @@ class Bank:
         save_dataset(self.to_xarray(), path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Bank:
-        """Read a bank that ``save`` wrote.
+    def load(cls, path: str | Path, *, sealed: bool = False) -> Bank:
+        """Read a bank that ``save`` wrote; where it must be ``sealed``, its checksum is there.
 
         Raises
         ------
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(
-            **load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS)
-        )
+        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, optional, sealed))
 
 
 def _moments(bank: Bank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -640,7 +639,11 @@ def no_rays(provenance: dict[str, str]) -> UserError:
 
 
 def load_dataset(
-    path: str | Path, variables: Iterable[str], scalars: Iterable[str], optional: Iterable[str]
+    path: str | Path,
+    variables: Iterable[str],
+    scalars: Iterable[str],
+    optional: Iterable[str],
+    sealed: bool = False,
 ) -> dict[str, object]:
     """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
 
@@ -656,6 +659,8 @@ def load_dataset(
             raise ValueError(f"it says that it holds {data.nbytes:,} bytes, more than any bank")
         data.load()
         saved = data.attrs.pop(CHECKSUM, None)
+        if saved is None and sealed:
+            raise ValueError("it has no checksum")
         if saved is not None and saved != _checksum(data):
             raise ValueError(
                 f"its data are not those that were saved (after a change that is meant, remove the "
@@ -672,10 +677,13 @@ def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     """Write NetCDF-4 with a checksum, under a temporary name first, so never half a file."""
     path = Path(path)
     dataset = dataset.assign_attrs({CHECKSUM: _checksum(dataset)})
+    # In memory first: HDF5 crashes the process where it closes a file that it could not write
+    # (seen with 1.14 and a limit of the file size, `ulimit -f 40`).
+    content = dataset.to_netcdf(None, engine="h5netcdf")
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-    os.close(handle)
     try:
-        dataset.to_netcdf(name, engine="h5netcdf")
+        with open(handle, "wb") as file:
+            file.write(content)
         os.replace(name, path)
     finally:
         Path(name).unlink(missing_ok=True)
@@ -1006,9 +1014,11 @@ def from_cache(
     path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
     if path.exists():
         try:
-            return kind.load(path)
-        except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
-            pass  # a corrupt file is computed again and replaced
+            bank = kind.load(path, sealed=True)
+            if bank.provenance.keys() >= {"title", "history"}:
+                return bank
+        except Exception:  # whatever HDF5 and xarray say of damage: it is computed again
+            pass
     bank = compute(prescription, progress=progress, **settings)
     try:
         folder.mkdir(parents=True, exist_ok=True)

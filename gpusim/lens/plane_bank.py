@@ -366,15 +366,15 @@ class PlaneBank:
         save_dataset(self.to_xarray(), path)
 
     @classmethod
-    def load(cls, path: str | Path) -> PlaneBank:
-        """Read a bank that ``save`` wrote.
+    def load(cls, path: str | Path, *, sealed: bool = False) -> PlaneBank:
+        """Read a bank that ``save`` wrote; where it must be ``sealed``, its checksum is there.
 
         Raises
         ------
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO, sealed))
 
 
 def holds_plane_bank(path: Path) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 import gpusim
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.isp.levels import iso_speed, saturated_share
+from gpusim.plan.costs import content_of
 from gpusim.scene import Chart
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         },
         "shaders_sha256": shaders_sha256(),
         "plan": _plan(capture.plan),
+        "costs": None if capture.costs is None else plain(content_of(capture.costs)),
         "qe_by_place": _qe_by_place(capture),
         "memory": plain(capture.memory),
         "work": plain(capture.work),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.lens.projection import PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
@@ -107,7 +108,7 @@ def make_scene(
     if path.suffix.lower() == ".exr":
         return replace(_photograph(path, luminance_cd_m2), projection=plane)
     raise UserError(
-        "unknown scene",
+        f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
         allowed=f"{', '.join(CHARTS)}, or a file NAME.exr",

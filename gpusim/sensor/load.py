@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from gpusim.config.mistakes import checked
+from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.misregistration import mixed
@@ -31,7 +32,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         path = PRESETS / f"{name_or_path}.yaml"
         if not path.exists():
             raise UserError(
-                "there is no sensor of that name",
+                f"there is no sensor of that name{perhaps(name_or_path, presets())}",
                 field="sensor",
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",

@@ -36,6 +36,7 @@ from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
+HOTTEST_C = 200.0  # silicon conducts by itself well above; the doubling of dark current ends before
 
 Value = TypeVar("Value", float, np.ndarray)
 
@@ -433,12 +434,12 @@ class Sensor(Strict):
         """Return a temperature of the sensor, degrees Celsius; None: the reference temperature."""
         if temperature_c is None:
             return self.reference_temperature_c
-        if not ABSOLUTE_ZERO_C < temperature_c < math.inf:
+        if not ABSOLUTE_ZERO_C < temperature_c <= HOTTEST_C:
             raise UserError(
                 "not a temperature of a sensor",
                 field="temperature_c",
                 value=temperature_c,
-                allowed=f"above {ABSOLUTE_ZERO_C} degrees Celsius",
+                allowed=f"above {ABSOLUTE_ZERO_C}, up to {HOTTEST_C:g} degrees Celsius",
             )
         return temperature_c
 

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 import xarray
 from lens.made import fisheye
+from optics.made import bank as made_bank
 
 from gpusim.errors import UserError
 from gpusim.lens import bank as bank_module
 from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
 from gpusim.lens.field_bank import seen_as
-from gpusim.lens.prescription import Coating
+from gpusim.lens.prescription import Coating, load_prescription
 from gpusim.lens.projection import ANGULAR
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
@@ -436,3 +437,31 @@ def test_settings_that_make_no_bank_are_refused(demo_lens, settings, words):
         compute_bank(demo_lens, **TINY | settings)
     for word in words:
         assert word in caught.value.screen()
+
+
+def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    whole, computed = made_bank(size=16), []
+
+    def compute(prescription, progress=None):
+        computed.append(1)
+        return whole
+
+    lens = load_prescription("double-gauss")
+    bank_module.from_cache(Bank, compute, lens, {})
+    (file,) = tmp_path.rglob("*.nc")
+    content = file.read_bytes()
+    rng = np.random.default_rng(17)
+    damages = [content[:100], b"", content[: len(content) // 2], content + content]
+    for _ in range(10):  # 16 bytes anywhere: header, groups, names, data
+        at = int(rng.integers(0, len(content) - 16))
+        damages.append(content[:at] + rng.bytes(16) + content[at + 16 :])
+    for damaged in damages:
+        file.write_bytes(damaged)
+        for _ in range(2):
+            found = bank_module.from_cache(Bank, compute, lens, {})
+            np.testing.assert_array_equal(found.psf, whole.psf)
+            np.testing.assert_array_equal(found.real_height_um, whole.real_height_um)
+            assert found.provenance == whole.provenance
+    # Once for each damage that counts: not fatal, nor for ever.
+    assert 8 < len(computed) <= 1 + len(damages)
