@@ -1,4 +1,4 @@
-"""Which levels of a halo a tolerance needs, and how well: the more, the darker a scene's shadows."""
+"""Which levels of a halo a tolerance needs, and how well: the better, the darker its shadows."""
 
 import numpy as np
 import pytest
