@@ -9,7 +9,7 @@ help: ## what can be made
 
 demo: ## one full capture into out/demo/
 	@tools/setup.sh
-	@.venv/bin/gpusim render demo demo --certify 64 --memory 512MiB --out out/demo
+	@.venv/bin/gpusim render demo demo --exposure 1/12 --certify 64 --memory 512MiB --out out/demo
 
 test: ## the whole test suite; ARGS="tests/gpu -x" narrows it
 	@tools/setup.sh test

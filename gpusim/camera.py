@@ -11,13 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.names import perhaps
+from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
+
+    import numpy as np
 
     from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
@@ -26,10 +31,6 @@ if TYPE_CHECKING:
 # chief ray lands elsewhere at the bank's wavelengths than at the lens's own.
 CORNER_SPARE = 1.02
 PRESETS = Path(__file__).parent / "data" / "cameras"
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Lens(Protocol):
@@ -49,7 +50,7 @@ class Lens(Protocol):
         """Return what is known of it, for the report."""
 
 
-class LensChoice(_Strict):
+class LensChoice(Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
     A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
@@ -83,7 +84,7 @@ class LensChoice(_Strict):
         return self
 
 
-class SensorChoice(_Strict):
+class SensorChoice(Strict):
     """Which sensor, and how many of its pixels, about its centre."""
 
     preset: str
@@ -91,7 +92,7 @@ class SensorChoice(_Strict):
     cols: int | None = Field(default=None, gt=0)
 
 
-class CameraFile(_Strict):
+class CameraFile(Strict):
     """Fields of a camera file; its filters stand in front of the lens.
 
     ``lens`` and ``sensor`` may each be a name or a file alone, too: see ``load_camera``.
@@ -100,7 +101,7 @@ class CameraFile(_Strict):
     title: str
     lens: LensChoice
     sensor: SensorChoice
-    filters: list[dict[str, object]] = []
+    filters: tuple[dict[str, object], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,39 +119,11 @@ class Camera:
     lens: Lens
     sensor: Sensor
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        """Return the lens's PSF bank.
-
-        Raises
-        ------
-        UserError
-            When the image circle does not reach the corners of the sensor.
-        """
-        bank = self.lens.bank(progress)
-        # The corner that is farthest from the image circle's centre.
-        sides = zip((self.sensor.cols, self.sensor.rows), bank.centre_um, strict=True)
-        corner_um = math.hypot(*(n * self.sensor.pixel_pitch_um / 2 + abs(c) for n, c in sides))
-        if bank.image_circle_um < corner_um:
-            raise UserError(
-                f"The image circle of {self.lens.title} misses the corners of the sensor.",
-                field="lens",
-                value=f"image circle radius {bank.image_circle_um / 1e3:.3f} mm",
-                allowed=f"at least {corner_um / 1e3:.3f} mm: fewer pixels, another "
-                "lens, or a larger focal_length_mm of a prescription",
-            )
-        if bank.rectilinear_circle_um < corner_um:
-            from gpusim.lens.bank import RECTILINEAR_DEG
-
-            # Scenes lie on the ideal plane, which has no place for light from the side.
-            raise UserError(
-                f"The corners of the sensor see more than {RECTILINEAR_DEG:g} deg off the axis of "
-                f"{self.lens.title}: no scene reaches so far, for scenes are flat.",
-                field="sensor",
-                value=f"corner at {corner_um / 1e3:.3f} mm",
-                allowed=f"at most {bank.rectilinear_circle_um / 1e3:.3f} mm: a longer focal "
-                "length or fewer pixels",
-            )
-        return bank
+    def bank(
+        self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
+    ) -> FieldBank:
+        """Return the lens's PSF bank; ``sampling`` as for `Prescription.bank`."""
+        return self.lens.bank(progress, **sampling)
 
 
 def presets() -> list[str]:
@@ -158,8 +131,15 @@ def presets() -> list[str]:
     return sorted(path.stem for path in PRESETS.glob("*.yaml"))
 
 
-def load_camera(name_or_path: str | Path) -> Camera:
+def load_camera(
+    name_or_path: str | Path,
+    lens: Mapping[str, float] | None = None,
+    sensor: str | None = None,
+) -> Camera:
     """Load a camera file, or a preset by its name.
+
+    ``lens`` holds fields of a `LensChoice` and ``sensor`` names another sensor, both in place of
+    the file's own; of another sensor all pixels are used.
 
     A file's ``lens`` is a mapping (``LensChoice``) or the name or file of a lens, whose kind is
     recognised; its ``sensor`` a mapping (``SensorChoice``) or the name or file of a sensor.
@@ -178,38 +158,54 @@ def load_camera(name_or_path: str | Path) -> Camera:
         path = PRESETS / f"{name_or_path}.yaml"
         if not path.exists():
             raise UserError(
-                "There is no camera of that name.",
+                _no_camera(str(name_or_path)),
                 field="CAMERA",
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-        named = data.get("lens") if isinstance(data, dict) else None
-        fields = CameraFile.model_validate(_spelled_out(data))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"The camera file cannot be read: {error}", file=path) from error
-    except yaml.YAMLError as error:
-        raise UserError(f"The camera file is not YAML: {error}", file=path) from error
-    except ValidationError as error:
-        first = error.errors()[0]
+    data = read_yaml(path, "the camera file")
+    named = data.get("lens") if isinstance(data, dict) else None
+    fields = checked(CameraFile, _spelled_out(data), path)
+    ready = _ready_place(path, named) if isinstance(named, str) else None
+    if lens and ready is not None:
         raise UserError(
-            f"The camera file is wrong: {first['msg'].removeprefix('Value error, ')}",
+            "a ready-made lens is used as it is: it has no surfaces to trace again",
             file=path,
-            field=".".join(str(part) for part in first["loc"]) or "(top level)",
-            value=first["input"],
-            allowed="title, lens {prescription, focal_length_mm, f_number, max_field_deg, "
-            "focus_shift_um, nearest_glasses} or lens {bank} or lens {mtf} or lens NAME-or-FILE, "
-            "sensor {preset, rows, cols} or sensor NAME-or-FILE, filters",
-        ) from error
-    sensor = load_sensor(_beside(path, fields.sensor.preset))
+            field=f"lens.{next(iter(lens))}",
+            allowed="a camera whose lens is a prescription",
+        )
+    if lens:
+        chosen = fields.lens.model_dump(exclude_none=True) | dict(lens)
+        data = _spelled_out(data) | {"lens": chosen}
+        fields = checked(CameraFile, data, path)
+    if sensor is not None:
+        fields = fields.model_copy(update={"sensor": SensorChoice(preset=sensor)})
+    sensor = load_sensor(sensor or _beside(path, fields.sensor.preset))
     if fields.sensor.rows is not None or fields.sensor.cols is not None:
         sensor = sensor.roi(fields.sensor.rows or sensor.rows, fields.sensor.cols or sensor.cols)
-    ready = _ready_place(path, named) if isinstance(named, str) else None
     lens = load_ready(ready) if ready is not None else _lens(path, fields.lens, sensor)
     # Light passes those in front of the lens first: the product is the same.
     filters = [*sensor.filters, *load_filters(fields.filters, path)]
     return Camera(fields.title, lens, sensor.model_copy(update={"filters": filters}))
+
+
+def _no_camera(name: str) -> str:
+    """Say that there is no camera of a name: of which kind it is, or which may be meant."""
+    from gpusim.lens.prescription import presets as lenses
+    from gpusim.lens.ready import mtf_presets
+    from gpusim.sensor.load import presets as sensors
+
+    kinds = {"lens": {*lenses(), *mtf_presets()}, "sensor": set(sensors())}
+    for kind, names in kinds.items():
+        if name in names:
+            having = []
+            for camera in presets():
+                said = read_yaml(PRESETS / f"{camera}.yaml", "the camera file")[kind]
+                if name in (said.values() if isinstance(said, dict) else [said]):
+                    having.append(camera)
+            found = f"cameras with it: {', '.join(having)}" if having else "no camera has it"
+            return f"{name} is a {kind}; {found}"
+    return f"there is no camera of that name{perhaps(name, presets())}"
 
 
 def _spelled_out(data: object) -> object:

@@ -35,7 +35,8 @@ from gpusim.gpu import (
     default_device,
 )
 from gpusim.gpu.pool import mebibytes
-from gpusim.lens.field_bank import FieldBank
+from gpusim.isp.optics import Optics, optics_of
+from gpusim.lens.field_bank import FieldBank, seen_as
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
@@ -48,6 +49,7 @@ from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
+from gpusim.plan.density import bank_density
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
@@ -67,7 +69,7 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.ccd import ReadOut, needed, record_tile, taking
 from gpusim.sensor.frame import overlap, parts_around
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_readout, rects_of
+from gpusim.sensor.readout import Shot, noise_seed, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
@@ -89,6 +91,8 @@ class Capture:
         Mean electrons that the scene's white makes on the axis, by channel.
     transmission : ndarray (61,)
         Of the lens, at WAVELENGTHS_NM.
+    optics : Optics
+        What files say of the lens.
     notes : tuple of str
         How the scene was read and placed.
     plan : Plan
@@ -116,6 +120,8 @@ class Capture:
         What was asked for.
     temperature_c : float
         Of the sensor.
+    costs : Costs or None
+        The rates that the plan was made from: with them it is made again.
     """
 
     raw: np.ndarray
@@ -123,6 +129,7 @@ class Capture:
     electrons: np.ndarray | None
     white_e: dict[str, float]
     transmission: np.ndarray
+    optics: Optics
     notes: tuple[str, ...]
     plan: Plan
     times_s: dict[str, float]
@@ -140,6 +147,7 @@ class Capture:
     exposure_s: float
     accuracy: Accuracy
     temperature_c: float
+    costs: Costs | None = None
 
     @property
     def lit(self) -> Rect:
@@ -196,8 +204,7 @@ class Renderer:
     Raises
     ------
     UserError
-        When the image circle misses the sensor, the plan cannot be met or the memory does not
-        suffice.
+        When the plan cannot be met or the memory does not suffice.
     """
 
     def __init__(
@@ -259,7 +266,16 @@ class Renderer:
         """Plan, and place the scene on the sensor."""
         camera, scene, sensor = self.camera, self.scene, self.camera.sensor
         started = time.perf_counter()
-        whole = camera.bank(progress=lambda done, total: report("lens", done, total))
+
+        def tracing(done: int, total: int) -> None:
+            report("lens", done, total)
+
+        # Of a camera that brings a bank along there is no lens to ask.
+        lens = getattr(camera, "lens", None)
+        given = lens, sensor, scene, self.accuracy, self.longest_s, tracing
+        self.density = bank_density(*given)
+        sampling = {} if self.density is None else self.density.sampling
+        whole = seen_as(camera.bank(progress=tracing, **sampling), scene.projection)
         self.bank, self.core = whole, whole.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise
@@ -302,7 +318,9 @@ class Renderer:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
         given = self.bank, sensor, self.scene, self.accuracy, self._costs, self._noise
-        return plans_optics(*given, method, force, self.longest_s, count=count)
+        return plans_optics(
+            *given, method, force, self.longest_s, count=count, density=self.density
+        )
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
@@ -349,7 +367,7 @@ class Renderer:
         seed : int
             Of the temporal noise, 0 to 2^64 - 1.
         frame : int
-            Frames of one seed have independent noise.
+            Frames of one seed have independent noise; so have those of other exposures and gains.
         temperature_c : float, optional
             Of the sensor; by default that at which its dark current was measured.
         tile : (x, y, width, height), optional
@@ -389,7 +407,8 @@ class Renderer:
             temperature_c = sensor.reference_temperature_c
         sensor.dark_current_at(temperature_c)  # refuses what is none
         kind = _ShiftedShot if sensor.is_ccd else _Shot
-        taken = Shot(exposure_s, seed, frame, temperature_c)
+        own_seed = noise_seed(seed, exposure_s, sensor.analogue_gain)
+        taken = Shot(exposure_s, own_seed, frame, temperature_c)
         shot = kind(self, rect, names, folder, taken)
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
@@ -440,6 +459,7 @@ class Renderer:
                 ),
             )
         return Capture(
+            costs=self._costs,
             raw=shot.on_rect("dn"),
             rate=shot.on_rect("rate") if "rate" in keep else None,
             electrons=shot.on_rect("electrons") if "electrons" in keep else None,
@@ -447,6 +467,7 @@ class Renderer:
             transmission=np.interp(
                 WAVELENGTHS_NM, self.core.wavelengths_nm, self.core.transmission
             ),
+            optics=optics_of(self.camera.lens.title, self.bank),
             notes=self.scene.notes
             + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
             + tuple(shot.notes),
@@ -1094,11 +1115,13 @@ def capture(
     noise: bool = True,
     method: str | None = None,
     gain: float | None = None,
+    costs: Costs | None = None,
     progress: Progress | None = None,
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`.
 
-    ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`.
+    ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`. ``costs``: the rates that
+    the plan is made from, those of the adapter if not given.
     """
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
@@ -1113,6 +1136,7 @@ def capture(
         exposure_s=exposure_s,
         noise=noise,
         method=method,
+        costs=costs,
     )
     try:
         return renderer.capture(

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+# Characters of a screen's line: paths reach 4096 (PATH_MAX of Linux), a value may be a whole file.
+LONGEST, LONGEST_VALUE = 4400, 300
+
 
 class UserError(Exception):
     """A mistake in what the user gave: says which file, field and value, and what is allowed.
@@ -40,11 +43,26 @@ class UserError(Exception):
 
     def screen(self) -> str:
         """Return the whole message, one labelled line for each thing known."""
-        rows = [self.problem]
+        rows = [_shown(self.problem, LONGEST)]
         for label in ("file", "field", "value", "allowed"):
             content = getattr(self, label)
             if content is not None:
-                rows.append(f"  {label + ':':9}{content}")
+                shown = _shown(content, LONGEST_VALUE if label == "value" else LONGEST)
+                rows.append(f"  {label + ':':9}{shown}")
         return "\n".join(rows)
 
     __str__ = screen
+
+
+def _shown(content: object, longest: int) -> str:
+    """Return a text on one screen: shortened, and nothing in it that steers a terminal."""
+    try:
+        text = str(content)
+    except ValueError:  # an integer of more digits than Python writes
+        text = f"a number of {type(content).__name__} too long to write"
+    if len(text) > longest:
+        text = f"{text[:longest]} ... ({len(text)} characters)"
+    return "".join(
+        sign if sign.isprintable() or sign == "\n" else sign.encode("unicode_escape").decode()
+        for sign in text
+    )

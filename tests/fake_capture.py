@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.camera import load_camera
 from gpusim.certify import Certificate, Probe
 from gpusim.chain import Capture
+from gpusim.isp.optics import Optics
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
 from gpusim.plan.candidates import RunnerUp
@@ -24,6 +25,16 @@ STAGES = (
 RUNNERS_UP = (
     RunnerUp("fft, <4> samples", 1e-5, 3.25, "too dear: 3.25 s against 1.75 s"),
     RunnerUp("fft, 2 samples, cut", 4e-3, None, "error of its cut 4.0e-03 above 1.0e-03"),
+)
+# A lens that distorts by 5 % and shades by 30 % at the rim.
+HEIGHT_UM = np.linspace(0, 4000, 65)
+OPTICS = Optics(
+    "a lens",
+    8.3,
+    2.8,
+    HEIGHT_UM,
+    HEIGHT_UM * (1 + 0.05 * (HEIGHT_UM / 4000) ** 2),
+    1 - 0.3 * (HEIGHT_UM / 4000) ** 2,
 )
 POINTS = (
     Probe(row=3, col=5, truth=100.0, render=100.01, relative=1e-4, sigma=1e-3),
@@ -78,6 +89,7 @@ def fake_capture(
         electrons=plane if "electrons" in keep else None,
         white_e={"R": 900.0, "G": 1800.0, "B": 1000.0},
         transmission=np.full(61, 0.6),
+        optics=OPTICS,
         notes=("a note of the scene",),
         plan=SimpleNamespace(
             basis=basis,

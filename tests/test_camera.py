@@ -13,7 +13,9 @@ from optics.made import plane_bank
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.plan import Accuracy, plan_optics
 from gpusim.report.facts import plain
+from gpusim.scene import make_scene
 
 SENSOR = "sensor: {preset: imx477, rows: 96, cols: 128}"
 
@@ -145,13 +147,18 @@ def test_what_is_no_choice_of_a_lens_is_refused(tmp_path, lens, words):
     assert "Value error" not in caught.value.screen()
 
 
-def test_an_image_circle_that_misses_the_corners_is_refused(tmp_path):
+def test_an_image_circle_that_misses_the_corners_is_taken_and_flagged(tmp_path):
     made_bank(circle_um=100.0).save(tmp_path / "a.nc")
-    with pytest.raises(UserError, match="Gaussians misses the corners") as caught:
-        load_camera(camera(tmp_path, "{bank: a.nc}")).bank()
-    # 96 x 128 pixels of 1.55 um: half a diagonal is 80 pixels.
-    assert "0.124 mm" in caught.value.screen()
-    np.testing.assert_allclose(80 * 1.55, 124)
+    one = load_camera(camera(tmp_path, "{bank: a.nc}"))
+    plan = plan_optics(one.bank(), one.sensor, make_scene("grey"), Accuracy(1e-2))
+    # 96 x 128 pixels of 1.55 um.
+    row, col = np.indices((96, 128))
+    black = np.mean(np.hypot(row - 47.5, col - 63.5) * 1.55 > 100.0)
+    assert 0.05 < black < 0.3
+    (stage,) = [stage for stage in plan.stages if stage.name == "image circle"]
+    assert stage.runs and stage.reason == (
+        f"the sensor reaches beyond the image circle: {black:.2%} of its pixels are black"
+    )
 
 
 def test_the_command_line_refuses_a_broken_lens_on_one_screen(tmp_path):

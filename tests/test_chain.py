@@ -27,6 +27,7 @@ from gpusim.plan.costs import LAVAPIPE
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
+from gpusim.sensor.adc_model import GainStep
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.noise_model import Defects, LineNoise, ResetNoise
 
@@ -273,6 +274,28 @@ def test_the_same_seed_gives_the_same_frame_and_another_does_not(
         shot = renderer.capture(EXPOSURE_S, keep=("rate",), **other)
         assert_close(shot.rate, whole.rate, atol=0)
         assert 0.5 < np.mean(shot.raw != whole.raw) < 1
+
+
+def test_shots_of_a_bracket_have_noise_of_their_own():
+    """One seed, one frame number: another exposure or gain is another draw, the same is not."""
+    even = {"prnu_percent": 0.0, "dsnu_e": 0.0, "temporal_dark_noise_e": 3.0}
+    steps = [GainStep(gain=1), GainStep(gain=4)]
+    plain = monochrome(**even, analogue_gains=steps)
+    deviates = {}
+    for gain in (1, 4):
+        with rendering(StubCamera(bank(), plain.at_gain(gain)), scene(shapes())) as one:
+            for exposure_s in (EXPOSURE_S, 1.001 * EXPOSURE_S, EXPOSURE_S):
+                shot = one.capture(exposure_s, seed=5, keep=("rate", "electrons"))
+                mean = exposure_s * shot.rate.astype(float)
+                found = ((shot.electrons - mean) / np.sqrt(mean + 9)).ravel()
+                if (again := deviates.get((gain, exposure_s))) is not None:
+                    assert_close(found, again, atol=0)
+                deviates[gain, exposure_s] = found
+    n = found.size
+    matrix = np.corrcoef(list(deviates.values()))
+    assert matrix.shape == (4, 4)
+    # Of independent draws, normal with 1 / n: 5 sigma.
+    assert np.abs(matrix - np.eye(4)).max() < 5 / math.sqrt(n)
 
 
 def test_one_frame_alone_is_as_in_a_series():

@@ -29,6 +29,8 @@ COMMANDS = (
     "measure",
     "stress",
     "devices",
+    "cameras",
+    "charts",
 )
 
 

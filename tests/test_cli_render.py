@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
 from gpusim.plan import Accuracy
-from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -50,6 +52,16 @@ def shot(out: Path, *arguments: object) -> Ran:
     return gpusim("render", "demo", "demo", "--out", out, *arguments)
 
 
+def test_a_report_plans_the_next_render_as_its_own(asked: dict[str, Any], tmp_path: Path):
+    report = tmp_path / "report.json"
+    ns = {name: 3.0 + number for number, name in enumerate(LAVAPIPE.ns)}
+    costs = dataclasses.replace(LAVAPIPE, source="another day", ns=ns)
+    report.write_text(json.dumps({"costs": content_of(costs)}))
+    assert shot(tmp_path / "out", "--plan", report).code == 0
+    assert asked["costs"] == costs
+    assert_refused(shot(tmp_path / "b", "--plan", tmp_path / "none.json"), "cannot be read")
+
+
 # what it writes
 
 
@@ -73,35 +85,108 @@ def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
     assert "</html>" in (out / "report.html").read_text()
 
 
-def test_filters_that_no_dng_has_are_written_as_tiff(
-    asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    """Red and clear: the raw numbers, and a picture that says what it is."""
+def with_filters(monkeypatch: pytest.MonkeyPatch, pattern: list[str]) -> Any:
+    """Put a capture through other filters in place of the render; return it."""
     plain = fake_capture(tolerance=2e-3)
     sensor, efficiency = plain.camera.sensor, plain.camera.sensor.quantum_efficiency
-    curves = {"R": efficiency.channels["R"], "W": efficiency.channels["G"]}
+    sites = [list(row) for row in pattern]
+    used = {one for row in sites for one in row}
+    curves = {one: efficiency.channels.get(one, efficiency.channels["G"]) for one in used}
     sensor = sensor.model_copy(
         update={
-            "cfa": sensor.cfa.model_copy(update={"pattern": [["R", "W"], ["W", "W"]]}),
+            "cfa": sensor.cfa.model_copy(update={"pattern": sites}),
             "quantum_efficiency": efficiency.model_copy(update={"channels": curves}),
         }
     )
     camera = dataclasses.replace(plain.camera, sensor=sensor)
-    changed = dataclasses.replace(plain, camera=camera, white_e={"R": 500.0, "W": 1000.0})
+    white = dict.fromkeys(used, 1000.0)
+    changed = dataclasses.replace(plain, camera=camera, white_e=white)
     monkeypatch.setattr(render, "take", lambda camera, scene, **given: changed)
-    ran = shot(tmp_path)
+    return changed
+
+
+def test_filters_that_no_dng_has_are_written_as_tiff(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Six colours: the raw numbers with all that is known of them, and a picture."""
+    capture = with_filters(monkeypatch, ["RGB", "CMY"])
+    ran = shot(tmp_path, "--ev", 0.5)
     assert ran.code == 0, ran.err
     assert {file.name for file in tmp_path.iterdir()} == {"raw.tif", *FILES} - {"raw.dng"}
-    np.testing.assert_array_equal(tifffile.imread(tmp_path / "raw.tif"), plain.raw)
+    with tifffile.TiffFile(tmp_path / "raw.tif") as file:
+        page = file.pages.first
+        np.testing.assert_array_equal(page.asarray(), capture.raw)
+        assert page.tags["ExifTag"].value["ExposureTime"] == (1, 60)
+        assert page.tags["Make"].value == "gpusim"
     picture = np.asarray(Image.open(tmp_path / "developed.png"))
-    assert np.ptp(picture, axis=2).max() == 0
-    # A red pixel of half the white, by the sRGB curve: 0.5 is 188.
-    gain, black = sensor.system_gain_dn_per_e, sensor.black_level_dn
-    at = np.argwhere(np.abs(plain.raw[::2, ::2] - black - gain * 250) < 4)[0] * 2
-    assert abs(int(picture[tuple(at)][0]) - 188) <= 2
-    report = json.loads((tmp_path / "report.json").read_text())
-    assert report["files"][0] == "raw.tif"
-    assert any("does not develop" in note for note in report["scene"]["notes"])
+    assert picture.shape == (ROWS, COLS, 3)
+    np.testing.assert_array_equal(picture, develop(tmp_path / "raw.tif"))
+    assert json.loads((tmp_path / "report.json").read_text())["files"][0] == "raw.tif"
+
+
+def test_quad_bayer_has_its_bayer_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    with_filters(monkeypatch, ["RRGG", "RRGG", "GGBB", "GGBB"])
+    ran = shot(tmp_path)
+    assert ran.code == 0, ran.err
+    more = ["remosaiced.dng", "binned.dng", "binned.png"]
+    assert {file.name for file in tmp_path.iterdir()} == {*FILES, *more}
+    assert json.loads((tmp_path / "report.json").read_text())["files"] == [*FILES, *more]
+    for name, shape in (("developed", (ROWS, COLS, 3)), ("binned", (ROWS // 2, COLS // 2, 3))):
+        assert np.asarray(Image.open(tmp_path / f"{name}.png")).shape == shape
+    picture = np.asarray(Image.open(tmp_path / "developed.png"))
+    np.testing.assert_array_equal(picture, develop(tmp_path / "remosaiced.dng"))
+    ran = gpusim("develop", tmp_path / "raw.dng", "--binned", "--out", tmp_path / "again.png")
+    assert ran.code == 0, ran.err
+    assert (tmp_path / "again.png").read_bytes() == (tmp_path / "binned.png").read_bytes()
+
+
+def test_stops_are_in_the_picture_and_in_the_raw(asked: dict[str, Any], tmp_path: Path):
+    assert shot(tmp_path / "a").code == 0
+    assert shot(tmp_path / "b", "--ev", "-1.5").code == 0
+    plain, darker = (
+        np.asarray(Image.open(tmp_path / name / "developed.png")) for name in ("a", "b")
+    )
+    np.testing.assert_array_equal(darker, develop(tmp_path / "a" / "raw.dng", -1.5))
+    assert np.all(darker <= plain) and np.mean(darker < plain) > 0.5
+    again = gpusim("develop", tmp_path / "b" / "raw.dng", "--ev", 1.5, "--out", tmp_path / "c.png")
+    assert again.code == 0, again.err
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "c.png")), plain)
+    assert_refused(shot(tmp_path, "--ev", "nan"), "--ev", "-20 to 20")
+
+
+def test_the_iso_speed_chooses_the_gain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    taken = []
+
+    def take(camera: Any, scene: object, **given: Any) -> object:
+        taken.append(camera.sensor)
+        return dataclasses.replace(fake_capture(tolerance=2e-3), camera=camera)
+
+    monkeypatch.setattr(render, "take", take)
+    ran = shot(tmp_path, "--iso", 1600)
+    assert ran.code == 0, ran.err
+    assert (taken[0].analogue_gain, taken[0].temporal_dark_noise_e) == (16, 1.5)
+    with tifffile.TiffFile(tmp_path / "raw.dng") as file:
+        assert file.pages.first.tags["ExifTag"].value["ISOSpeedRatings"] == 1600
+    assert json.loads((tmp_path / "report.json").read_text())["capture"]["iso"] == 1600
+    assert_refused(shot(tmp_path, "--iso", 150), "150", "100, 200, 400")
+    assert_refused(shot(tmp_path, "--iso", 100, "--gain", 1), "--iso")
+    ran = gpusim("render", "arvr", "demo", "--out", tmp_path, "--iso", 100)
+    assert_refused(ran, "lists no speeds")
+
+
+def test_what_share_is_saturated_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    plain = fake_capture(tolerance=2e-3)
+    raw = np.full((ROWS, COLS), 1000, np.uint16)
+    raw[:12] = 4095
+    monkeypatch.setattr(
+        render, "take", lambda camera, scene, **given: dataclasses.replace(plain, raw=raw)
+    )
+    ran = shot(tmp_path)
+    assert "Saturated: 25 % of the pixels" in ran.out
+    assert "Saturated: 25 % of the pixels" in (tmp_path / "report.html").read_text()
+    assert json.loads((tmp_path / "report.json").read_text())["capture"]["saturated_share"] == 0.25
+    raw[:12] = 4094
+    assert "No pixel is saturated" in shot(tmp_path).out
 
 
 def test_develop_gives_the_picture_again(asked: dict[str, Any], tmp_path: Path):
@@ -405,12 +490,24 @@ def test_a_wrong_scene_is_refused(tmp_path: Path):
         refused(tmp_path / name, tmp_path / name, "channel R", "row 1, column 2")
 
 
-def test_a_sensor_beyond_the_image_circle_is_refused(tmp_path: Path):
+def test_a_sensor_beyond_the_image_circle_is_flagged(tmp_path: Path):
     # The whole sensor: its corner lies 3.93 mm from the axis, the lens's circle has 3.30 mm.
     file = tmp_path / "camera.yaml"
     file.write_text(CAMERA.replace(", rows: 96, cols: 128", ""))
-    ran = gpusim("render", file, "demo", "--out", tmp_path / "out")
-    assert_refused(ran, "image circle", "focal_length_mm")
+    tile = ("--tile", "0,0,64,48", "--certify", "0", "--tolerance", "1e-2")
+    ran = gpusim("render", file, "grey", "--out", tmp_path / "out", *tile)
+    assert ran.code == 0, ran.err
+    facts = json.loads((tmp_path / "out" / "report.json").read_text())
+    (stage,) = [one for one in facts["plan"]["stages"] if one["name"] == "image circle"]
+    assert "beyond the image circle" in stage["reason"] and stage["runs"]
+    share = float(re.search(r"([0-9.]+)% of its pixels are black", stage["reason"])[1])
+    rows, cols, pitch = 3040, 4056, 1.55
+    row, col = np.ogrid[:rows, :cols]
+    off_um = np.hypot(row + 0.5 - rows / 2, col + 0.5 - cols / 2) * pitch
+    radius_um = np.quantile(off_um, 1 - share / 100)
+    assert 3200 < radius_um < 3400
+    assert "warning: the sensor reaches beyond" in " ".join(ran.out.split())
+    assert escape(stage["reason"]) in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_an_unknown_adapter_is_refused(tmp_path: Path):

@@ -60,8 +60,14 @@ def test_a_cell_done_again_replaces_the_old_one(matrix, tmp_path):
 
 
 def test_the_table_counts_verdicts_and_gives_reasons(matrix):
-    cells = [line("met", total_rms=1e-4), line("refused", pitch_um=1.0, reason="too fine")]
+    cells = [
+        line("met", total_rms=1e-4, predicted=2e-4),
+        line("met", pitch_um=10.0, total_rms=1e-4, predicted=4e-4),
+        line("refused", pitch_um=1.0, reason="too fine"),
+    ]
     page = matrix.table(cells)
-    assert "1 met, 1 refused. " in page
-    assert "| a | 4 | edge | 0.001 |  |  |  |  | 1.0e-04 |  | met |" in page
+    assert "2 met, 1 refused. " in page
+    assert "Predicted over total: median 3," in page
+    assert "within a factor of 3 in 1 of 2 cells" in page
+    assert "| a | 4 | edge | 0.001 | 2.0e-04 |  |  |  | 1.0e-04 |  | met |" in page
     assert "refused: too fine |" in page

@@ -33,7 +33,7 @@ from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.psf import intensity
 from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
-from gpusim.optics.chief_ray import RadialMap
+from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve, Scale, Scratch
 from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
@@ -68,7 +68,7 @@ from gpusim.sensor.sensor import Sensor
 
 EXPOSURE_S = 1 / 60
 PITCH_UM, SIM_PITCH_UM, SIGMA = 1.55, 0.775, 0.8
-CHIEF_RAY = RadialMap(np.array([1.0, 0.03, 0, 0, 0, 0, 0, 0]), 5000.0)  # barrel, some per cent
+CHIEF_RAY = radial_map(lambda um: um * (1 + 0.03 * (um / 5e3) ** 2), 5e3)  # barrel, some per cent
 RADIUS = CHIEF_RAY.radius_um / SIM_PITCH_UM
 SITES = [0, 1, 1, 2]  # channels of a Bayer pattern
 # The frame jobs: PSFs of 63 x 63 samples (two a pixel), of a lens whose corners are those of the
@@ -493,7 +493,7 @@ def paint_job(device: Device, frame: tuple[int, int]) -> Job:
         tuple(np.add(grid.block_origin(block), (x + 0.5, y + 0.5)) - grid.centre),
         (8, 8),
         SIGMA,
-        CHIEF_RAY.coefficients,
+        CHIEF_RAY.pieces,
         RADIUS,
     )[0]
     return source_stage(device, stage, block, np.s_[y : y + 8, x : x + 8], expected)
@@ -517,7 +517,7 @@ def warp_job(device: Device, frame: tuple[int, int]) -> Job:
         grid.block[::-1],
         (frame[1] / 2 - 0.5, frame[0] / 2 - 0.5),
         SIM_PITCH_UM / PITCH_UM,
-        CHIEF_RAY.coefficients,
+        CHIEF_RAY.pieces,
         RADIUS,
     )
     job = source_stage(device, stage, block, np.s_[:, :], expected)

@@ -20,7 +20,7 @@ import math
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from gpusim.camera import Camera
 from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.lens.projection import ANGULAR, RECTILINEAR, Projection
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
@@ -51,7 +52,7 @@ LIBRARY = (
     "wide",
 )
 TWO_STOPS = 2.0  # factor of the f-number
-FISHEYE_DEG = 75.0  # the scene's plane ends at 85 deg, and the sensor's corners are to see it
+FISHEYE_DEG = 75.0  # lenses that see farther have scenes that do
 # Of the sensor's half-diagonal; the sensor's corner lies at FILL of the image circle.
 PLACE, FILL = 0.85, 0.97
 ASPECT = (0.8, 0.6)  # 4:3, over the diagonal
@@ -72,8 +73,6 @@ def lenses() -> dict[str, Prescription]:
     found = {}
     for name in LIBRARY:
         lens = load_prescription(name)
-        if lens.max_field_deg > FISHEYE_DEG:
-            lens = lens.limited(FISHEYE_DEG)
         number = first_order(lens).f_number
         found[f"{name} f/{number:.3g}"] = lens
         found[f"{name} f/{TWO_STOPS * number:.3g}"] = lens.stopped(TWO_STOPS * number)
@@ -96,6 +95,11 @@ class Spot:
     def system(self):
         """The lens, ready to be traced."""
         return build(self.lens)
+
+    @property
+    def projection(self) -> Projection:
+        """How scenes lie before the lens."""
+        return ANGULAR if self.lens.max_field_deg > FISHEYE_DEG else RECTILINEAR
 
     @cached_property
     def circle_um(self) -> float:
@@ -127,7 +131,7 @@ class Spot:
 
     def to_ideal(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ideal plane's point of the tile's middle, and its change per um (2, 2)."""
-        frame = self.view(0).frame
+        frame = replace(self.view(0).frame, flat=self.projection is RECTILINEAR)
         zero = np.array(frame.ideal(np.zeros(1), np.zeros(1))[:2])[:, 0]
         columns = [
             np.array(frame.ideal(*(frame.per_um @ way)[:, None])[:2])[:, 0] - zero
@@ -175,7 +179,8 @@ def scene_of(spot: Spot, name: str, pitch_um: float, rows: int) -> Scene:
     chart = Chart(("white", "grey", "black"), background, shapes)
     white = white_radiance("D50", DEFAULT_WHITE_LUMINANCE_CD_M2)
     spectra = np.multiply.outer([WHITE, GREY, BLACK], white)
-    return Scene(name, spectra, chart.placed(2 / (rows * pitch_um)), "D50", white)
+    placed = chart.placed(2 / (rows * pitch_um))
+    return Scene(name, spectra, placed, "D50", white, projection=spot.projection)
 
 
 def camera_of(spot: Spot, pitch_um: float) -> Camera:
@@ -264,6 +269,20 @@ def key(one: dict) -> tuple:
     return one["lens"], one["pitch_um"], one["scene"], one["tolerance"]
 
 
+def foretold(cells: list[dict]) -> list[str]:
+    """Return a line on how the plans' predictions compare with the certificates' totals."""
+    ratios = [one["predicted"] / one["total_rms"] for one in cells if one.get("total_rms")]
+    if not ratios:
+        return []
+    low, middle, high = np.quantile(ratios, [0.1, 0.5, 0.9])
+    near = sum(1 / 3 <= ratio <= 3 for ratio in ratios)
+    return [
+        f"Predicted over total: median {middle:.2g}, one in ten below {low:.2g}, one in ten above "
+        f"{high:.2g}; within a factor of 3 in {near} of {len(ratios)} cells.",
+        "",
+    ]
+
+
 def table(cells: list[dict]) -> str:
     """Return the cells as a page of Markdown."""
     counts = Counter(one["verdict"] for one in cells)
@@ -278,6 +297,7 @@ def table(cells: list[dict]) -> str:
         "the RMS over up to five pixels; a certificate is wrong where that exceeds twice the "
         "tolerance by more than the judge's own bound.",
         "",
+        *foretold(cells),
         "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total "
         "| judge | verdict |",
         "|---|---|---|---|---|---|---|---|---|---|---|",

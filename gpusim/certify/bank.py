@@ -23,6 +23,7 @@ from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
+from gpusim.certify.probes import beyond_circle
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.prescription import Prescription
@@ -125,7 +126,11 @@ def beyond(
         return 0.0, ("window: what lands beyond the PSFs is not known to the bank",)
     most = float(share.max())
     even = most * float(rate.mean(dtype=np.float64))
-    lit = rate[rate > 0].astype(np.float64)[:: max(1, rate.size // 4096)]
+    # Of pixels in the image circle: beyond it there is nothing to lose.
+    some = np.unravel_index(np.arange(0, rate.size, max(1, rate.size // 4096)), rate.shape)
+    inside = ~beyond_circle(bank, sensor, np.stack(some, axis=1) + origin)
+    lit = rate[some][inside].astype(np.float64)
+    lit = lit[lit > 0]
     if not len(lit):
         return 0.0, ()
     lost = errors(sensor, lit + even, lit, exposure_s, accuracy)
@@ -277,14 +282,14 @@ def _changes(
         if not len(own):
             return
         for level in range(levels):
-            for sign, (bank, fields) in zip((-1, 1), pairs[number](level), strict=True):
-                given = (bank, sensor, scene.spectra, WAVELENGTHS_NM, fields)
-                if level:
-                    changes[own] += sign * Wide(*given).at(placed, pixels[own])
-                else:
-                    truth = Truth(*given)
-                    evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-                    changes[own] += sign * evaluate(placed, pixels[own])
+            ours, (theirs, fields) = pairs[number](level)
+            given = (theirs, sensor, scene.spectra, WAVELENGTHS_NM, fields, ours)
+            if level:
+                changes[own] += Wide(*given).at(placed, pixels[own])
+            else:
+                truth = Truth(*given)
+                evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
+                changes[own] += evaluate(placed, pixels[own])
 
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(of_height, range(len(pairs))))

@@ -22,6 +22,9 @@ from gpusim.plan import Accuracy
 from gpusim.sensor.sensor import Sensor
 
 WORST_TO_RMS = 10.0  # what no probe may exceed, in tolerances
+# What a black patch sends of the light around it, at least: what plans are made for (CONTRAST of
+# `gpusim.plan.optics`). Pixels beyond the image circle count as such.
+BLACK = 0.05
 
 
 @dataclass(frozen=True)
@@ -135,12 +138,20 @@ def errors(
 
 
 def _both(
-    sensor: Sensor, true_e: np.ndarray, render_e: np.ndarray
+    sensor: Sensor, true_e: np.ndarray, render_e: np.ndarray, beyond: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return errors (P,) relative to the signal, and in sigmas of its temporal noise."""
+    """Return errors (P,) relative to the signal, and in sigmas of its temporal noise.
+
+    `beyond`: which pixels lie outside the image circle. They have no signal to speak of; theirs is
+    taken as ``BLACK`` of the mean of the others, as of a black patch, where it is less.
+    """
     error = np.abs(render_e - true_e)
-    lit = true_e > 0
-    relative = np.where(lit, error / np.where(lit, true_e, 1.0), error > 0)
+    against = true_e
+    if beyond is not None and beyond.any() and not beyond.all():
+        floor = BLACK * max(float(true_e[~beyond].mean()), 0.0)
+        against = np.where(beyond, np.maximum(true_e, floor), true_e)
+    lit = against > 0
+    relative = np.where(lit, error / np.where(lit, against, 1.0), error > 0)
     # What the full well cuts off is in no frame.
     seen_e, shown_e = (np.minimum(value, sensor.full_well_e) for value in (true_e, render_e))
     noise_e = np.sqrt(np.maximum(seen_e, 0.0) + sensor.temporal_dark_noise_e**2)
@@ -161,6 +172,7 @@ def compare(
     readout: Share = EXACT,
     window: float = 0.0,
     notes: tuple[str, ...] = (),
+    beyond: np.ndarray | None = None,
 ) -> Certificate:
     """Judge a render by the truth at some pixels.
 
@@ -182,9 +194,11 @@ def compare(
         Light that no PSF of the bank holds, in the tolerance's unit.
     notes : tuple of str
         How these were measured.
+    beyond : ndarray (P,) of bool, optional
+        Which pixels lie outside the image circle.
     """
     exact_e, shown_e = np.asarray(truth, float) * exposure_s, np.asarray(rate, float) * exposure_s
-    relative, sigma = _both(sensor, exact_e, shown_e)
+    relative, sigma = _both(sensor, exact_e, shown_e, beyond)
     points = [
         Probe(*place, float(one), float(other), float(share), float(noise))
         for place, one, other, share, noise in zip(

@@ -12,8 +12,8 @@ from itertools import chain
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.certify.budget import EXACT, Certificate, Judged, Share, compare
-from gpusim.certify.probes import choose_probes
+from gpusim.certify.budget import BLACK, EXACT, Certificate, Judged, Share, compare
+from gpusim.certify.probes import beyond_circle, choose_probes
 from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
@@ -117,6 +117,10 @@ def certify(
     of_bank = Judged(EXACT, 0.0, ()) if judged is None else judged()
     seconds = time.perf_counter() - started
     found = rate[tuple(there.T)]
+    beyond = beyond_circle(bank, sensor, pixels)
+    if beyond.any():
+        words = f"{beyond.sum()} probes lie beyond the image circle, where the signal counts as "
+        notes.append(f"{words}{BLACK:.0%} of the mean of the others")
     given = sensor, pixels, truth, found, exposure_s, accuracy, seconds
     return compare(
         *given,
@@ -124,6 +128,7 @@ def certify(
         readout=share,
         window=of_bank.window,
         notes=(*of_bank.notes, *notes),
+        beyond=beyond,
     )
 
 

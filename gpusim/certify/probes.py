@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from gpusim.lens.field_bank import FieldBank
+from gpusim.sensor.sensor import Sensor
+
 SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike
 EDGE_SHARE = 0.5  # of the probes lie on the steepest edges
 
@@ -45,3 +48,10 @@ def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
             else:
                 chosen.append((int(rng.integers(row0, row1)), int(rng.integers(col0, col1))))
     return np.array(chosen, int).reshape(-1, 2)
+
+
+def beyond_circle(bank: FieldBank, sensor: Sensor, pixels: np.ndarray) -> np.ndarray:
+    """Return which pixels (P, 2) have their middle beyond the circle that light reaches."""
+    middle = np.array([sensor.rows, sensor.cols]) / 2
+    at_um = (pixels + 0.5 - middle)[:, ::-1] * sensor.pixel_pitch_um
+    return np.hypot(*(at_um - bank.centre_um).T) > bank.rectilinear_circle_um

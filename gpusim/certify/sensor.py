@@ -46,7 +46,7 @@ from gpusim.reference.traps import traps
 from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.defects import defects_of
 from gpusim.sensor.frame import Rect
-from gpusim.sensor.noise_model import LineNoise, read_mask
+from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 
 # -log of the share of a charge packet, 1e-10, that may lie beyond the history that is looked at.
@@ -229,7 +229,7 @@ class _Light:
         masks = self.sensor.masks
         if masks is None or masks.gain is None:
             return 1.0
-        plane, (first_row, first_col, rows, cols) = read_mask(masks.gain), masks.area
+        plane, (first_row, first_col, rows, cols) = masks.plane("gain"), masks.area
         y, x = row + self.sensor.first_row - first_row, col + self.sensor.first_col - first_col
         inside = (y >= 0) & (y < rows) & (x >= 0) & (x < cols)
         own = plane[np.clip(y, 0, rows - 1), np.clip(x, 0, cols - 1)]

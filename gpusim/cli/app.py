@@ -11,13 +11,14 @@ from typing import Annotated
 
 import typer
 
+from gpusim.cli.files import DISK
+from gpusim.cli.stop import stopping
 from gpusim.errors import UserError
 
 app = typer.Typer(
     name="gpusim",
     help="Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
@@ -34,19 +35,67 @@ BestEffort = Annotated[
     ),
 ]
 
+FocalLength = Annotated[
+    float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
+]
+FNumber = Annotated[
+    float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
+]
+FocusShift = Annotated[
+    float | None,
+    typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
+]
+
 
 def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
     # Mesa asks libwayland for a screen, which complains on stderr where this is not set.
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):  # a terminal without the letters of a lens's name
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        with stopping():
+            try:
+                app()
+            finally:
+                sys.stdout.flush()  # a full disk is told here, not after the end
     except UserError as error:
-        from gpusim.cli.screen import show_error
+        _refuse(error)
+    except OSError as error:
+        if error.errno not in DISK:
+            raise
+        # What is left in the buffer cannot be written either: Python would say so again.
+        sys.stdout = open(os.devnull, "w")
+        _refuse(UserError(f"the output cannot be written: {error.strerror}", field="stdout"))
+    except MemoryError:
+        _refuse(UserError("there is not enough memory", allowed="fewer pixels, or more memory"))
 
-        show_error(error)
-        sys.exit(2)
+
+def _refuse(error: UserError) -> None:
+    from gpusim.cli.screen import show_error
+
+    show_error(error)
+    sys.exit(2)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from gpusim import __version__
+
+        print(f"gpusim {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    """Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers."""
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:
@@ -72,6 +121,13 @@ def render(
         float | None,
         typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
     ] = None,
+    projection: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="How the scene lies: rectilinear, to 85 degrees off the axis; or angular, to 180.",
+        ),
+    ] = "rectilinear",
     tolerance: Annotated[
         str,
         typer.Option(
@@ -86,11 +142,24 @@ def render(
         float | None,
         typer.Option(metavar="G", help="Analogue gain: a step that the sensor file lists."),
     ] = None,
+    iso: Annotated[
+        int | None,
+        typer.Option(metavar="S", help="The same by the ISO speed that the sensor file lists."),
+    ] = None,
+    ev: Annotated[
+        float, typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops.")
+    ] = 0.0,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise and fixed patterns.")
+        int, typer.Option(min=0, max=2**64 - 1, help="Seed of the noise, of all frames.")
     ] = 7,
     frame: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="Frame number: new noise, same sensor.")
+        int,
+        typer.Option(
+            min=0,
+            max=2**32 - 1,
+            help="Frame number: new noise, same sensor. Count it on in a burst; shots of a "
+            "bracket, by exposure or gain, have noise of their own without.",
+        ),
     ] = 0,
     tile: Annotated[
         str | None,
@@ -110,6 +179,12 @@ def render(
         str | None,
         typer.Option(metavar="NAME", help="fft, direct or modes; planned if not given."),
     ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="REPORT", help="Plan as in this report.json: the same raw, byte for byte."
+        ),
+    ] = None,
     noise: Annotated[
         bool, typer.Option(help="Draw noise and fixed patterns; else the mean signal.")
     ] = True,
@@ -117,9 +192,24 @@ def render(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Show the plan; render and write nothing.")
     ] = False,
+    focal_length: FocalLength = None,
+    f_number: FNumber = None,
+    focus_shift: FocusShift = None,
+    sensor: Annotated[
+        str | None,
+        typer.Option("--sensor", metavar="SENSOR", help="Another sensor: a preset or a file."),
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the report as JSON, no table.")
+    ] = False,
     adapter: Adapter = None,
 ) -> None:
     """Render a capture: raw.dng (.tif where DNG has no such filters), developed.png, report.
+
+    The picture is as bright as its exposure makes it: white is where the first channel saturates.
 
     Exit code 1 where the certificate does not meet the tolerance (the files are written), 2 for
     mistakes: a tolerance that cannot be met is one, and is refused before the work.
@@ -134,9 +224,12 @@ def render(
         exposure=exposure,
         temperature_c=temperature,
         luminance_cd_m2=luminance,
+        projection=projection,
         tolerance=tolerance,
         probes=certify,
         gain=gain,
+        iso=iso,
+        ev=ev,
         seed=seed,
         frame=frame,
         tile=tile,
@@ -145,8 +238,16 @@ def render(
         keep=keep,
         noise=noise,
         method=method,
+        plan=plan,
         best_effort=best_effort,
         dry_run=dry_run,
+        lens={
+            "focal_length_mm": focal_length,
+            "f_number": f_number,
+            "focus_shift_um": focus_shift,
+        },
+        sensor=sensor,
+        show="json" if as_json else "nothing" if quiet else "table",
     ):
         raise typer.Exit(code)
 
@@ -163,6 +264,26 @@ def chart(
 
 
 @app.command()
+def charts() -> None:
+    """List the charts."""
+    from rich.console import Console
+
+    from gpusim.cli.chart import library
+
+    Console().print(library())
+
+
+@app.command()
+def cameras() -> None:
+    """List the cameras that come with the package."""
+    from rich.console import Console
+
+    from gpusim.cli.cameras import library
+
+    Console().print(library())
+
+
+@app.command()
 def lens(
     name: Annotated[
         str | None,
@@ -173,16 +294,9 @@ def lens(
             "it, the presets.",
         ),
     ] = None,
-    focal_length: Annotated[
-        float | None, typer.Option(metavar="MM", help="Scale the lens to this focal length.")
-    ] = None,
-    f_number: Annotated[
-        float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
-    ] = None,
-    focus_shift: Annotated[
-        float | None,
-        typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
-    ] = None,
+    focal_length: FocalLength = None,
+    f_number: FNumber = None,
+    focus_shift: FocusShift = None,
     nearest_glasses: Annotated[
         bool,
         typer.Option(
@@ -232,11 +346,17 @@ def sensor(
 def develop(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The picture to write, a .png.")],
+    ev: Annotated[
+        float, typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops.")
+    ] = 0.0,
+    binned: Annotated[
+        bool, typer.Option("--binned", help="Of quad Bayer, one pixel for each cell of 2 x 2.")
+    ] = False,
 ) -> None:
-    """Develop a raw file through LibRaw into an sRGB picture."""
+    """Develop a raw file into an sRGB picture: through LibRaw, where it has the filter array."""
     from gpusim.cli.develop import run
 
-    run(raw, out)
+    run(raw, out, ev, binned=binned)
 
 
 @app.command()

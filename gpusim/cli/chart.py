@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from rich.table import Table
 
 from gpusim.cli.files import whole_file
+from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.scene import make_scene
 from gpusim.scene.charts import CHARTS
@@ -19,11 +21,22 @@ from gpusim.scene.preview import chart_rgb
 ROWS = 1520
 
 
+def library() -> Table:
+    """Return the charts that come with the package."""
+    table = Table("chart", "", box=None, header_style="bold")
+    for name, make in CHARTS.items():
+        table.add_row(name, (make.__doc__ or "").strip().partition("\n")[0])
+    return table
+
+
 def run(name: str, out: Path) -> None:
     """Draw a chart as the eye would see it, or as linear radiance."""
     if name not in CHARTS:
         raise UserError(
-            "there is no chart of that name", field="NAME", value=name, allowed=", ".join(CHARTS)
+            f"there is no chart of that name{perhaps(name, CHARTS)}",
+            field="NAME",
+            value=name,
+            allowed=", ".join(CHARTS),
         )
     with whole_file(out, (".png", ".exr")) as file:
         scene = make_scene(name)

@@ -10,8 +10,8 @@ from gpusim.cli.files import whole_file
 from gpusim.isp.develop import develop
 
 
-def run(raw: Path, out: Path) -> None:
+def run(raw: Path, out: Path, ev: float, *, binned: bool) -> None:
     """Develop a raw file into a picture."""
     with whole_file(out, (".png",)) as file:
-        Image.fromarray(develop(raw)).save(file)
+        Image.fromarray(develop(raw, ev, binned=binned)).save(file)
     print(out)

@@ -14,7 +14,9 @@ from rich.text import Text
 
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
-from gpusim.report.words import duration, error, mebibytes, sigmas, tolerance
+from gpusim.gpu import compiling
+from gpusim.plan.stages import RIM
+from gpusim.report.words import duration, error, mebibytes, saturated, sigmas, tolerance
 
 RUNNERS_UP_SHOWN = 3  # the report has all
 
@@ -32,8 +34,11 @@ def show_warning(text: str) -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``."""
+def progress_bar(shown: bool = True) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on stderr for each phase of the work; yield ``progress(phase, done, total)``.
+
+    Compiling is a phase of its own, whichever phase it falls in.
+    """
     columns = (
         TextColumn("{task.description:16}"),
         BarColumn(),
@@ -42,7 +47,7 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     )
     console = Console(stderr=True)
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        *columns, console=console, transient=True, disable=not (shown and console.is_terminal)
     ) as bars:
         tasks: dict[str, Any] = {}
 
@@ -51,7 +56,8 @@ def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
                 tasks[phase] = bars.add_task(phase, total=total)
             bars.update(tasks[phase], completed=done, total=total)
 
-        yield progress
+        with compiling(lambda done, total: progress("compile", done, total)):
+            yield progress
 
 
 def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None = None) -> None:
@@ -71,6 +77,10 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
     console.print(f"{device['adapter']}, {device['driver']}, {device['backend']}", markup=False)
     console.print(stages(facts))
     plan = facts["plan"]
+    for stage in plan["stages"]:
+        if stage["name"] == RIM and stage["runs"]:
+            text = f"warning: {stage['reason']}"
+            console.print(text, markup=False, highlight=False, soft_wrap=True)
     console.print(f"convolved by {plan['name']}", markup=False, highlight=False)
     if plan["shortfall"]:
         text = f"best effort: {plan['shortfall']}"
@@ -99,6 +109,7 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
             f"at row {row}, column {col}; {certificate['confidence']}",
         ):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(saturated(facts), markup=False, highlight=False)
     for name in facts["files"]:
         console.print(str(folder / name), markup=False, highlight=False, soft_wrap=True)
 

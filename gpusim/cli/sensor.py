@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import yaml
@@ -10,11 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from gpusim.cli.files import whole_file
+from gpusim.config.mistakes import UNITS
+from gpusim.config.text import parse_yaml, read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion, sensor_text
 from gpusim.sensor.isetcam import read_isetcam
 from gpusim.sensor.load import load_sensor, presets
-from gpusim.sensor.mistakes import UNITS, read_yaml
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.speos import is_speos, read_speos
 
@@ -46,9 +49,8 @@ def run(name: str | None, settings: list[str], out: Path | None) -> None:
             )
         Console().print(library())
         return
-    given = dict(map(setting, settings))
     made = conversion(name)
-    sensor = made.sensor(given)
+    sensor = made.sensor(settled(made.fields, map(setting, settings)))
     console = Console()
     console.print(data_sheet(sensor))
     for text in made.unused:
@@ -64,7 +66,7 @@ def conversion(name: str) -> Conversion:
     path = Path(name)
     if path.suffix.lower() in ISETCAM:
         return read_isetcam(path)
-    if path.suffix.lower() in YAML and is_speos(read_yaml(path)):
+    if path.suffix.lower() in YAML and is_speos(read_yaml(path, "the sensor file")):
         return read_speos(path)
     # Files beside a sensor file are found from anywhere by their whole paths.
     sensor = load_sensor(path.resolve() if path.suffix else name)
@@ -76,14 +78,34 @@ def setting(text: str) -> tuple[str, object]:
     """Return a field's name and its value from ``FIELD=VALUE``, the value as in YAML."""
     field, sign, value = text.partition("=")
     try:
-        found = yaml.safe_load(value)
-    except yaml.YAMLError:
+        found = parse_yaml(value)
+    except ValueError:
         found = None
     if not sign or found is None:
         raise UserError(
             "not a field with a value", field="--set", value=text, allowed="FIELD=VALUE: rows=480"
         )
     return field.strip(), found
+
+
+def settled(
+    fields: Mapping[str, object], settings: Iterable[tuple[str, object]]
+) -> dict[str, object]:
+    """Return the fields that settings change; a dotted name, ``cfa.pattern``, is one in a part."""
+    given: dict[str, object] = {}
+    for dotted, value in settings:
+        field, *inner = dotted.split(".")
+        if not inner:
+            given[field] = value
+            continue
+        start = given.get(field, fields.get(field))
+        part = given[field] = copy.deepcopy(start) if isinstance(start, dict) else {}
+        for name in inner[:-1]:
+            if not isinstance(part.get(name), dict):
+                part[name] = {}
+            part = part[name]
+        part[inner[-1]] = value
+    return given
 
 
 def library() -> Table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import Counter
 from pathlib import Path
 
 from rich.console import Console
@@ -14,7 +15,7 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.gpu import default_device
 from gpusim.stress import run as run_cases
-from gpusim.stress.table import FAILED, HELD, Row
+from gpusim.stress.table import FAILED, HELD, LIMIT, REFUSED, Row
 
 STYLES = {HELD: "green", FAILED: "bold red"}
 
@@ -24,11 +25,13 @@ def run(as_json: bool, out: Path | None) -> int:
     adapter = default_device().report()["adapter"]
     with screen.progress_bar() as progress:
         rows = run_cases(progress=progress)
-    failed = sum(row.verdict == FAILED for row in rows)
+    counts = Counter(row.verdict for row in rows)
+    failed = counts[FAILED]
     facts = {
         "adapter": adapter,
         "cases": [dataclasses.asdict(row) for row in rows],
         "failed": failed,
+        "limits": counts[LIMIT],
     }
     text = json.dumps(facts, indent=1)
     if out is not None:
@@ -39,7 +42,10 @@ def run(as_json: bool, out: Path | None) -> int:
     else:
         console = Console()
         console.print(table(rows))
-        console.print(f"{len(rows) - failed} of {len(rows)} as expected, on {adapter}")
+        right = counts[HELD] + counts[REFUSED]
+        console.print(f"{right} of {len(rows)} as expected, on {adapter}")
+        if counts[LIMIT]:
+            console.print(f"{counts[LIMIT]} declined that physics allows: limits of the engine")
     return 1 if failed else 0
 
 

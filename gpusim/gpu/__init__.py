@@ -1,6 +1,8 @@
 """The GPU layer: the only place that knows wgpu."""
 
+from .compiling import Compiled, compiling
 from .device import Array, Device, DeviceLostError, Resident, default_device, devices
+from .exact import need_double_float
 from .kernel import Kernel
 from .layout import ShaderError
 from .pool import OutOfMemoryError, Use
@@ -8,6 +10,7 @@ from .recording import Recording, Result
 
 __all__ = [
     "Array",
+    "Compiled",
     "Device",
     "DeviceLostError",
     "Kernel",
@@ -17,6 +20,8 @@ __all__ = [
     "Result",
     "ShaderError",
     "Use",
+    "compiling",
     "default_device",
     "devices",
+    "need_double_float",
 ]

@@ -10,10 +10,12 @@ from importlib import metadata
 
 import numpy as np
 import wgpu
-from wgpu.backends.wgpu_native import lib
+from wgpu.backends.wgpu_native import ffi, lib
 
 from gpusim.errors import UserError
 
+from .c_types import parse_few
+from .compiling import Compiled
 from .layout import ShaderError
 from .pool import (
     MAX_BINDING_BYTES,
@@ -24,6 +26,8 @@ from .pool import (
     Pool,
     Use,
 )
+
+parse_few(ffi)
 
 # Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
 # not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.
@@ -74,7 +78,8 @@ def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:
     info = adapter.info
     return {
         "adapter": info["device"],
-        "driver": info["description"],
+        # SwiftShader has an empty text, others do not say more than their vendor.
+        "driver": info["description"] or info["vendor"] or "driver of no name",
         "backend": info["backend_type"],
         "type": info["adapter_type"],
     }
@@ -186,6 +191,8 @@ class Device:
         Passes are timed by the GPU; switched off when its ticks turn out to be nonsense.
     lost : bool
         Nothing works on it any more.
+    compiled : dict of object to Compiled
+        What each kernel that has run took to compile, by the kernel's key.
     """
 
     def __init__(self, adapter: wgpu.GPUAdapter, budget: int) -> None:
@@ -199,6 +206,8 @@ class Device:
         self.lost = False
         self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
+        self.double_float: bool | None = None  # not tested yet: see exact.py
+        self.compiled: dict[object, Compiled] = {}  # by recording.py, in order of time
         self._on_the_way = 0  # bytes of uploads
         self._fence = self.gpu.create_buffer(
             label="fence", size=16, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST

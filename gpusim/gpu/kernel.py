@@ -45,6 +45,8 @@ class Kernel:
         Memory layout of ``struct Params``; ``params.dtype`` and ``params.pack(values)``.
     buffers : dict of str to Binding
         The bindings after ``params``, by name.
+    key : tuple
+        The composed text's digest and the overrides that were given: kernels of one key are one.
 
     Raises
     ------
@@ -89,7 +91,7 @@ class Kernel:
             raise ShaderError(f"{self.path}: {error}") from error
         self.params = module.params
         self.buffers = {one.name: one for one in module.bindings[1:]}
-        self._key = (source.digest, tuple(sorted(self._given.items())))
+        self.key = (source.digest, tuple(sorted(self._given.items())))
         self._refuse()
 
     def _refuse(self) -> None:
@@ -191,9 +193,9 @@ class Kernel:
         ShaderError
             The shader does not compile: with the lines around the error and their origins.
         """
-        if self._key not in device.pipelines:
-            device.pipelines[self._key] = self._compile(device.gpu)
-        return device.pipelines[self._key]
+        if self.key not in device.pipelines:
+            device.pipelines[self.key] = self._compile(device.gpu)
+        return device.pipelines[self.key]
 
     def _compile(self, gpu: wgpu.GPUDevice) -> Pipeline:
         if os.environ.get("GPUSIM_PRINT_WGSL") == "1":

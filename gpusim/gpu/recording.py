@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import wgpu
 
+from .compiling import Compiled, tell_compiling
 from .device import MAX_TICKS, Array, Device, Resident, texel_rows
 from .layout import ShaderError
 from .pool import Memory, Use
@@ -227,11 +228,15 @@ class Recording:
         segments = [segment for segment in self._segments if segment]
         run = _Run(self.device)
         with self.device.telling_of_loss():
-            for command in chain.from_iterable(segments):
-                if isinstance(command, Dispatch):
-                    command.kernel.compile(self.device)
+            commands = chain.from_iterable(segments)
+            first_uses = {
+                command.kernel.key: command
+                for command in commands
+                if isinstance(command, Dispatch) and command.kernel.key not in self.device.compiled
+            }
             try:
                 run.allocate(self._proxies, bytes(self._params))
+                run.compile(list(first_uses.values()))
                 for number, segment in enumerate(segments, start=1):
                     run.segment(segment)
                     if progress is not None:
@@ -276,6 +281,29 @@ class _Run:
         for buffer in self._held[first:]:
             self._device.pool.release(buffer)
         del self._held[first:]
+
+    def compile(self, first_uses: Sequence[Dispatch]) -> None:
+        """Compile the kernels of these dispatches, one after another, and tell of each.
+
+        Software drivers compile at a pipeline's first dispatch: one of no workgroups, over the
+        buffers that the kernel will have, makes them do so here and not amid the work.
+        """
+        device = self._device
+        for number, command in enumerate(first_uses):
+            tell_compiling(number, len(first_uses))
+            wall, cpu = time.perf_counter(), time.process_time()
+            encoder = device.gpu.create_command_encoder(label="compile")
+            compute = encoder.begin_compute_pass(label=command.kernel.path)
+            self._bind(compute, command)
+            compute.dispatch_workgroups(0, 0, 0)
+            compute.end()
+            device.gpu.queue.submit([encoder.finish()])
+            device.wait()
+            spent = time.perf_counter() - wall, time.process_time() - cpu
+            kernel = command.kernel
+            device.compiled[kernel.key] = Compiled(kernel.path, kernel.overrides, *spent)
+        if first_uses:
+            tell_compiling(len(first_uses), len(first_uses))
 
     def segment(self, commands: Sequence[Command]) -> None:
         """Submit the commands of one segment, wait, and fetch its downloads."""
@@ -331,6 +359,12 @@ class _Run:
         kernel = command.kernel
         if self._pass is None or self._stages[-1] != kernel.path:
             self._begin_pass(kernel.path)
+        self._bind(self._pass, command)
+        self._pass.dispatch_workgroups(*command.groups)
+
+    def _bind(self, compute: wgpu.GPUComputePassEncoder, command: Dispatch) -> None:
+        """Set pipeline, buffers and params of a dispatch."""
+        kernel = command.kernel
         compiled = kernel.compile(self._device)
         memory = [self._buffer(command.buffers[name]) for name in kernel.buffers]
         key = (id(compiled), *map(id, memory))
@@ -346,9 +380,8 @@ class _Run:
                     {"binding": index, "resource": _bound(one, size)} for index, one, size in bound
                 ],
             )
-        self._pass.set_pipeline(compiled.pipeline)
-        self._pass.set_bind_group(0, self._groups[key], [command.offset])
-        self._pass.dispatch_workgroups(*command.groups)
+        compute.set_pipeline(compiled.pipeline)
+        compute.set_bind_group(0, self._groups[key], [command.offset])
 
     def _begin_pass(self, stage: str) -> None:
         self._end_pass()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.errors import UserError
 from gpusim.scene.spectra import (
     QUADRATURE_NM,
     WAVELENGTHS_NM,
@@ -12,6 +11,7 @@ from gpusim.scene.spectra import (
     white_radiance,
     xyz,
 )
+from gpusim.sensor.cfa import CFA_LETTERS
 
 CHANNELS = ("R", "G", "B")
 
@@ -28,47 +28,35 @@ def response(qe: dict[str, np.ndarray], transmission: np.ndarray | None = None) 
     Parameters
     ----------
     qe : dict of str to ndarray (61,)
-        Quantum efficiency of the channels R, G and B, electrons per photon.
+        Quantum efficiency by filter colour, electrons per photon.
     transmission : ndarray (61,), optional
         Of the lens, to a common factor; 1 if not given.
 
     Returns
     -------
-    ndarray (3, 61)
-        Of R, G, B, for radiance per nm on `WAVELENGTHS_NM`.
-
-    Raises
-    ------
-    UserError
-        If the channels are not R, G and B.
+    ndarray (colours, 61)
+        In the order of `CFA_LETTERS`, for radiance per nm on `WAVELENGTHS_NM`.
     """
-    if set(qe) != set(CHANNELS):
-        raise UserError(
-            "no colour data for this filter array",
-            field="cfa",
-            value=", ".join(qe),
-            allowed="R, G, B",
-        )
-    curves = np.stack([qe[channel] for channel in CHANNELS])
+    curves = np.stack([qe[colour] for colour in sorted(qe, key=CFA_LETTERS.index)])
     return curves * (1.0 if transmission is None else transmission) * WAVELENGTHS_NM * QUADRATURE_NM
 
 
 def colour_matrix(camera_response: np.ndarray, illuminant: str) -> np.ndarray:
-    """Return the matrix from XYZ to the camera's own RGB under an illuminant: DNG's ColorMatrix.
+    """Return the matrix from XYZ to the camera's own colours under an illuminant: ColorMatrix.
 
     Least squares over the 24 ColorChecker patches, with the white kept exactly (Finlayson and Drew
     1997, "Constrained least-squares regression in color spaces").
 
     Parameters
     ----------
-    camera_response : ndarray (3, 61)
+    camera_response : ndarray (colours, 61)
         As `response` returns it.
     illuminant : str
         CIE name of the calibration illuminant.
 
     Returns
     -------
-    ndarray (3, 3)
+    ndarray (colours, 3)
         Scaled so that the white, at Y = 1, has 1 as its largest component.
     """
     white = white_radiance(illuminant, 1.0)

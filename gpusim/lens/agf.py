@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.lens.glass import BOOKS, D_LINE_NM, FORMULAS, catalogue, formula_index
 from gpusim.lens.prescription import Dispersion, Prescription
@@ -30,14 +31,7 @@ def read_agf(path: Path) -> dict[str, dict[str, list[str]]]:
     UserError
         Where the file cannot be read or holds no glass.
     """
-    try:
-        text = decoded(path.read_bytes())
-    except OSError as error:
-        raise UserError(
-            f"the glass catalogue cannot be read: {error.strerror}",
-            file=path,
-            allowed="a readable .agf file",
-        ) from error
+    text = decoded(read_bytes(path, "the glass catalogue", allowed="a readable .agf file"))
     glasses: dict[str, dict[str, list[str]]] = {}
     lines: dict[str, list[str]] = {}  # those before the first glass belong to none
     for line in text.splitlines():

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from scipy.interpolate import make_interp_spline
 
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.lens.bank import FIELDS, Bank
 from gpusim.lens.cone import with_exit_pupil
@@ -24,8 +24,7 @@ from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import Heights, half_turned
 
-# The engine's chief-ray map is a polynomial of degree 15 in height (gpusim.optics.chief_ray); six
-# odd terms through a table leave it room to follow the inverse.
+# Tables are rounded and have few heights: six odd terms through them are smooth.
 DISTORTION_TERMS = 6
 # Largest misfit of those terms to a table of chief rays: the pixel of the smallest sensors.
 DISTORTION_MISFIT_UM = 1.0
@@ -34,11 +33,7 @@ ALIASED_CONTRAST = 0.02
 MAX_SIZE = 1024  # samples across a PSF: the longest transform of the convolution
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Stated(_Strict):
+class Stated(Strict):
     """What a text beside the data must state, because the data do not hold it.
 
     Attributes
@@ -69,54 +64,6 @@ class Stated(_Strict):
         if not all(0 < value <= 1 for value in np.atleast_1d(self.transmission)):
             raise ValueError("transmission lies above 0 and up to 1")
         return self
-
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-def read_bytes(path: Path, what: str) -> bytes:
-    """Return a file's content, or one UserError that says what it should have been."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise UserError(f"{what} cannot be read: {error.strerror}", file=path) from error
-
-
-def read_mapping(path: Path, what: str) -> dict[str, object]:
-    """Return the mapping in a YAML file, or one UserError."""
-    try:
-        data = yaml.safe_load(read_bytes(path, what).decode("utf-8"))
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        problem = " ".join(str(error).split())
-        raise UserError(f"not a YAML file: {problem}", file=path, allowed=what) from error
-    if not isinstance(data, dict):
-        raise UserError(
-            f"the file holds no {what}", file=path, value=type(data).__name__, allowed="a mapping"
-        )
-    return data
-
-
-def validated(model: type[Model], data: object, file: Path) -> Model:
-    """Return the model of ``data``, or one UserError that names the first wrong field."""
-    try:
-        return model.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p + 1) if isinstance(p, int) else str(p) for p in first["loc"])
-        if first["type"] == "missing":
-            problem, allowed = "a field is missing", f"{place} must be given in this file"
-        elif first["type"] == "extra_forbidden":
-            problem, allowed = "this field is not known", ", ".join(model.model_fields)
-        else:
-            problem, allowed = "a field is wrong", first["msg"].removeprefix("Value error, ")
-        value = first["input"]
-        raise UserError(
-            problem,
-            file=file,
-            field=place or None,
-            value=value if isinstance(value, str | int | float) else None,
-            allowed=allowed,
-        ) from error
 
 
 def per_wavelength(values: object, count: int, file: Path, field: str) -> np.ndarray:
@@ -398,6 +345,9 @@ def check_bank(bank: Bank, file: Path) -> None:
         rays = np.shape(bank.cone)[2] if np.ndim(bank.cone) == 4 else 0
         shapes |= {"chief": (*table, 2), "cone": (*table, rays, 3)}
 
+    if bank.ray_deg is not None:
+        rays = len(np.atleast_1d(bank.ray_deg))
+        shapes |= {"ray_deg": (rays,), "ray_um": (rays, count)}
     if bank.halo is not None:
         levels, across = np.shape(bank.halo)[0], np.shape(bank.halo)[-1]
         shapes |= {"halo": (levels, *table, across, across), "halo_pitch_um": (levels,)}
@@ -425,7 +375,8 @@ def check_bank(bank: Bank, file: Path) -> None:
     for name in ("efl_mm", "f_number", "pitch_um"):
         if not (np.isfinite(getattr(bank, name)) and getattr(bank, name) > 0):
             raise wrong(name, getattr(bank, name), "above 0")
-    for name in ("field_deg", "real_height_um"):
+    rising = ("field_deg", "real_height_um")
+    for name in rising if bank.ray_deg is None else (*rising, "ray_deg", "ray_um"):
         array = getattr(bank, name)
         if np.any(array[0] != 0) or not (np.diff(array, axis=0) > 0).all():
             raise wrong(name, "not rising from 0", "0 at the first field, then rising")
@@ -436,6 +387,10 @@ def check_bank(bank: Bank, file: Path) -> None:
     if not np.allclose(bank.ideal_height_um, ideal, rtol=1e-6, atol=1e-6):
         raise wrong("ideal_height_um", "other heights", "efl_mm times tan(field_deg)")
     folds = [FieldMap(theta, column, efl_um).folds_at for column in bank.real_height_um.T]
+    if bank.ray_deg is not None and not np.allclose(
+        [bank.ray_deg[-1], *bank.ray_um[-1]], [bank.field_deg[-1], *bank.real_height_um[-1]]
+    ):
+        raise wrong("ray_deg, ray_um", "another end", "the last field")
     if any(fold is not None for fold in folds):
         angle = np.degrees(min(fold for fold in folds if fold is not None))
         raise wrong("real_height_um", f"falling from {angle:.4g} deg", "rising between fields too")

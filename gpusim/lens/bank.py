@@ -21,16 +21,19 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from gpusim.config.arrays import MOST_BYTES
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.gpu.wgsl import shaders_root
+from gpusim.lens.chief_rays import between_fields
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
 from gpusim.lens.generator import RAYS, TRANSFORM, Generator
 from gpusim.lens.halo import distances_um, fall, halo_of, split
-from gpusim.lens.lines import CUBIC, STRAIGHT, line_shares
+from gpusim.lens.lines import CHIEF_RAYS, CUBIC, STRAIGHT, line_shares
 from gpusim.lens.places import FieldPsfs, Heights, half_turned
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.sampling import window
 from gpusim.lens.system import System, build, first_order, transmission
 
@@ -43,8 +46,6 @@ AnyBank = TypeVar("AnyBank", "Bank", "PlaneBank")
 WAVELENGTHS_NM = tuple(range(400, 701, 25))
 REFERENCE_NM = 550.0
 FIELDS = 15
-# Where the ideal plane ends, on which scenes lie: f tan(85 deg) is 11 f, and at 90 deg it is gone.
-RECTILINEAR_DEG = 85.0
 # Steps to the light whose spread is the relative illumination: each is a hundred times nearer.
 SCATTER_STEPS = 3
 RAYS_SHARE = 0.02  # of the light: a level that holds more holds rays, not diffracted light alone
@@ -111,6 +112,11 @@ _RAYS = {
         "rays that arrive: direction cosines, radial and tangential, and share of the projected "
         "solid angle",
     ),
+}
+# Where chief rays are known between the fields: else those of the fields are all.
+_BETWEEN_FIELDS = {
+    "ray_deg": (("ray",), "degree", "field angle of chief rays, those of the fields among them"),
+    "ray_um": (("ray", "wavelength"), "um", "height where they land"),
 }
 # Where the light beyond the window is known: a ready-made bank has none.
 _HALO = {
@@ -185,6 +191,10 @@ class Bank:
     beyond_energy, halo_misfit : ndarray, shape (F, L), or None
     spectral_degree : int
         Of what lies between the wavelengths: see ``gpusim.lens.lines``.
+    ray_deg, ray_um : ndarray, shape (M,), and ndarray, shape (M, L), or None
+        Chief rays between the fields, and theirs: see ``gpusim.lens.chief_rays``.
+    projection : Projection
+        How the scene lies on the ideal plane. It is no part of a file.
     """
 
     wavelengths_nm: np.ndarray
@@ -211,6 +221,9 @@ class Bank:
     beyond_energy: np.ndarray | None = None
     halo_misfit: np.ndarray | None = None
     spectral_degree: int = CUBIC
+    ray_deg: np.ndarray | None = None
+    ray_um: np.ndarray | None = None
+    projection: Projection = RECTILINEAR
 
     @functools.cached_property
     def scatter(self) -> np.ndarray:
@@ -327,6 +340,11 @@ class Bank:
     def _maps(self) -> dict[float, FieldMap]:
         return {}
 
+    def _ray_shares(self, wavelengths_nm: np.ndarray | float) -> np.ndarray:
+        """Return how much each line counts for the chief rays at wavelengths."""
+        degree = STRAIGHT if self.spectral_degree == STRAIGHT else CHIEF_RAYS
+        return line_shares(self.wavelengths_nm, degree, wavelengths_nm)
+
     def _map(self, wavelength_nm: float | None) -> FieldMap:
         """Return the map of a wavelength."""
         wavelength = self.reference_nm if wavelength_nm is None else float(wavelength_nm)
@@ -339,9 +357,12 @@ class Bank:
                 allowed=f"{lines[0]:g} to {lines[-1]:g}",
             )
         if wavelength not in self._maps:
-            share = line_shares(lines, self.spectral_degree, wavelength)
+            share = self._ray_shares(wavelength)
+            angles, heights = self.field_deg, self.real_height_um
+            if self.ray_deg is not None:
+                angles, heights = self.ray_deg, self.ray_um
             self._maps[wavelength] = FieldMap(
-                np.radians(self.field_deg), self.real_height_um @ share, 1e3 * self.efl_mm
+                np.radians(angles), heights @ share, 1e3 * self.efl_mm
             )
         return self._maps[wavelength]
 
@@ -387,11 +408,10 @@ class Bank:
     def _ideal_edge(self) -> tuple[float, float, float]:
         """The ideal and the real height where the ideal plane ends, and the map's slope there."""
         chief, f_um = self._map(None), 1e3 * self.efl_mm
-        edge = min(chief.edge, float(np.radians(RECTILINEAR_DEG)))
-        slope = float(chief.slope_um(edge) * np.cos(edge) ** 2 / f_um)
-        if edge == chief.edge:
-            return float(self.ideal_height_um[-1]), self.image_circle_um, slope
-        return float(f_um * np.tan(edge)), float(chief.height_um(edge)), slope
+        edge = min(chief.edge, float(np.radians(self.projection.end_deg)))
+        slope = float(chief.slope_um(edge)) / (f_um * self.projection.slope(edge))
+        real_um = self.image_circle_um if edge == chief.edge else float(chief.height_um(edge))
+        return f_um * float(self.projection.height(edge)), real_um, slope
 
     def real_from_ideal(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Map ideal to real image height at the reference wavelength.
@@ -399,19 +419,19 @@ class Bank:
         Parameters
         ----------
         r_um : array_like
-            Ideal heights f tan(theta), >= 0.
+            Ideal heights, >= 0: f tan(theta), or of another projection.
 
         Returns
         -------
         real_um : ndarray
             Beyond the image circle: the straight line that continues the map.
         inside : ndarray of bool
-            False beyond the image circle, and beyond ``RECTILINEAR_DEG``.
+            False beyond the image circle, and beyond the projection's end.
         """
         r = np.asarray(r_um, dtype=float)
         edge, _, slope = self._ideal_edge
         at = np.minimum(r, edge)
-        real = self._map(None).height_um(np.arctan(at / (1e3 * self.efl_mm)))
+        real = self._map(None).height_um(self.projection.angle(at / (1e3 * self.efl_mm)))
         return real + slope * (r - at), r <= edge
 
     def ideal_from_real(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -419,7 +439,7 @@ class Bank:
         wanted = np.asarray(r_um, dtype=float)
         _, edge, slope = self._ideal_edge
         at = np.minimum(wanted, edge)
-        ideal = 1e3 * self.efl_mm * np.tan(self._map(None).angle(at))
+        ideal = 1e3 * self.efl_mm * self.projection.height(self._map(None).angle(at))
         return ideal + (wanted - at) / slope, wanted <= edge
 
     def resampled(
@@ -487,6 +507,13 @@ class Bank:
             both["halo"] = np.stack([blended(level) for level in self.halo])
         both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
         light = own.even(self.relative_illumination, heights) @ over_lines
+        if self.ray_deg is not None:
+            inner = self.ray_deg < angles[-1]
+            edge = [self.height_from_angle(angles[-1:], w)[0] for w in lines]
+            both["ray_deg"] = np.append(self.ray_deg[inner], angles[-1])
+            both["ray_um"] = np.append(
+                self.ray_um[inner] @ self._ray_shares(lines), np.transpose(edge), axis=0
+            )
         provenance = self.provenance | {"resampled": "as interpolated in wavelength and height"}
         return replace(
             self,
@@ -504,6 +531,7 @@ class Bank:
 
     def _variables(self) -> dict[str, tuple]:
         rays = {} if self.cone is None else _RAYS
+        rays = rays | ({} if self.ray_deg is None else _BETWEEN_FIELDS)
         return _VARIABLES | _BETWEEN | rays | ({} if self.halo is None else _HALO)
 
     def to_xarray(self) -> xarray.Dataset:
@@ -531,15 +559,16 @@ class Bank:
         save_dataset(self.to_xarray(), path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Bank:
-        """Read a bank that ``save`` wrote.
+    def load(cls, path: str | Path, *, sealed: bool = False) -> Bank:
+        """Read a bank that ``save`` wrote; where it must be ``sealed``, its checksum is there.
 
         Raises
         ------
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO | _BETWEEN))
+        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, optional, sealed))
 
 
 def _moments(bank: Bank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -610,7 +639,11 @@ def no_rays(provenance: dict[str, str]) -> UserError:
 
 
 def load_dataset(
-    path: str | Path, variables: Iterable[str], scalars: Iterable[str], optional: Iterable[str]
+    path: str | Path,
+    variables: Iterable[str],
+    scalars: Iterable[str],
+    optional: Iterable[str],
+    sealed: bool = False,
 ) -> dict[str, object]:
     """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
 
@@ -622,8 +655,12 @@ def load_dataset(
     import xarray
 
     with xarray.open_dataset(path, engine="h5netcdf") as data:
+        if data.nbytes > MOST_BYTES:
+            raise ValueError(f"it says that it holds {data.nbytes:,} bytes, more than any bank")
         data.load()
         saved = data.attrs.pop(CHECKSUM, None)
+        if saved is None and sealed:
+            raise ValueError("it has no checksum")
         if saved is not None and saved != _checksum(data):
             raise ValueError(
                 f"its data are not those that were saved (after a change that is meant, remove the "
@@ -640,10 +677,13 @@ def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     """Write NetCDF-4 with a checksum, under a temporary name first, so never half a file."""
     path = Path(path)
     dataset = dataset.assign_attrs({CHECKSUM: _checksum(dataset)})
+    # In memory first: HDF5 crashes the process where it closes a file that it could not write
+    # (seen with 1.14 and a limit of the file size, `ulimit -f 40`).
+    content = dataset.to_netcdf(None, engine="h5netcdf")
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-    os.close(handle)
     try:
-        dataset.to_netcdf(name, engine="h5netcdf")
+        with open(handle, "wb") as file:
+            file.write(content)
         os.replace(name, path)
     finally:
         Path(name).unlink(missing_ok=True)
@@ -789,8 +829,9 @@ def bank_of(
     real = 1e3 * generator.chief_y_mm + focus_um * slope
     order = first_order(system.prescription, reference_nm)
     efl_um = 1e3 * order.efl_mm
-    theta = np.radians(angles)
-    folds = [f for h in real.T if (f := FieldMap(theta, h, efl_um).folds_at) is not None]
+    rays_deg, rays_um = between_fields(system, wavelengths, angles, real, efl_um, focus_um)
+    theta = np.radians(rays_deg)
+    folds = [f for h in rays_um.T if (f := FieldMap(theta, h, efl_um).folds_at) is not None]
     if folds:
         raise UserError(
             "distortion folds the image over: image height does not rise with field angle",
@@ -822,6 +863,8 @@ def bank_of(
         provenance=provenance,
         chief=np.stack([radial, np.zeros_like(radial)], axis=-1),
         cone=np.stack([generator.cones(field) for field in range(len(angles))]),
+        ray_deg=rays_deg,
+        ray_um=rays_um,
         **halo_of(
             lambda field, line: generator.wave(field, line, focus_um),
             wavelengths,
@@ -971,9 +1014,11 @@ def from_cache(
     path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
     if path.exists():
         try:
-            return kind.load(path)
-        except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
-            pass  # a corrupt file is computed again and replaced
+            bank = kind.load(path, sealed=True)
+            if bank.provenance.keys() >= {"title", "history"}:
+                return bank
+        except Exception:  # whatever HDF5 and xarray say of damage: it is computed again
+            pass
     bank = compute(prescription, progress=progress, **settings)
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from dataclasses import replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.places import FieldPsfs, Places
+from gpusim.lens.projection import Projection
 
 
 class FieldBank(Protocol):
@@ -21,6 +23,8 @@ class FieldBank(Protocol):
     wavelengths_nm : ndarray (L,)
     reference_nm, reference : float, int
         The wavelength whose chief ray defines the real plane, and its index.
+    efl_mm, f_number : float
+        As the lens is known.
     psf : ndarray (..., L, n, n)
     pitch_um : float
         Of the PSFs' samples.
@@ -36,16 +40,21 @@ class FieldBank(Protocol):
         Fields that stand for all, the middle first.
     spectral_degree : int
         Of what lies between the wavelengths: see `gpusim.lens.lines`.
+    projection : Projection
+        How the scene lies on the ideal plane.
     """
 
     wavelengths_nm: np.ndarray
     reference_nm: float
+    efl_mm: float
+    f_number: float
     psf: np.ndarray
     pitch_um: float
     projected_solid_angle_sr: np.ndarray
     transmission: np.ndarray
     centre_um: tuple[float, float]
     spectral_degree: int
+    projection: Projection
 
     @property
     def levels(self) -> tuple[FieldBank, ...]:
@@ -96,3 +105,11 @@ class FieldBank(Protocol):
 
     def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
         """Return the relative illumination at real image points, by wavelength first."""
+
+
+AnyBank = TypeVar("AnyBank", bound=FieldBank)
+
+
+def seen_as(bank: AnyBank, projection: Projection) -> AnyBank:
+    """Return a bank before a scene of another projection; as it is where it has that already."""
+    return bank if bank.projection == projection else replace(bank, projection=projection)

@@ -27,10 +27,12 @@ import re
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
-from gpusim.lens.assemble import Stated, make_bank, read_bytes, read_mapping, validated
+from gpusim.lens.assemble import Stated, make_bank
 from gpusim.lens.bank import Bank
 from gpusim.lens.text import decoded
 from gpusim.lens.zemax_text import NUMBER, FirstRow, check_size, common_grid, parse_psf, turned
@@ -53,10 +55,8 @@ PSF_NAMES = ("{base}_2D_PSF_Fld{field}_Wave{wave}.dat", "{base}_PSF_{field}_{wav
 MOST_SAMPLES = 1000  # fields or wavelengths: more is no lens
 
 
-class Beside(BaseModel):
+class Beside(Strict):
     """Fields of ISETPARMS.yaml."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     transmission: float | tuple[float, ...]
     title: str | None = None
@@ -177,7 +177,7 @@ def read_isetcam(file: Path) -> Bank:
             )
         exports[field, wave] = export
     beside = file.with_suffix(".yaml")
-    stated = read_mapping(beside, "fields of a lens") if beside.exists() else {}
+    stated = read_mapping(beside, "the file of the lens's fields") if beside.exists() else {}
     if "transmission" not in stated:
         raise UserError(
             "the folder does not hold the lens's transmission",
@@ -186,7 +186,7 @@ def read_isetcam(file: Path) -> Bank:
             allowed="a file of this name, with transmission: 0 to 1, or one number for each "
             "wavelength",
         )
-    known = validated(Beside, stated, beside)
+    known = checked(Beside, stated, beside)
     pitch_um, size = common_grid(list(exports.values()))
     check_size(size, pitch_um, file)
     psf = np.empty((*shape, size, size))
@@ -209,7 +209,7 @@ def read_isetcam(file: Path) -> Bank:
     working = scalars["fnumber_eff"]
     is_far = scalars["objDist"] > 1e9 or scalars["mag"] == 0
     nearest = int(np.abs(wavelengths - scalars["refWave"]).argmin())
-    optics = validated(
+    optics = checked(
         Stated,
         {
             "title": known.title or PureWindowsPath(lens).stem,

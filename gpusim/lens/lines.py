@@ -11,6 +11,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 CUBIC, STRAIGHT = 3, 1  # degrees
+# Of chief rays, which are known to far less than a PSF's width. Largest miss between lines 25 nm
+# apart, um: fisheye 0.06 with 3, 0.004 with 5, 0.0004 with 7; wide 0.04, 0.008, 0.0009.
+CHIEF_RAYS = 7
 
 
 def line_shares(
@@ -18,15 +21,15 @@ def line_shares(
 ) -> np.ndarray:
     """Return how much each line counts at wavelengths: the cardinal functions of a spline.
 
-    Cubic splines in 1 / lambda, not-a-knot, of fewer than four lines the polynomial through them;
-    beyond the first and the last line what is known there.
+    Splines in 1 / lambda, not-a-knot, of few lines the polynomial through them; beyond the first
+    and the last line what is known there.
 
     Parameters
     ----------
     lines_nm : ndarray (L,)
         Rising.
     degree : float
-        `CUBIC`, or `STRAIGHT`: straight lines in lambda.
+        `CUBIC`, `CHIEF_RAYS`, or `STRAIGHT`: straight lines in lambda.
     wavelengths_nm : array_like (...)
 
     Returns
@@ -38,7 +41,7 @@ def line_shares(
     one_by_one = np.eye(len(lines_nm))
     if degree == STRAIGHT:
         return np.stack([np.interp(at, lines_nm, row) for row in one_by_one])
-    own = min(CUBIC, len(lines_nm) - 1)
+    own = min(int(degree), len(lines_nm) - 1)
     if own == 0:
         return np.ones((1, *np.shape(at)))
     spline = make_interp_spline(1 / lines_nm[::-1], one_by_one[::-1], own)

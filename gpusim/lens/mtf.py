@@ -49,10 +49,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
-from gpusim.lens.assemble import Stated, make_bank, per_wavelength, validated
+from gpusim.lens.assemble import Stated, make_bank, per_wavelength
 from gpusim.lens.bank import REFERENCE_NM, Bank
 from gpusim.lens.lines import STRAIGHT
 from gpusim.lens.sampling import PITCH_UM, SIZE
@@ -68,11 +70,7 @@ HIGHEST = 5.0  # cycles/um: cut-off 2 NA / lambda at NA 1 in air and 400 nm
 NODES = 8  # Gauss-Legendre nodes in a quarter of a period of the Bessel function
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MtfField(_Strict):
+class MtfField(Strict):
     """One field of the table: see the module."""
 
     height_mm: float = Field(ge=0)
@@ -81,7 +79,7 @@ class MtfField(_Strict):
     values: tuple[tuple[float, ...], ...] = Field(min_length=1)
 
 
-class MtfTable(_Strict):
+class MtfTable(Strict):
     """The table."""
 
     frequencies_cy_mm: tuple[float, ...] = Field(min_length=3)
@@ -225,7 +223,7 @@ def read_mtf(data: dict[str, object], file: Path) -> Bank:
     UserError
         Where the table is not whole, is no MTF, or spreads light beyond any window.
     """
-    stated = validated(MtfFile, data, file)
+    stated = checked(MtfFile, data, file)
     table = stated.mtf
     frequency = 1e-3 * np.array(table.frequencies_cy_mm)
     count = len(stated.wavelengths_nm)

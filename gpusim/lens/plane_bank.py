@@ -21,7 +21,6 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.lens.bank import (
-    RECTILINEAR_DEG,
     REFERENCE_NM,
     WAVELENGTHS_NM,
     from_cache,
@@ -30,12 +29,14 @@ from gpusim.lens.bank import (
     provenance_of,
     save_dataset,
 )
+from gpusim.lens.chief_rays import MIDDLE
 from gpusim.lens.cone import FieldRays, cone_of
 from gpusim.lens.halo import distances_um, fall, field_halo, split, wave_of, whole_halo
 from gpusim.lens.lines import CUBIC
 from gpusim.lens.places import FieldGrid, FieldPsfs
-from gpusim.lens.plane_map import PlaneMap
+from gpusim.lens.plane_map import MAP_ERROR_UM, PlaneMap, Rings
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.sampling import default_pitch_um
 from gpusim.lens.system import System, build, first_order, transmission
@@ -46,14 +47,14 @@ if TYPE_CHECKING:
 
 SIDE = 9  # fields each way
 SIZE = 128
-# Chief rays of the map: on circles of field angle, denser towards the rim, where polynomials are
-# least sure: 2.5 and more for each coefficient of the highest degree.
-RINGS = 10
+# Chief rays of the map: on rings of field angle, denser towards the rim, where splines are least
+# sure; twice as many as long as they leave more open than `gpusim.lens.plane_map` allows. A phone's
+# lens takes 20.
+RINGS, MOST_RINGS = 10, 80
 SPOKES = 20
 # Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
 # 1.9e-3 of the PSF's peak with 256 nodes.
 PUPIL_NODES = 256
-NO_POINTS = np.zeros(0)  # of the stop: the chief ray goes with any
 
 _FIELD = ("field_y", "field_x")
 _LINES = (*_FIELD, "wavelength")
@@ -172,6 +173,8 @@ class PlaneBank:
     halo, halo_pitch_um : ndarray of float32, shape (K, Y, X, L, m, m), and ndarray (K,), or None
     beyond_energy, halo_misfit : ndarray, shape (Y, X, L), or None
         As of ``gpusim.lens.bank.Bank``.
+    projection : Projection
+        As of ``gpusim.lens.bank.Bank``.
     """
 
     wavelengths_nm: np.ndarray
@@ -203,6 +206,7 @@ class PlaneBank:
     halo_pitch_um: np.ndarray | None = None
     beyond_energy: np.ndarray | None = None
     halo_misfit: np.ndarray | None = None
+    projection: Projection = RECTILINEAR  # how the scene lies on the ideal plane
     spectral_degree = CUBIC  # what the chain asks of a bank: see gpusim.lens.field_bank
 
     @property
@@ -299,14 +303,12 @@ class PlaneBank:
         Raises
         ------
         UserError
-            Where the chief rays follow no polynomial.
+            Where the chief rays do not tell the map, or it folds over.
         """
-        theta = np.radians(np.hypot(self.ray_x_deg, self.ray_y_deg))
-        # f tan(theta) in the direction of the field; both vanish on the axis.
-        scale = 1e3 * self.efl_mm * np.tan(theta) / np.maximum(np.degrees(theta), 1e-9)
         return PlaneMap(
+            np.stack([self.ray_x_deg, self.ray_y_deg], axis=1),
             np.stack([self.ray_x_um, self.ray_y_um], axis=1),
-            scale[:, None] * np.stack([self.ray_x_deg, self.ray_y_deg], axis=1),
+            lambda theta: 1e3 * self.efl_mm * self.projection.height(theta),
             self.centre_um,
             self.image_circle_um,
         )
@@ -324,7 +326,8 @@ class PlaneBank:
         """Return the field angles x and y of real image points; beyond the circle its rim's."""
         u, v, _ = self.plane_map.ideal_points(x_um, y_um)
         height = np.hypot(u, v)
-        scale = np.degrees(np.arctan(height / (1e3 * self.efl_mm))) / np.maximum(height, 1e-9)
+        theta = self.projection.angle(height / (1e3 * self.efl_mm))
+        scale = np.degrees(theta) / np.maximum(height, 1e-9)
         return u * scale, v * scale
 
     def illumination_at(self, x_um: np.ndarray, y_um: np.ndarray) -> np.ndarray:
@@ -363,15 +366,15 @@ class PlaneBank:
         save_dataset(self.to_xarray(), path)
 
     @classmethod
-    def load(cls, path: str | Path) -> PlaneBank:
-        """Read a bank that ``save`` wrote.
+    def load(cls, path: str | Path, *, sealed: bool = False) -> PlaneBank:
+        """Read a bank that ``save`` wrote; where it must be ``sealed``, its checksum is there.
 
         Raises
         ------
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO, sealed))
 
 
 def holds_plane_bank(path: Path) -> bool:
@@ -472,7 +475,7 @@ def compute_plane_bank(
     if pitch_um is None:
         pitch_um = default_pitch_um(prescription, wavelengths)
     system = build(prescription)
-    reach_deg = min(RECTILINEAR_DEG, -x_deg[0], x_deg[-1], -y_deg[0], y_deg[-1])
+    reach_deg = min(RECTILINEAR.end_deg, -x_deg[0], x_deg[-1], -y_deg[0], y_deg[-1])
     rays = _chief_rays(system, reference_nm, min(reach_deg, prescription.max_field_deg))
     fields = [(x, y) for y in y_deg for x in x_deg]
     rows = []
@@ -532,13 +535,31 @@ def cached_plane_bank(prescription: Prescription, **settings: object) -> PlaneBa
 
 
 def _chief_rays(system: System, reference_nm: float, largest_deg: float) -> dict[str, np.ndarray]:
-    """Trace the chief rays of the map, by the names of the bank's variables."""
+    """Trace as many chief rays as the map takes, by the names of the bank's variables."""
+    count = RINGS
+    while True:
+        rays = _on_rings(system, reference_nm, largest_deg, count)
+        if largest_deg == 0 or count == MOST_RINGS:
+            return rays
+        fields, landed = (
+            np.stack([rays[f"ray_x_{unit}"], rays[f"ray_y_{unit}"]], axis=1)
+            for unit in ("deg", "um")
+        )
+        if Rings(fields, landed).error_um <= MAP_ERROR_UM:
+            return rays
+        count *= 2
+
+
+def _on_rings(
+    system: System, reference_nm: float, largest_deg: float, count: int
+) -> dict[str, np.ndarray]:
+    """Trace the chief rays of the axis and of so many rings."""
     index = system.index(np.array([reference_nm]))
-    rings_deg = largest_deg * np.sin(np.pi / 2 * np.arange(1, RINGS + 1) / RINGS)
+    rings_deg = largest_deg * np.sin(np.pi / 2 * np.arange(1, count + 1) / count)
     spokes = 2 * np.pi * np.arange(SPOKES) / SPOKES
 
     def land(field: tuple[float, float]) -> tuple[float, float]:
-        found = sample_rays(system, index, np.radians(field[0]), NO_POINTS, NO_POINTS, field[1])
+        found = sample_rays(system, index, np.radians(field[0]), MIDDLE, MIDDLE, field[1])
         return 1e3 * found.chief_x_mm[0], 1e3 * found.chief_y_mm[0]
 
     fields = [(0.0, 0.0)]
@@ -547,7 +568,7 @@ def _chief_rays(system: System, reference_nm: float, largest_deg: float) -> dict
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
         landed = np.array(list(pool.map(land, fields)))
     if largest_deg > 0:
-        grid = landed[1:].reshape(RINGS, SPOKES, 2)
+        grid = landed[1:].reshape(count, SPOKES, 2)
         inner = np.concatenate([np.broadcast_to(landed[0], (1, SPOKES, 2)), grid[:-1]])
         outwards, around = grid - inner, np.roll(grid, -1, axis=1) - grid
         # Azimuth runs from y towards x: outwards and around, in that order, turn clockwise.

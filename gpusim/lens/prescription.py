@@ -15,17 +15,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
-import yaml
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.names import perhaps
+from gpusim.config.text import read_bytes, yaml_of
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
@@ -36,11 +31,7 @@ if TYPE_CHECKING:
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Asphere(_Strict):
+class Asphere(Strict):
     """Even polynomial that is added to the sag of the conic: sum of a_k r^k, in mm^(1-k)."""
 
     a2: float = 0.0
@@ -65,7 +56,7 @@ class Asphere(_Strict):
         return tuple(getattr(self, f"a{power}") for power in ASPHERE_POWERS)
 
 
-class Dispersion(_Strict):
+class Dispersion(Strict):
     """The dispersion formula of a glass that no offline catalogue has.
 
     ``formula`` and ``coefficients`` as in a Zemax catalogue (``glass.FORMULAS``), for wavelengths
@@ -95,7 +86,7 @@ TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
 
 
-class Surface(_Strict):
+class Surface(Strict):
     """One surface and the space behind it.
 
     ``radius`` (``.inf`` is a plane) or ``curvature``; ``thickness`` to the next surface (in air it
@@ -184,7 +175,7 @@ class Surface(_Strict):
         )
 
 
-class Check(_Strict):
+class Check(Strict):
     """A figure that the source states, to the tolerance that its printed digits allow."""
 
     quantity: Literal["efl_mm", "bfl_mm", "f_number", "entrance_pupil_diameter_mm"]
@@ -193,7 +184,7 @@ class Check(_Strict):
     indices: Literal["catalogue", "printed"] = "catalogue"
 
 
-class Coating(_Strict):
+class Coating(Strict):
     """Reflectance of every surface between glass and air at normal incidence, by wavelength."""
 
     wavelength_nm: tuple[float, ...] = Field(min_length=1)
@@ -208,7 +199,7 @@ class Coating(_Strict):
         return self
 
 
-class Prescription(_Strict):
+class Prescription(Strict):
     """A lens as published. ``load_prescription`` makes one; the methods derive others."""
 
     title: str
@@ -285,16 +276,19 @@ class Prescription(_Strict):
         """Whether no surface is decentred or tilted."""
         return all(surface.is_centred for surface in self.surfaces)
 
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
+    def bank(
+        self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
+    ) -> FieldBank:
         """Return its PSF bank, from the cache on disk where it is there.
 
-        Over both directions of the field where a surface is decentred or tilted.
+        Over both directions of the field where a surface is decentred or tilted. ``sampling``:
+        ``field_deg`` and ``wavelengths_nm``, in place of the default ones.
         """
         from gpusim.lens.bank import cached_bank
         from gpusim.lens.plane_bank import cached_plane_bank
 
         cached = cached_bank if self.is_centred else cached_plane_bank
-        return cached(self, progress=progress)
+        return cached(self, progress=progress, **sampling)
 
     def derived(self, step: str, **changes: object) -> Prescription:
         """Return a changed copy that remembers the step."""
@@ -524,19 +518,14 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
     reader = _reader(path.suffix.lower())
     if reader is None:
         raise UserError(
-            "no such lens",
+            f"no such lens{perhaps(name_or_path, known)}",
             field="lens",
             value=name_or_path,
             allowed=f"a {KINDS} file, or a preset: {', '.join(known)}",
         )
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UserError(
-            f"the lens file cannot be read: {error.strerror}",
-            file=path,
-            allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}",
-        ) from error
+    content = read_bytes(
+        path, "the lens file", allowed=f"a readable {KINDS} file, or a preset: {', '.join(known)}"
+    )
     lens = reader(content, path)
     if lens.nearest_glasses:
         lens = lens.with_nearest_glasses()
@@ -570,14 +559,7 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
 
 
 def _parse_yaml(content: bytes, path: Path) -> Prescription:
-    try:
-        data = yaml.safe_load(content.decode("utf-8"))
-    # ValueError: wrong bytes, and dates and numbers that look like such and are none.
-    except (ValueError, RecursionError, yaml.YAMLError) as error:
-        problem = " ".join(str(error).split())
-        raise UserError(
-            f"not a YAML file: {problem}", file=path, allowed="a prescription"
-        ) from error
+    data = yaml_of(content, path, "the lens file")
     from gpusim.lens.agf import with_file_catalogues
 
     lens = with_file_catalogues(validated(data, path))
@@ -597,42 +579,6 @@ def _parse_yaml(content: bytes, path: Path) -> Prescription:
 
 def validated(data: object, file: Path) -> Prescription:
     """Return the prescription in ``data``, or one UserError that names the first wrong field."""
-    if not isinstance(data, dict):
-        raise UserError(
-            "the file holds no prescription",
-            file=file,
-            value=type(data).__name__,
-            allowed=f"a mapping with the fields {', '.join(Prescription.model_fields)}",
-        )
-    try:
-        prescription = Prescription.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = _numbered(first["loc"])
-        model = {"surfaces": Surface, "checks": Check, "coating": Coating}.get(
-            place.split(".")[0], Prescription
-        )
-        if first["type"] == "extra_forbidden":
-            problem = "this field is not known"
-            allowed = ", ".join(model.model_fields)
-        elif first["type"] == "missing":
-            problem = "a field is missing"
-            allowed = f"{place} must be given"
-        else:
-            problem = "a field is wrong"
-            allowed = first["msg"].removeprefix("Value error, ")
-        value = first["input"]
-        raise UserError(
-            problem,
-            file=file,
-            field=place or None,
-            value=value if isinstance(value, str | int | float) else None,
-            allowed=allowed,
-        ) from error
+    prescription = checked(Prescription, data, file)
     prescription._file = file
     return prescription
-
-
-def _numbered(location: tuple[str | int, ...]) -> str:
-    """Dotted place of a field, list entries counted from 1 as surfaces are."""
-    return ".".join(str(part + 1) if isinstance(part, int) else part for part in location)

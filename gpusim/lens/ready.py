@@ -23,10 +23,14 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, PrivateAttr
+from pydantic import PrivateAttr
 
+from gpusim.config.arrays import read_npz
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
-from gpusim.lens.assemble import check_bank, read_bytes, read_mapping, unit_psf
+from gpusim.lens.assemble import check_bank, unit_psf
 from gpusim.lens.bank import Bank
 from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.field_bank import FieldBank
@@ -61,7 +65,7 @@ ACCEPTED = (
 )
 
 
-class ReadyLens(BaseModel):
+class ReadyLens(Strict):
     """A lens of which only the bank is known: it can be used, and not be changed.
 
     Attributes
@@ -72,8 +76,6 @@ class ReadyLens(BaseModel):
     file : str
         Its name.
     """
-
-    model_config = ConfigDict(frozen=True)
 
     title: str
     source: str
@@ -95,13 +97,14 @@ class ReadyLens(BaseModel):
 
 def ready_lens(bank: FieldBank, kind: str, file: Path) -> ReadyLens:
     """Return the lens of a bank that was read from a file."""
-    lens = ReadyLens(
-        title=bank.provenance["title"],
-        source=bank.provenance.get("source", "not stated"),
-        notes=bank.provenance.get("notes", ""),
-        kind=kind,
-        file=file.name,
-    )
+    facts = {
+        "title": bank.provenance["title"],
+        "source": bank.provenance.get("source", "not stated"),
+        "notes": bank.provenance.get("notes", ""),
+        "kind": kind,
+        "file": file.name,
+    }
+    lens = checked(ReadyLens, facts, file)
     lens._bank = bank
     return lens
 
@@ -119,7 +122,7 @@ def is_ready(name_or_path: str | Path) -> bool:
     if suffix in (".yaml", ".yml") and path.is_file():
         # A file that is no mapping is for the reader of prescriptions to refuse.
         with contextlib.suppress(UserError):
-            return not {"mtf", "psf_files"}.isdisjoint(read_mapping(path, "lens"))
+            return not {"mtf", "psf_files"}.isdisjoint(read_mapping(path, "the lens file"))
     return path.is_dir() or suffix in (".nc", ".npz", ".txt")
 
 
@@ -151,7 +154,7 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
 
         return ready_lens(read_isetcam(path), "ISETCam ray-trace folder", path)
     if suffix in (".yaml", ".yml"):
-        data = read_mapping(path, "lens")
+        data = read_mapping(path, "the lens file")
         if "mtf" in data:
             from gpusim.lens.mtf import read_mtf
 
@@ -207,13 +210,12 @@ def _netcdf(path: Path) -> Bank:
 def _npz(path: Path) -> Bank:
     """Read a bank from NumPy's arrays, and from the YAML file beside them."""
     beside = path.with_suffix(".yaml")
-    values = read_mapping(beside, "fields of a lens") if beside.exists() else {}
+    values = read_mapping(beside, "the file of the lens's fields") if beside.exists() else {}
     try:
-        with np.load(path, allow_pickle=False) as data:
-            values |= {name: data[name] for name in data.files}
+        values |= read_npz(path)
     except (
         # NotImplementedError: an unknown compression; RuntimeError: encrypted.
-        *(OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError),
+        *(OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, SyntaxError),
         *(zipfile.BadZipFile, zlib.error),
     ) as error:
         raise UserError(
@@ -283,8 +285,9 @@ def _npz(path: Path) -> Bank:
 def _numbers(value: object, name: str, file: Path) -> np.ndarray:
     """Return a value as float64, or refuse it."""
     try:
-        return np.asarray(value, np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError(
-            "a value is not a number", file=file, field=name, allowed="numbers"
-        ) from error
+        found = np.asarray(value)
+    except ValueError:  # ragged
+        found = np.asarray(None)
+    if found.dtype.kind not in "iuf":
+        raise UserError("a value is not a number", file=file, field=name, allowed="numbers")
+    return found.astype(np.float64)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Array, Device, Kernel, Recording, need_double_float
 from gpusim.lens.system import System
 from gpusim.lens.trace import trace
 from gpusim.lens.wavefront import field_launch, no_chief_ray
@@ -225,6 +225,7 @@ class Beams:
             "across": ACROSS,
             "inverse_stop2": self.system.stop_radius_mm**-2.0,
         }
+        need_double_float(self.device)
         Kernel("lens/trace").record(
             rec,
             (min(groups, ACROSS), -(-groups // ACROSS), 1),

@@ -49,6 +49,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from gpusim.config.mistakes import checked
+from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.lens.assemble import (
     MAX_SIZE,
@@ -56,8 +58,6 @@ from gpusim.lens.assemble import (
     make_bank,
     odd_fit,
     per_wavelength,
-    read_bytes,
-    validated,
 )
 from gpusim.lens.bank import Bank
 from gpusim.lens.text import decoded
@@ -366,7 +366,7 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
     UserError
         Where an export is missing, is not whole or contradicts another.
     """
-    stated = validated(ZemaxFile, data, file)
+    stated = checked(ZemaxFile, data, file)
     exports = []
     for name in stated.psf_files:
         export = parse_psf(read_bytes(file.parent / name, "the PSF export"), file.parent / name)

@@ -96,15 +96,8 @@ def lights(
     Raises
     ------
     UserError
-        The sensor saturates in its own dark noise, or within few steps of its converter; or it
-        reads at two gains, and a photon transfer is that of one.
+        The sensor saturates in its own dark noise, or within few steps of its converter.
     """
-    if sensor.dual_gain is not None:
-        raise UserError(
-            "a photon transfer is that of one gain",
-            field="dual_gain",
-            allowed="a sensor file without it: the read at high gain, or that at low gain",
-        )
     full = sensor.saturation_e
     steps, noise = full * sensor.system_gain_dn_per_e, sensor.temporal_dark_noise_e
     if steps < LEAST_STEPS or full < LEAST_STEPS * noise:

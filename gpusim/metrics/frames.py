@@ -26,6 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.config.arrays import read_npy, read_tiff
+from gpusim.config.text import read_json, read_text
 from gpusim.errors import UserError
 from gpusim.metrics.flat_field import Light
 from gpusim.metrics.statistics import Accumulator, Level
@@ -175,16 +177,6 @@ def read_frame(file: Path) -> np.ndarray:
     return frame
 
 
-def _read_npy(file: Path) -> np.ndarray:
-    return np.load(file, allow_pickle=False)
-
-
-def _read_tiff(file: Path) -> np.ndarray:
-    import tifffile
-
-    return tifffile.imread(file)
-
-
 def _read_dng(file: Path) -> np.ndarray:
     import rawpy
 
@@ -192,17 +184,14 @@ def _read_dng(file: Path) -> np.ndarray:
         return raw.raw_image_visible.copy()
 
 
-_READERS = {".npy": _read_npy, ".tif": _read_tiff, ".tiff": _read_tiff, ".dng": _read_dng}
+_READERS = {".npy": read_npy, ".tif": read_tiff, ".tiff": read_tiff, ".dng": _read_dng}
 
 
 def _camera(file: Path) -> dict:
     """Read what the camera is; nothing where the file is not there."""
     if not file.is_file():
         return {}
-    try:
-        camera = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"the file cannot be read: {error}", file=file) from error
+    camera = read_json(file, "the file of the camera")
     known = ("name", "pattern", "pixel_pitch_um")
     if not isinstance(camera, dict) or set(camera) - set(known):
         raise UserError("not what a camera is", file=file, allowed=", ".join(known))
@@ -231,14 +220,7 @@ def _camera(file: Path) -> dict:
 
 def _lines(listed: Path) -> Iterator[tuple[int, dict[str, str]]]:
     """Yield number and fields of each line of the list."""
-    try:
-        text = listed.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(
-            f"the list of frames cannot be read: {error}",
-            file=listed,
-            allowed=f"a folder with {LIST}, or that file: see gpusim measure noise --help",
-        ) from error
+    text = read_text(listed, "the list of frames")
     reader = csv.DictReader(text.splitlines(), restkey="")
     titles = tuple(reader.fieldnames or ())
     light = [name for name in ("photons", "irradiance_w_m2") if name in titles]

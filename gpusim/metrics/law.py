@@ -100,9 +100,41 @@ class PixelLaw:
             noise = noise * (read(electrons + 0.5) - read(electrons - 0.5))
             electrons = read(electrons)
         middle = self.black_dn + sensor.system_gain_dn_per_e * electrons
-        first, second = converted(middle, np.asarray(noise), sensor.max_dn)
+        if sensor.dual_gain is None:
+            first, second = converted(middle, np.asarray(noise), sensor.max_dn)
+        else:
+            first, second = self._merged(middle, np.asarray(noise), electrons)
         mean, square = first @ weight, second @ weight
         return mean, square - mean**2
+
+    def _merged(
+        self, middle: np.ndarray, noise: np.ndarray, electrons: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return first and second moment of the codes that two reads of a charge are merged to.
+
+        Parameters
+        ----------
+        middle, noise : ndarray
+            Of the read at high gain, DN.
+        electrons : ndarray
+        """
+        sensor, low = self.sensor, self.sensor.at_low_gain()
+        switch = sensor.dual_gain.switch_dn
+        # Codes below the switch are kept: what they count for is what a converter gives that ends
+        # just below it, less what clips there.
+        share = ndtr((middle - (switch - 0.5)) / np.maximum(noise, 1e-9))
+        first, second = converted(middle, noise, switch - 1)
+        first, second = first - share * (switch - 1), second - share * (switch - 1) ** 2
+        gain, high = low.system_gain_dn_per_e, sensor.temporal_dark_noise_e
+        noise_e = math.sqrt(self.noise_e**2 - high**2 + low.temporal_dark_noise_e**2)
+        codes, squares = converted(
+            low.black_level_dn + gain * electrons, np.asarray(gain * noise_e), low.max_dn
+        )
+        ratio = sensor.system_gain_dn_per_e / gain
+        offset = self.black_dn - ratio * low.black_level_dn
+        first += share * (offset + ratio * codes)
+        second += share * (offset**2 + 2 * offset * ratio * codes + ratio**2 * squares)
+        return first, second
 
 
 def converted(middle: np.ndarray, noise: np.ndarray, top: int) -> tuple[np.ndarray, np.ndarray]:

@@ -335,6 +335,8 @@ def _why(sensor: Sensor, says: _Parameters, exposure_s: float) -> str:
     if sensor.gaussian_variance_per_e is not None:
         per_e = sensor.gaussian_variance_per_e
         reasons.append(f"the temporal noise is not Poisson's: {per_e:g} e-^2 for each electron")
+    if sensor.dual_gain is not None:
+        reasons.append(f"from {sensor.dual_gain.switch_dn} DN on the read at low gain counts")
     if sensor.full_well_knee < 1:
         reasons.append(f"the well fills ever more slowly from {sensor.full_well_knee:.0%} of it on")
     if sensor.linearity is not None:

@@ -1,81 +1,111 @@
-"""The chief-ray map as the shaders use it: polynomials from the real to the ideal image plane."""
+"""The chief-ray map as the shaders use it: splines from the real to the ideal image plane."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from gpusim.errors import UserError
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.plane_map import PlaneMap
 from gpusim.optics.grid import SimGrid
+from gpusim.sensor.sensor import Sensor
 
-# Error of the fit that the design allows at any image height (a thousandth of a pixel of 1 um).
-FIT_ERROR_UM = 1e-3
+# What a spline may miss of the map, on the real plane: a ten-thousandth of a pixel of 1 um.
+FIT_ERROR_UM = 1e-4
+# Pieces of a radial spline: doubled until it follows. 4096 take 64 KiB.
+FEWEST_PIECES, MOST_PIECES = 16, 4096
+BETWEEN = 4  # places in a piece at which a spline is held against the map
+# Of the image circle's radius: where the map's value on the axis is taken, for there it is 0 / 0.
+NEAR_AXIS = 1e-4
 # Below that an image is not distorted: far less than the shaders' own rounding, 2^-24 of 5 mm.
 UNDISTORTED_UM = 1e-4
 
 
 @dataclass(frozen=True)
 class RadialMap:
-    """u = x g(|x|^2 / R^2) with R the image circle, as far as the ideal plane has a place for it.
+    """u = x (1 + d(|x|^2 / R^2)) with R the image circle, as far as the scene has a place for it.
 
     Attributes
     ----------
-    coefficients : ndarray (8,)
-        Of g, low to high.
+    pieces : ndarray (n, 4)
+        Of d, a cubic spline of n even pieces: coefficients, low to high, of how far into a piece.
     radius_um : float
         R, um.
     distortion : bool
-        Whether the shaders are to evaluate the polynomial; else u = x.
+        Whether the shaders are to evaluate the spline; else u = x.
+    error_um : float
+        Largest miss on the real plane.
     """
 
-    coefficients: np.ndarray
+    pieces: np.ndarray
     radius_um: float
     distortion: bool = True
+    error_um: float = 0.0
     centre_um = (0.0, 0.0)
-    degree = 0
+    has_axis = True
 
     def params(self, sim_pitch_um: float) -> dict:
         """Return the fields of the shaders' `Params` that describe the map, in sim samples."""
         return {
-            "g_low": self.coefficients[:4],
-            "g_high": self.coefficients[4:],
             "circle": self.centre_um,
             "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
+            "pieces": len(self.pieces),
         }
 
     def terms(self, sim_pitch_um: float) -> np.ndarray:
-        """Return the shaders' `terms`: one that is not read, for a buffer cannot be empty."""
-        return np.zeros((1, 2), np.float32)
+        """Return the shaders' `terms`: the pieces one after the other, of any pitch."""
+        return self.pieces.reshape(-1, 2).astype(np.float32)
 
     def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
-        """Return ideal points (..., 2) of real ones; beyond the image circle g is that of the rim.
+        """Return ideal points (..., 2) of real ones; beyond the image circle d is that of the rim.
 
-        The shaders go on with the polynomial there, and nothing of it is seen.
+        Nothing of it is seen there.
         """
         rho2 = (real_um[..., 0] ** 2 + real_um[..., 1] ** 2) / self.radius_um**2
-        rho2 = np.minimum(rho2, 1.0)
-        return real_um * np.polynomial.Polynomial(self.coefficients)(rho2)[..., None]
+        return real_um * (1 + self._values(np.minimum(rho2, 1.0))[0])[..., None]
+
+    def _values(self, rho2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return d and its derivative at rho^2 up to 1."""
+        count = len(self.pieces)
+        piece = np.minimum((rho2 * count).astype(int), count - 1)
+        t = rho2 * count - piece
+        one, two, three, four = np.moveaxis(self.pieces[piece], -1, 0)
+        d = one + t * (two + t * (three + t * four))
+        return d, (two + t * (2 * three + 3 * t * four)) * count
 
     @cached_property
     def stretch(self) -> float:
         """Largest factor by which the map stretches: along the radius, or across it."""
-        return float(np.max(self._factors()))
+        return float(self._factors.max())
 
     @property
     def least_stretch(self) -> float:
         """Smallest factor by which the map stretches."""
-        return float(np.min(self._factors()))
+        return float(self._factors.min())
 
-    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factors across and along the radius, from the axis to the rim."""
-        g = np.polynomial.Polynomial(self.coefficients)
-        rho2 = np.linspace(0, 1, 257)
-        return np.abs(g(rho2)), np.abs(g(rho2) + 2 * rho2 * g.deriv()(rho2))
+    def stretch_within(self, low_um: np.ndarray, high_um: np.ndarray) -> np.ndarray:
+        """Return the largest stretch (P,) between two heights, each (P,)."""
+        most = self._factors.max(axis=0)
+        last = len(most) - 1
+        places = (
+            np.clip(height / self.radius_um, 0, 1) ** 2 * last for height in (low_um, high_um)
+        )
+        first, end = (np.floor(next(places)).astype(int), np.ceil(next(places)).astype(int) + 1)
+        # What lies between two is taken up by reduceat, which wants rising pairs.
+        pairs = np.stack([first, end], axis=1).ravel()
+        return np.maximum.reduceat(np.append(most, 0.0), pairs)[::2]
+
+    @cached_property
+    def _factors(self) -> np.ndarray:
+        """Factors (2, P) across and along the radius, even in rho^2 from the axis to the rim."""
+        rho2 = np.linspace(0, 1, BETWEEN * len(self.pieces) + 1)
+        d, slope = self._values(rho2)
+        return np.abs([1 + d, 1 + d + 2 * rho2 * slope])
 
 
 @dataclass(frozen=True)
@@ -84,6 +114,7 @@ class GeneralMap:
 
     plane: PlaneMap
     distortion = True
+    has_axis = False
 
     @property
     def radius_um(self) -> float:
@@ -96,24 +127,21 @@ class GeneralMap:
         return self.plane.centre_um
 
     @property
-    def degree(self) -> int:
-        """Of the polynomial."""
-        return self.plane.degree
+    def error_um(self) -> float:
+        """Largest miss between the chief rays, as far as they tell."""
+        return self.plane.error_um
 
     def params(self, sim_pitch_um: float) -> dict:
         """Return the fields of the shaders' `Params` that describe the map, in sim samples."""
         return {
-            "g_low": np.zeros(4),
-            "g_high": np.zeros(4),
             "circle": np.array(self.centre_um) / sim_pitch_um,
             "inverse_radius2": (sim_pitch_um / self.radius_um) ** 2,
+            "pieces": len(self.plane.net) - 3,
         }
 
     def terms(self, sim_pitch_um: float) -> np.ndarray:
         """Return the shaders' `terms` in sim samples: see shaders/common/chief_ray."""
-        degree = self.degree
-        order = [(i, degree - row) for row in range(degree + 1) for i in range(row, -1, -1)]
-        return (self.plane.ideal[tuple(np.transpose(order))] / sim_pitch_um).astype(np.float32)
+        return (self.plane.net / sim_pitch_um).reshape(-1, 2).astype(np.float32)
 
     def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
         """Return ideal points (..., 2) of real ones; beyond the image circle those of the rim."""
@@ -128,6 +156,10 @@ class GeneralMap:
     def least_stretch(self) -> float:
         """Smallest factor by which the map stretches."""
         return float(np.linalg.norm(self.plane.jacobian(), ord=-2, axis=(1, 2)).min())
+
+    def stretch_within(self, low_um: np.ndarray, high_um: np.ndarray) -> np.ndarray:
+        """Return the largest stretch (P,) between two heights, each (P,): that of all."""
+        return np.full(np.shape(low_um), self.stretch)
 
 
 ChiefRayMap = RadialMap | GeneralMap
@@ -164,43 +196,69 @@ def outline(
 
 
 def chief_ray_map(bank: FieldBank, force: bool = False) -> ChiefRayMap:
-    """Return the bank's chief-ray map at the reference wavelength, as polynomials.
+    """Return the bank's chief-ray map at the reference wavelength, as splines.
 
     Parameters
     ----------
     bank : FieldBank
     force : bool
         Evaluate them though the lens does not distort: for tests.
-
-    Raises
-    ------
-    UserError
-        When polynomials do not follow the map to a thousandth of a micrometre: of degree 15 in
-        image height where the lens has an axis, or see `PlaneMap`.
     """
-    return _radial(bank, force) if isinstance(bank, Bank) else GeneralMap(bank.plane_map)
+    if not isinstance(bank, Bank):
+        return GeneralMap(bank.plane_map)
+    radius_um = bank.rectilinear_circle_um
+    found = radial_map(lambda real_um: bank.ideal_from_real(real_um)[0], radius_um)
+    real = np.linspace(0, radius_um, 401)
+    moved_um = float(np.abs(bank.ideal_from_real(real)[0] - real).max())
+    return replace(found, distortion=force or moved_um > UNDISTORTED_UM)
 
 
-def _radial(bank: Bank, force: bool) -> RadialMap:
-    radius = np.linspace(0, bank.rectilinear_circle_um, 401)[1:]
-    ratio = bank.ideal_from_real(radius)[0] / radius
-    fit = np.polynomial.Polynomial.fit(
-        (radius / radius[-1]) ** 2, ratio, 7, domain=[0, 1], w=radius
-    ).convert()
-    coefficients = np.zeros(8)
-    coefficients[: len(fit.coef)] = fit.coef
-    error_um = (
-        np.abs(np.polynomial.Polynomial(coefficients)((radius / radius[-1]) ** 2) - ratio) * radius
+def radial_map(ideal_um: Callable[[np.ndarray], np.ndarray], radius_um: float) -> RadialMap:
+    """Return the map of a lens with an axis.
+
+    The spline goes through the map where its pieces meet. Of those there are as many as it takes
+    to be ``FIT_ERROR_UM`` off at most, looked at ``BETWEEN`` times in each; or ``MOST_PIECES``.
+
+    Parameters
+    ----------
+    ideal_um : callable
+        Returns the ideal heights of real ones, um, from the axis to the rim, where they rise.
+    radius_um : float
+        Of the image circle.
+    """
+    count = FEWEST_PIECES
+    while True:
+        found = _splined(ideal_um, radius_um, count)
+        if found.error_um <= FIT_ERROR_UM or count == MOST_PIECES:
+            return found
+        count *= 2
+
+
+def _splined(
+    ideal_um: Callable[[np.ndarray], np.ndarray], radius_um: float, count: int
+) -> RadialMap:
+    """Return the map as a spline of so many pieces, and what that misses."""
+    rho2 = np.linspace(0, 1, BETWEEN * count + 1)
+    real = radius_um * np.maximum(np.sqrt(rho2), NEAR_AXIS)
+    ideal = ideal_um(real)
+    spline = CubicSpline(rho2[::BETWEEN], (ideal / real)[::BETWEEN] - 1)
+    pieces = spline.c[::-1].T / float(count) ** np.arange(4)
+    found = RadialMap(np.ascontiguousarray(pieces), radius_um)
+    miss = np.abs(real * (1 + spline(rho2)) - ideal)
+    # Back on the real plane: over the slope of the map along the radius.
+    return replace(found, error_um=float((miss / found._factors[1]).max()))
+
+
+def black_share(sensor: Sensor, centre_um: tuple[float, float], radius_um: float) -> float:
+    """Return the share of a sensor's pixels whose middles lie beyond an image circle."""
+    row, col = (
+        (np.arange(count) + 0.5 - count / 2) * sensor.pixel_pitch_um
+        for count in (sensor.rows, sensor.cols)
     )
-    if error_um.max() > FIT_ERROR_UM:
-        raise UserError(
-            "The chief-ray map is not smooth enough for the engine's polynomial.",
-            field="distortion",
-            value=f"{error_um.max():.3g} um off at {radius[error_um.argmax()]:.0f} um height",
-            allowed=f"at most {FIT_ERROR_UM} um",
-        )
-    distorted = bool((np.abs(ratio - 1) * radius).max() > UNDISTORTED_UM)
-    return RadialMap(coefficients, float(radius[-1]), distorted or force)
+    half_um = np.sqrt(np.maximum(radius_um**2 - (row - centre_um[1]) ** 2, 0.0))
+    ends = (np.searchsorted(col, centre_um[0] + way * half_um) for way in (-1, 1))
+    first, last = next(ends), next(ends)
+    return 1.0 - float((last - first).sum()) / (sensor.rows * sensor.cols)
 
 
 def block_bounds_um(

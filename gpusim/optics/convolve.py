@@ -43,7 +43,9 @@ class Scratch:
         pairs = -(-grid.sites // 2)
         lines = lines or planes
         # Squares of 16 x 17 numbers: see shaders/optics/columns.
-        slots = 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
+        slots = (
+            grid.length // 256 * 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
+        )
         return {
             "planes": (planes, grid.block[1], grid.block[0]),
             "spectra": (lines, grid.block[1], grid.length, 2),
@@ -81,6 +83,45 @@ def block_transform(grid: SimGrid) -> dict[str, int]:
     }
 
 
+def columns_passes(
+    grid: SimGrid, outputs: Outputs, nodes: int
+) -> list[tuple[Kernel, dict[str, object]]]:
+    """Return the dispatches of shaders/optics/columns for a block: kernels, and params of sizes.
+
+    Parameters
+    ----------
+    grid : SimGrid
+    outputs : Outputs
+    nodes : int
+        Four PSF nodes, or one or two lines of modes.
+    """
+    pairs, times, channels = -(-grid.sites // 2), grid.length // 256, len(outputs.places)
+    length, stride = {"TIMES": times}, {"D": grid.stride}
+    sizes = {
+        "first": 0,
+        "channels": channels,
+        "pairs": (0, pairs),
+        "site_slots": pairs * grid.length // 16 // grid.stride * 17,
+        "height": grid.block[1],
+        "times": times,
+        "period": grid.period,
+        "site_step": outputs.step,
+        "site_channels": packed_channels(outputs.of_site),
+    }
+    fours: list[dict[str, object]] = [{}]
+    if channels > 4:  # each has a site of its own
+        fours = [
+            {"first": first, "pairs": (first // 2, min(first // 2 + 2, pairs))}
+            for first in range(0, channels, 4)
+        ]
+    products = Kernel("optics/columns", PHASE=1, C=min(channels, 4), NODES=nodes, **stride)
+    return [
+        (Kernel("optics/columns", PHASE=0, NODES=nodes, **length), sizes),
+        *((products, sizes | four) for four in fours),
+        (Kernel("optics/columns", PHASE=2, **length, **stride), sizes),
+    ]
+
+
 class Transforms:
     """What the methods with transforms share: column products and the inverse, block by block.
 
@@ -97,28 +138,18 @@ class Transforms:
 
     def __init__(self, device: Device, scale: Scale, outputs: Outputs, nodes: int) -> None:
         self.grid = grid = scale.grid
-        lattice = {"T": grid.length, "D": grid.stride, "M": grid.window}
-        self.columns = Kernel(
-            "optics/columns",
-            **lattice,
-            E=grid.length // 256,
-            BY=grid.block[1],
-            C=len(outputs.places),
-            PERIOD=grid.period,
-            STEP=outputs.step,
-            PAIRS=-(-grid.sites // 2),
-            NODES=nodes,
-        )
+        self.columns = columns_passes(grid, outputs, nodes)
         self.lattice = Kernel(
             "optics/lattice",
-            **lattice,
+            T=grid.length,
+            D=grid.stride,
+            M=grid.window,
             LANES=grid.length // 8,
             SITE_RADIX=FIRST_RADIX[grid.window],
             S=grid.sites,
         )
         turns = np.exp(-2j * np.pi * np.arange(grid.length) / grid.length)
         self.twiddle = device.resident("twiddle", turns.astype(np.complex64).view(np.float32))
-        self.site_channels = packed_channels(outputs.of_site)
 
     def record_inverse(
         self,
@@ -132,16 +163,16 @@ class Transforms:
     ) -> None:
         """Multiply the spectra in the scratch with four kernels, and add the block to the rates.
 
-        `columns` are the params of shaders/optics/columns, but for the sites; of a block that is
+        `columns` are the params of shaders/optics/columns, but for the sizes; of a block that is
         `mirrored` there, `block` is the one whose mirror image it is.
         """
         grid = self.grid
         names = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
-        for first in range(0, self.columns.overrides["C"], 4):
-            self.columns.record(
+        for kernel, sizes in self.columns:
+            kernel.record(
                 rec,
                 groups=(grid.length // 16, 1, 1),
-                params={**columns, "first": first, "site_channels": self.site_channels},
+                params={**columns, **sizes},
                 twiddle=self.twiddle,
                 spectra=scratch.spectra,
                 **dict(zip(names, kernels, strict=True)),

@@ -18,7 +18,7 @@ PRIMITIVE = np.dtype(
         ("half_size", "<f4", 2),
         ("axis", "<f4", 2),
         ("kind", "<u4"),
-        ("material", "<u4"),
+        ("step", "<u4"),
     ]
 )
 # Standard deviation of the Gaussian low-pass, sim samples. At 0.8 the alias of an edge's 0.75
@@ -155,9 +155,6 @@ def tiles_by_block(
     grid = scale.grid
     # From a tile's middle to its corners, and the Gaussian's reach: Phi(-6) = 1e-9.
     reach_um = (TILE / np.sqrt(2) + 6 * scale.sigma) * scale.pitch_um
-    margin_um = (
-        1.01 * chief_ray.stretch * reach_um
-    )  # 1.01: f32, and the map's curvature within a tile
     across, down = (np.arange(0, side, TILE) for side in grid.block)
     corners = np.stack(np.meshgrid(across, down), axis=-1).reshape(-1, 2)
     tiles: list[tuple[int, int, int, int]] = []
@@ -173,10 +170,13 @@ def tiles_by_block(
         )
         off_um = np.hypot(*(middle_um - chief_ray.centre_um).T)
         rim = off_um > chief_ray.radius_um - reach_um
+        # By how much the map stretches what is so near; 1.01 for f32.
+        stretch = chief_ray.stretch_within(off_um - reach_um, off_um + reach_um)
+        margins_um = 1.01 * stretch * reach_um
         with_edges = []
         first = len(tiles)
         for place, (x, y) in enumerate(corners):
-            ground, near = chart.background, []
+            ground, near, margin_um = chart.background, [], margins_um[place]
             for n, distance in zip(numbers, distance_um[:, place], strict=True):
                 if distance < -margin_um:  # so do those around it, which come before
                     ground = chart.primitives[n].material
@@ -190,13 +190,40 @@ def tiles_by_block(
     return np.array(tiles, np.uint32), np.array([*chosen, 0], np.uint32), ranges
 
 
-def primitive_row(shape: Rect | Disc, pitch_um: float, sigma: float, least_stretch: float) -> tuple:
+def with_steps(
+    coefficients: np.ndarray, materials: Sequence[int], under: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows of coefficients with those of steps between materials, and each step's row.
+
+    Parameters
+    ----------
+    coefficients : ndarray (M, J)
+        Of the materials.
+    materials, under : sequence of int (P,)
+        Of each primitive, and of what it lies in.
+
+    Returns
+    -------
+    rows : ndarray (M + N, J)
+    steps : ndarray (P,) of int
+    """
+    pairs = np.stack([materials, under], axis=1).astype(int).reshape(-1, 2)
+    distinct, number = np.unique(pairs, axis=0, return_inverse=True)
+    changes = coefficients[distinct[:, 0]] - coefficients[distinct[:, 1]]
+    return np.concatenate([coefficients, changes]), len(coefficients) + number.ravel()
+
+
+def primitive_row(
+    shape: Rect | Disc, step: int, pitch_um: float, sigma: float, least_stretch: float
+) -> tuple:
     """Return a primitive as a row of `PRIMITIVE`.
 
     Parameters
     ----------
     shape : Rect or Disc
         In um.
+    step : int
+        Row of the step from what is around it to its own material.
     pitch_um : float
         Of the sim grid.
     sigma : float
@@ -208,13 +235,13 @@ def primitive_row(shape: Rect | Disc, pitch_um: float, sigma: float, least_stret
     if not isinstance(shape, Disc):
         size = (shape.half_w / pitch_um, shape.half_h / pitch_um)
         axis = (np.cos(shape.angle_rad), np.sin(shape.angle_rad))
-        return (centre, size, axis, RECTANGLE_KIND, shape.material)
+        return (centre, size, axis, RECTANGLE_KIND, step)
     radius = shape.radius / pitch_um
     if radius >= SMALL_DISC * sigma:
-        return (centre, (radius, 0.0), (1.0, 0.0), DISC_KIND, shape.material)
+        return (centre, (radius, 0.0), (1.0, 0.0), DISC_KIND, step)
     strips = min(np.ceil(5 + 2.5 * radius / (sigma * least_stretch)), MOST_STRIPS)
     axis = (np.cos(np.pi / strips), np.sin(np.pi / strips))
-    return (centre, (radius, strips), axis, SMALL_DISC_KIND, shape.material)
+    return (centre, (radius, strips), axis, SMALL_DISC_KIND, step)
 
 
 class Paint:
@@ -248,10 +275,12 @@ class Paint:
         self.device, self.chart, self.scale, self.chief_ray = device, chart, scale, chief_ray
         table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
         least_stretch = chief_ray.least_stretch
-        for place, shape in enumerate(chart.primitives):
-            table[place] = primitive_row(shape, scale.pitch_um, scale.sigma, least_stretch)
-        materials = np.zeros((len(coefficients), 8), np.float32)
-        materials[:, : coefficients.shape[1]] = coefficients
+        own = [shape.material for shape in chart.primitives]
+        rows, steps = with_steps(coefficients, own, chart.under)
+        for place, (shape, step) in enumerate(zip(chart.primitives, steps, strict=True)):
+            table[place] = primitive_row(shape, step, scale.pitch_um, scale.sigma, least_stretch)
+        materials = np.zeros((len(rows), 8), np.float32)
+        materials[:, : rows.shape[1]] = rows
         self.seen, self.needed = primitives_by_block(
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )
@@ -261,7 +290,7 @@ class Paint:
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.lists: tuple[Resident, ...] = ()
         size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
-        size |= {"DEGREE": chief_ray.degree, "DISTORTION": chief_ray.distortion}
+        size |= {"AXIS": chief_ray.has_axis, "DISTORTION": chief_ray.distortion}
         self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:

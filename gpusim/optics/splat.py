@@ -405,9 +405,7 @@ class Splat:
             S=self.planes,
             PERIOD=self.period,
             C=len(sensor.channels),
-            FOURS=self.fours,
             N=kernels.side,
-            MIXED=mixed.shares.shape[1],
         )
         self.used, self.tables = distinct(mixed.keys)
         self.opposite = np.isin(self.used[:, 0], places.opposite)
@@ -608,6 +606,8 @@ class Splat:
                     "across": self.across,
                     # Reaches from a table's middle to zeros, and no tap lies beyond its border.
                     "reach2": (self.kernels.support + 2) ** 2,
+                    "fours": self.fours,
+                    "mixed": self.mixed.shares.shape[1],
                     "site_channels": self.site_channels,
                 },
                 **arrays,

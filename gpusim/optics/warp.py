@@ -193,7 +193,7 @@ class Warp:
                 "optics/warp",
                 BX=self.grid.block[0],
                 BY=self.grid.block[1],
-                DEGREE=chief_ray.degree,
+                AXIS=chief_ray.has_axis,
                 DISTORTION=chief_ray.distortion,
                 SPLINE=not self.identity,
                 SQUEEZED=squeezed,

@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
+from gpusim.config.text import read_json
+from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Use
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.lens.places import Heights
-from gpusim.optics.chief_ray import RadialMap
+from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
@@ -28,7 +30,7 @@ from gpusim.optics.nodes import Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
 from gpusim.optics.splat import HIGHLIGHT, PART, SQUARE, boxes
 from gpusim.optics.warp import Warp
-from gpusim.plan.costs import UNITS, Costs
+from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
 from gpusim.plan.layout import TRANSFORMS
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
@@ -60,7 +62,7 @@ SIDE = 512  # of the frame for the sensor's stages, pixels
 PLANES = 3
 BOXES = 0.68  # of the time that a table takes: measured on 90 of them, of 288 samples a side
 SUPPORT = 12  # of the direct sum, sim samples
-FLAT = RadialMap(np.array([1.0, 0.01, 0, 0, 0, 0, 0, 0]), 1e4)
+FLAT = radial_map(lambda real_um: real_um * (1 + 0.01 * (real_um / 1e4) ** 2), 1e4)
 NOTHING = """
 struct Params { number: u32 }
 @group(0) @binding(0) var<uniform> params: Params;
@@ -94,11 +96,10 @@ def adapter_costs(
     found = None if again else _read(path)
     if found is None:
         found = measure(device, progress)
-        content = {"source": found.source, "ns": found.ns, "lengths": found.lengths}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(json.dumps(content, indent=1))
+            part.write_text(json.dumps(content_of(found), indent=1))
             part.replace(path)
         except OSError:
             pass  # the next process measures again
@@ -122,15 +123,30 @@ def _path(device: Device) -> Path:
 def _read(path: Path) -> Costs | None:
     """Return what a file holds, or None if it is no whole set of rates."""
     try:
-        content = json.loads(path.read_text())
-        costs = Costs(
-            str(content["source"]),
-            {name: float(content["ns"][name]) for name in UNITS},
-            {length: float(content["lengths"][str(length)]) for length in TRANSFORMS},
-        )
-    except (OSError, ValueError, KeyError, TypeError):
+        return costs_of(read_json(path, "the rates"))
+    except (UserError, ValueError):
         return None
-    return costs if all(np.isfinite(rate) for rate in costs.ns.values()) else None
+
+
+def planned_costs(file: Path) -> Costs:
+    """Return the rates that the plan of a report was made from: they make the same plan again.
+
+    Raises
+    ------
+    UserError
+        The file is no report of a render, or its rates are none.
+    """
+    report = read_json(file, "the report")
+    try:
+        return costs_of(report["costs"] if isinstance(report, dict) else None)
+    except (KeyError, ValueError) as error:
+        raise UserError(
+            "the file does not say which rates its plan was made from",
+            file=file,
+            field="costs",
+            value=str(error),
+            allowed="a report.json that gpusim render wrote",
+        ) from error
 
 
 def measure(device: Device, progress: Progress | None = None) -> Costs:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.optics.grid import SimGrid
+from gpusim.plan.layout import TRANSFORMS
 
 # Unit of work of each rate: what the planner counts and gpusim.plan.calibrate measures.
 UNITS = {
@@ -130,3 +131,33 @@ LAVAPIPE = Costs(
     },
     {256: 1.0, 512: 1.1, 1024: 1.3},
 )
+
+
+def content_of(costs: Costs) -> dict[str, object]:
+    """Return rates as a report or the cache holds them."""
+    return {"source": costs.source, "ns": dict(costs.ns), "lengths": dict(costs.lengths)}
+
+
+def costs_of(content: object) -> Costs:
+    """Return the rates in what `content_of` made, its keys as texts or numbers.
+
+    Raises
+    ------
+    ValueError
+        It is no whole set, or a rate is none.
+    """
+    try:
+        lengths = {str(length): factor for length, factor in content["lengths"].items()}
+        costs = Costs(
+            str(content["source"]),
+            {name: float(content["ns"][name]) for name in UNITS},
+            {length: float(lengths[str(length)]) for length in TRANSFORMS},
+        )
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"no whole set of rates: {error}") from error
+    for name, rate in costs.ns.items():
+        if not 0 <= rate < np.inf:
+            raise ValueError(f"no rate of {name}: {rate}")
+    if not any(costs.ns.values()) or not all(0 < one < np.inf for one in costs.lengths.values()):
+        raise ValueError("rates of nothing")
+    return costs

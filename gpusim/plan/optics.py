@@ -14,7 +14,7 @@ from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.places import Places
 from gpusim.lens.sampling import PITCH_UM
 from gpusim.optics import paint, warp
-from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
+from gpusim.optics.chief_ray import ChiefRayMap, black_share, chief_ray_map
 from gpusim.optics.convolve import Scratch
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
@@ -33,6 +33,7 @@ from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.density import Density, LensShare
 from gpusim.plan.halo import describe_halo, halo_levels, surroundings
 from gpusim.plan.layout import (
     TRANSFORMS,
@@ -46,7 +47,7 @@ from gpusim.plan.predict import alias_error, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
-from gpusim.plan.stages import CCD_STAGES, Plan, PlanStage, describe
+from gpusim.plan.stages import CCD_STAGES, RIM, Plan, PlanStage, describe
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -95,6 +96,7 @@ def plan_optics(
     method: str | None = None,
     force: Collection[str] = (),
     exposure_s: float = math.inf,
+    density: Density | None = None,
 ) -> Plan:
     """Choose planes, oversampling, the cut of the PSFs, nodes and blocks for a tolerance.
 
@@ -118,6 +120,8 @@ def plan_optics(
     exposure_s : float
         Longest that will be captured: to a tolerance in sigmas, the noise of the brightest signal
         that the scene makes in it counts.
+    density : Density, optional
+        How well the bank stands for its lens: the engine gets what that leaves of the tolerance.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def plan_optics(
         small as the tolerance asks: which, and the nearest tolerance that can be met.
     """
     given = bank, sensor, scene, accuracy, costs, noise, method, force, exposure_s
-    return plans_optics(*given, count=1)[0]
+    return plans_optics(*given, count=1, density=density)[0]
 
 
 def plans_optics(
@@ -141,11 +145,13 @@ def plans_optics(
     exposure_s: float = math.inf,
     *,
     count: int,
+    density: Density | None = None,
 ) -> list[Plan]:
     """Return the plan of `plan_optics`, and then those that it takes for the next cheapest.
 
     At most `count` in all; all meet the tolerance that the first one is made for.
     """
+    lens = None if density is None else LensShare(density, bank)
     levels, bank = bank.levels, bank.levels[0]
     if method not in (None, *METHODS):
         raise UserError(
@@ -169,9 +175,11 @@ def plans_optics(
             ANGLE_SHARE * tolerance,
         )
         asked = replace(relative, tolerance=tolerance)
-        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels)
+        if lens is not None:
+            asked = replace(asked, tolerance=lens.left_of(tolerance))
+        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, tolerance)
         candidates = problem.candidates(methods, "tail" in force)
-        return _Attempt(problem, candidates, choose(candidates)[0])
+        return _Attempt(problem, candidates, choose(candidates)[0], lens, tolerance)
 
     found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal))
     problem, rest = found.problem, [one for one in found.candidates if one is not found.chosen]
@@ -179,7 +187,7 @@ def plans_optics(
     taken = [found.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
     runners_up = choose(found.candidates)[1]
     return [
-        _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall)
+        _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall, lens)
         for one in taken
     ]
 
@@ -190,6 +198,7 @@ def _plan(
     runners_up: tuple[RunnerUp, ...],
     noise: bool,
     shortfall: str,
+    lens: LensShare | None,
 ) -> Plan:
     """Return a candidate as a plan."""
     basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
@@ -207,7 +216,11 @@ def _plan(
         identity,
         noise,
         force,
-        (*problem.left_out(), describe_halo(problem.levels, halo)),
+        (
+            *problem.left_out(),
+            *(() if lens is None else lens.stages),
+            describe_halo(problem.levels, halo),
+        ),
         splat,
     )
     of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
@@ -235,14 +248,18 @@ class _Attempt:
     problem: _Problem
     candidates: list[Candidate]
     chosen: Candidate
+    lens: LensShare | None
+    tolerance: float
 
     @property
     def excess(self) -> float:
-        return max(self._planes, self.chosen.excess)
+        return max(self._planes, self.chosen.excess, self._lens)
 
     @property
     def why(self) -> str:
         chosen = self.chosen
+        if self._lens >= max(self._planes, chosen.excess):
+            return self.lens.density.why
         if self._planes >= chosen.excess:
             return (
                 f"the planes of the scene's spectra cannot err by less: the shaders carry "
@@ -257,6 +274,11 @@ class _Attempt:
         return f"the error of its {chosen.worst} is {error:.1e} at least, above {limit:.1e}"
 
     @property
+    def _lens(self) -> float:
+        """The bank's error over its limit."""
+        return 0.0 if self.lens is None else self.lens.excess(self.tolerance)
+
+    @property
     def _planes(self) -> float:
         """The planes' error over its limit."""
         problem = self.problem
@@ -265,7 +287,11 @@ class _Attempt:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """What is to be convolved, and how well."""
+    """What is to be convolved, and how well.
+
+    `accuracy` is what the bank leaves to the engine of the `whole` tolerance. The sim grid, which
+    can be chosen in two steps alone, is held to the whole.
+    """
 
     bank: FieldBank
     sensor: Sensor
@@ -275,22 +301,23 @@ class _Problem:
     basis: Basis
     force: Collection[str]
     levels: tuple[FieldBank, ...]
+    whole: float
 
     def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
         """Return the ways to convolve, worked out as far as they may be chosen.
 
         `cut`: of those that the tolerance allows, only those that cut the PSFs.
         """
-        tolerance, period = self.accuracy.tolerance, self.planes.period
+        period = self.planes.period
         allowed = [n for n in OVERSAMPLINGS if n * period <= 8]
         found: list[Candidate] = []
         for oversampling in allowed:
             alias = self._alias(oversampling)
             # A finer grid than is needed only costs more.
             enough = any(one.parts and one.excess <= 1 for one in found)
-            if enough or (alias > tolerance and oversampling != allowed[-1]):
+            if enough or (alias > self.whole and oversampling != allowed[-1]):
                 name = f"{oversampling} samples a pixel"
-                errors, limits = {"alias": alias}, {"alias": tolerance}
+                errors, limits = {"alias": alias}, {"alias": self.whole}
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
                 continue
             # After one that exceeds its limits: a finer grid is tried where it costs least.
@@ -308,10 +335,12 @@ class _Problem:
         distorts, moves = self._chief_ray.distortion, self.bank.lateral_um > 0
         forced = {name: ", forced" * (name in self.force) for name in ("distortion", LATERAL)}
         return (
+            self._rim(),
             PlanStage(
                 "distortion",
                 distorts,
-                "where each sample lies on the ideal plane, by a polynomial" + forced["distortion"]
+                "where each sample lies on the ideal plane, by splines to "
+                f"{self._chief_ray.error_um:.0e} um" + forced["distortion"]
                 if distorts
                 else "the lens has none: the ideal and the real image are one",
             ),
@@ -323,6 +352,27 @@ class _Problem:
                 else "the lens has none: no colour is moved" + forced[LATERAL],
             ),
         )
+
+    def _rim(self) -> PlanStage:
+        """Describe where the image ends, and what of the sensor lies beyond."""
+        bank, sensor = self.bank, self.sensor
+        whole, flat = (
+            black_share(sensor, bank.centre_um, radius)
+            for radius in (bank.image_circle_um, bank.rectilinear_circle_um)
+        )
+        if whole == flat == 0:
+            return PlanStage(RIM, False, "the image circle covers the sensor")
+        words = []
+        if whole > 0:
+            words.append(
+                f"the sensor reaches beyond the image circle: {whole:.2%} of its pixels are black"
+            )
+        if flat > whole:
+            words.append(
+                f"the scene is flat and ends {bank.projection.end_deg:g} deg off the axis, before "
+                f"the image circle: {flat:.2%} of the pixels are black (--projection angular)"
+            )
+        return PlanStage(RIM, True, "; ".join(words))
 
     def scales(self, chosen: Candidate) -> tuple[Scale, ...]:
         """Return the parts of a candidate with their kernels, of all planes and channels."""
@@ -359,7 +409,7 @@ class _Problem:
             self.has_edges,
         )
         errors = {"alias": alias, "nodes": nodes}
-        limits = {knob: tolerance for knob in ("alias", "nodes", "modes")}
+        limits = {"alias": self.whole, "nodes": tolerance, "modes": tolerance}
         limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
         tail = None
         if cut_um is not None:

@@ -21,6 +21,7 @@ from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
 REASON = 60  # of which a reason may take
+RIM = "image circle"  # the stage that leaves black what lies beyond it
 CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")
 
 

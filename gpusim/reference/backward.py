@@ -242,6 +242,8 @@ class Frame:
     focal_mm : float
     per_um : ndarray (2, 2)
         X (rows) per movement of the image point along x, y (columns), um per um.
+    flat : bool
+        Whether the scene lies on a plane, or else by angle.
     """
 
     along: np.ndarray
@@ -250,23 +252,37 @@ class Frame:
     origin: np.ndarray
     focal_mm: float
     per_um: np.ndarray
+    flat: bool = True
 
     def ideal(self, x1: np.ndarray, x2: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the ideal plane's x, y (um) of X = f w (um), and the angle off the axis, rad."""
+        """Return the ideal plane's x, y (um) of X = f w (um), and the angle off the axis, rad.
+
+        The height there is f tan(angle) where the scene is ``flat``, or else f times the angle.
+        """
         w1, w2 = x1 / (1e3 * self.focal_mm), x2 / (1e3 * self.focal_mm)
         w3 = np.sqrt(np.maximum(1 - w1**2 - w2**2, 0.0))
         x, y, z = (
             w1 * a + w2 * b + w3 * c for a, b, c in zip(self.e1, self.e2, self.along, strict=True)
         )
-        ahead = np.maximum(z, 1e-6)
-        scale = 1e3 * self.focal_mm / ahead
-        return x * scale, y * scale, np.arctan2(np.hypot(x, y), z)
+        across = np.hypot(x, y)
+        angle = np.arctan2(across, z)
+        if self.flat:
+            over = 1 / np.maximum(z, 1e-6)
+        else:
+            over = np.where(across > 0, angle / np.maximum(across, 1e-300), 1.0)
+        scale = 1e3 * self.focal_mm * over
+        return x * scale, y * scale, angle
 
     def of_ideal(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return X (um) of points of the ideal plane (um), and which lie on this side."""
-        way = np.stack([x, y, np.full(np.shape(x), 1e3 * self.focal_mm)])
-        way = way / np.sqrt((way**2).sum(axis=0))
         scale = 1e3 * self.focal_mm
+        if self.flat:
+            way = np.stack([x, y, np.full(np.shape(x), scale)])
+            way = way / np.sqrt((way**2).sum(axis=0))
+        else:
+            angle = np.hypot(x, y) / scale
+            across = np.sinc(angle / np.pi) / scale
+            way = np.stack([x * across, y * across, np.cos(angle)])
         return scale * (self.e1 @ way), scale * (self.e2 @ way), self.along @ way > 0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval2d
+from scipy.interpolate import NdBSpline, PPoly
 
 
 def chief_ray(
@@ -18,9 +18,11 @@ def chief_ray(
     ----------
     x : ndarray (..., 2)
         Samples from the optical axis.
-    distortion : ndarray (8,) or (D + 1, D + 1, 2)
-        Coefficients of g, low to high: u = x g(|x|^2 / radius^2); or of a lens without an axis
-        u = sum of distortion[i, j] z_x^i z_y^j with z = (x - circle) / radius.
+    distortion : ndarray (n, 4) or (n + 3, n + 3, 2)
+        u = x + x d(|x|^2 / radius^2), d in n even pieces from 0 to 1, each a cubic, coefficients
+        low to high, of a parameter that goes from 0 to 1; beyond 1 as at 1. Or, of a lens without
+        an axis, u = x + the bicubic spline with these control points, over n x n cells of the
+        square around the circle.
     radius : float
         Of the image circle, samples.
     circle : (float, float)
@@ -32,14 +34,17 @@ def chief_ray(
     jacobian : ndarray (..., 2, 2)
         du/dx: row u, column x.
     """
-    if distortion.ndim == 1:
-        g = np.polynomial.Polynomial(distortion)
-        rho2 = np.sum(x**2, axis=-1) / radius**2
-        slope = g.deriv()(rho2) * 2 / radius**2
+    if distortion.ndim == 2:
+        count = len(distortion)
+        d = PPoly((distortion * float(count) ** np.arange(4)).T[::-1], np.linspace(0, 1, count + 1))
+        rho2 = np.minimum(np.sum(x**2, axis=-1) / radius**2, 1.0)
+        slope = d(rho2, 1) * 2 / radius**2
         outer = x[..., :, None] * x[..., None, :]
-        jacobian = g(rho2)[..., None, None] * np.eye(2) + slope[..., None, None] * outer
-        return x * g(rho2)[..., None], jacobian
-    z = np.moveaxis((x - np.array(circle)) / radius, -1, 0)
-    columns = [polyval2d(*z, polyder(distortion, axis=axis)) / radius for axis in (0, 1)]
-    u = np.moveaxis(polyval2d(*z, distortion), 0, -1)
-    return u, np.moveaxis(columns, (0, 1), (-1, -2))
+        jacobian = (1 + d(rho2))[..., None, None] * np.eye(2) + slope[..., None, None] * outer
+        return x + x * d(rho2)[..., None], jacobian
+    count = len(distortion) - 3
+    knots = 2 * radius * (np.arange(-3, count + 4) / count - 0.5)
+    spline = NdBSpline((knots, knots), distortion, 3)
+    z = np.clip(x - np.array(circle), -radius, radius)
+    columns = [spline(z, nu=way) for way in ((1, 0), (0, 1))]
+    return x + spline(z), np.eye(2) + np.stack(columns, axis=-1)

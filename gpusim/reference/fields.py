@@ -17,29 +17,48 @@ from scipy.interpolate import CubicSpline
 MAP_ERROR_UM = 1e-5
 
 
-def _cubic(axis: np.ndarray, at: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Return the nodes (N,) of an axis that points (P,) within it need, with the share of each.
+class Cubics:
+    """Which nodes of an axis points (P,) within it need, and the shares of each.
 
     From divided differences: the share of a node is the value of the polynomial that is 1 there.
+
+    Attributes
+    ----------
+    nodes : range
+        All that some point needs.
+    shares : ndarray (K, P)
+        Of each of them, zero where it is not among a point's nearest.
+    nearest : ndarray (N, P) of int
+        The four nodes of each point, or as many as there are.
     """
-    count = min(4, len(axis))
-    above = np.searchsorted(axis, at, side="right")
-    first = np.minimum(np.maximum(above - count // 2, 0), len(axis) - count)
-    found = []
-    for start in np.unique(first):
-        here = first == start
-        x = axis[start : start + count]
-        for node in range(count):
-            table = np.eye(count)[node]
-            for order in range(1, count):
-                table[order:] = (table[order:] - table[order - 1 : -1]) / (x[order:] - x[:-order])
-            value = np.zeros(np.count_nonzero(here))
-            for difference, one in zip(table[::-1], x[::-1], strict=True):
-                value = value * (at[here] - one) + difference
-            share = np.zeros(len(at))
-            share[here] = value
-            found.append((int(start) + node, share))
-    return found
+
+    def __init__(self, axis: np.ndarray, at: np.ndarray) -> None:
+        count = min(4, len(axis))
+        above = np.searchsorted(axis, at, side="right")
+        first = np.minimum(np.maximum(above - count // 2, 0), len(axis) - count)
+        low = int(first.min(initial=len(axis)))
+        starts = np.flatnonzero(np.bincount(first))
+        self.nodes = range(low, int(first.max(initial=low)) + count)
+        self.shares = np.zeros((len(self.nodes), len(at)))
+        for start in starts:
+            here = first == start if len(starts) > 1 else slice(None)
+            x, place = axis[start : start + count], at[here]
+            for node in range(count):
+                table = np.eye(count)[node]
+                for order in range(1, count):
+                    table[order:] = (table[order:] - table[order - 1 : -1]) / (
+                        x[order:] - x[:-order]
+                    )
+                value = np.full(len(place), table[-1])
+                for difference, one in zip(table[-2::-1], x[-2::-1], strict=True):
+                    value *= place - one
+                    value += difference
+                self.shares[start - low + node, here] = value
+        self.nearest = first + np.arange(count)[:, None]
+
+    def of_nearest(self) -> np.ndarray:
+        """Return the shares (N, P) of the nearest nodes."""
+        return np.take_along_axis(self.shares, self.nearest - self.nodes.start, axis=0)
 
 
 class Heights:
@@ -53,6 +72,7 @@ class Heights:
         self.bank = bank
         reference = list(bank.wavelengths_nm).index(bank.reference_nm)
         self.radius_um = np.asarray(bank.real_height_um[:, reference], np.float64)
+        self.used = range(len(self.radius_um))  # those that some source point needs
         self.centre, self.circle = np.zeros(2), self.radius_um[-1]
         # The map is asked millions of times: a spline of it, and beyond the circle a straight line.
         # Between 4096 knots it is off by 1e-9 um at most.
@@ -71,12 +91,22 @@ class Heights:
         radius = np.hypot(*source.T)[:, None]
         return np.where(radius > 0, source / np.maximum(radius, 1e-9), [1.0, 0.0])
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+    def _cubics(self, source: np.ndarray) -> tuple[Cubics, int]:
+        """Return the cubics at source points (P, 2) over both sides, and the number of the axis."""
         radius = np.minimum(np.hypot(*source.T), self.radius_um[-1])
         both = np.concatenate([-self.radius_um[:0:-1], self.radius_um])
-        middle = len(self.radius_um) - 1
-        for place, share in _cubic(both, radius):
+        return Cubics(both, radius), len(self.radius_um) - 1
+
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fields (N, P) that source points (P, 2) need, their sides and shares."""
+        cubics, middle = self._cubics(source)
+        places = cubics.nearest - middle
+        return np.abs(places), np.where(places < 0, -1, 1), cubics.of_nearest()
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+        cubics, middle = self._cubics(source)
+        for place, share in zip(cubics.nodes, cubics.shares, strict=True):
             yield abs(place - middle), 1 if place >= middle else -1, share
 
     def ideal(self, real: np.ndarray) -> np.ndarray:
@@ -92,13 +122,17 @@ class OneHeight(Heights):
 
     def __init__(self, bank: Any, radius_um: float) -> None:
         super().__init__(bank)
-        at = np.array([[radius_um, 0.0]])
-        self.mixed = [(field, side, share[0]) for field, side, share in super().shares(at)]
+        self.mixed = super().near(np.array([[radius_um, 0.0]]))
+        self.used = sorted(set(self.mixed[0].ravel().tolist()))
+
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
+        return tuple(np.repeat(one, len(source), axis=1) for one in self.mixed)
 
     def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
         """Yield the same fields for all source points (P, 2)."""
-        for field, side, share in self.mixed:
-            yield field, side, np.full(len(source), share)
+        for field, side, share in zip(*(one[:, 0] for one in self.mixed), strict=True):
+            yield int(field), int(side), np.full(len(source), share)
 
 
 class TracedHeight(OneHeight):
@@ -117,7 +151,8 @@ class TracedHeight(OneHeight):
 
     def __init__(self, bank: Any, traced: Any, field: int, radius_um: float) -> None:
         super().__init__(bank, radius_um)
-        self.mixed = [(field, 1, 1.0)]
+        self.mixed = np.array([[field]]), np.array([[1]]), np.array([[1.0]])
+        self.used = [field]
         self.bank, self.own_um = traced, radius_um
 
     def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
@@ -137,14 +172,16 @@ class Grid:
 
     def __init__(self, bank: Any) -> None:
         self.bank = bank
+        self.used = range(len(bank.field_x_deg) * len(bank.field_y_deg))
         self.centre = np.array([bank.ray_x_um[0], bank.ray_y_um[0]])
         field = np.stack([bank.ray_x_deg, bank.ray_y_deg], axis=1)
         landed = np.stack([bank.ray_x_um, bank.ray_y_um], axis=1) - self.centre
         off = np.hypot(*field.T)
         self.circle = np.hypot(*landed[off > 0.999999 * off.max()].T).min()
         self.span = 1.2 * np.abs(landed).max()
-        tangent = np.tan(np.radians(off)) / np.where(off > 0, off, 1.0)
-        wanted = 1e3 * bank.efl_mm * tangent[:, None] * field
+        self.flat = bank.projection.name == "rectilinear"
+        height = np.tan(np.radians(off)) if self.flat else np.radians(off)
+        wanted = 1e3 * bank.efl_mm * (height / np.where(off > 0, off, 1.0))[:, None] * field
         for degree in range(3, 15, 2):
             basis = self._basis(landed, degree)
             terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
@@ -180,17 +217,30 @@ class Grid:
         """Return the direction of the PSFs' x axis (P, 2) at source points (P, 2)."""
         return np.broadcast_to([1.0, 0.0], source.shape)
 
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+    def _cubics(self, source: np.ndarray) -> tuple[Cubics, Cubics]:
+        """Return the cubics at source points (P, 2) across and down."""
         bank = self.bank
         ideal = self.ideal(source)
         height = np.hypot(*ideal.T)
-        angle = np.degrees(np.arctan(height / (1e3 * bank.efl_mm)))
+        angle = height / (1e3 * bank.efl_mm)
+        angle = np.degrees(np.arctan(angle) if self.flat else angle)
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
-        across, down = (
-            _cubic(axis, np.clip(at, axis[0], axis[-1]))
+        return tuple(
+            Cubics(axis, np.clip(at, axis[0], axis[-1]))
             for at, axis in ((x_deg, bank.field_x_deg), (y_deg, bank.field_y_deg))
         )
-        for col, of_col in across:
-            for row, of_row in down:
-                yield row * len(bank.field_x_deg) + col, 1, of_col * of_row
+
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the fields (N, P) that source points (P, 2) need, their sides and shares."""
+        across, down = self._cubics(source)
+        fields = down.nearest * len(self.bank.field_x_deg) + across.nearest[:, None]
+        shares = down.of_nearest() * across.of_nearest()[:, None]
+        fields, shares = (one.reshape(-1, len(source)) for one in (fields, shares))
+        return fields, np.ones_like(fields), shares
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the fields that source points (P, 2) need, on which side, with the share (P,)."""
+        across, down = self._cubics(source)
+        for col, of_col in zip(across.nodes, across.shares, strict=True):
+            for row, of_row in zip(down.nodes, down.shares, strict=True):
+                yield row * len(self.bank.field_x_deg) + col, 1, of_col * of_row

@@ -16,7 +16,7 @@ the sampled pupil, which holds every ray. What diffraction throws farther is a s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -251,6 +251,7 @@ class Judge:
     def __init__(self, system: System, sensor: Any, scene: Any, wavelengths_nm: np.ndarray) -> None:
         self.system, self.sensor, self.scene = system, sensor, scene
         self.table_nm = wavelengths_nm
+        self.flat = scene.projection.name == "rectilinear"
         half_um = [side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows)]
         self.chart = hasattr(scene.source, "primitives")
         if self.chart:
@@ -290,6 +291,7 @@ class Judge:
 
     def pixel(self, seen: View, row: int, col: int) -> Judged:
         """Return the electrons/s of a pixel whose middle's view is given."""
+        seen = replace(seen, frame=replace(seen.frame, flat=self.flat))
         core, at = self._over_aperture(seen)
         inner = self._shares(seen.frame, at, SUB)
         outer = self._shares(seen.frame, (seen.edges_um[1:] + seen.edges_um[:-1]) / 2, SUB)

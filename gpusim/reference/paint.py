@@ -83,8 +83,8 @@ def paint(
     ----------
     primitives : list of dict
         ``kind`` ("rectangle" or "disc"), ``centre`` (x, y), ``half_size`` (a disc's radius first),
-        ``angle``,
-        ``material``; in samples from the optical axis on the ideal plane, in painter's order.
+        ``angle``, ``material`` and ``under``, the material all around; in samples from the optical
+        axis on the ideal plane.
     materials : ndarray (materials, J)
         Coefficients.
     background : int
@@ -118,6 +118,7 @@ def paint(
                 cover[index] = rectangle_coverage(
                     d[index], primitive["half_size"], primitive["angle"], covariance
                 )
-        result += cover[..., None] * (materials[primitive["material"]] - result)
+        step = materials[primitive["material"]] - materials[primitive["under"]]
+        result += cover[..., None] * step
     lit = ndtr((radius - np.hypot(x[..., 0] - circle[0], x[..., 1] - circle[1])) / sigma)
     return np.moveaxis(result * lit[..., None], -1, 0)

@@ -12,6 +12,7 @@ field and the azimuth of s (`gpusim.reference.angle`), and with l.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 import scipy.fft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates, spline_filter
+from scipy.sparse import csr_array
 
 from gpusim.reference.angle import NODES, MeanQe
 from gpusim.reference.fields import Grid, Heights
@@ -31,6 +33,8 @@ KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 
 # Of banks of 256 samples and 13 wavelengths: kernels of 0.04 MiB, and one in three of 0.8 MiB;
 # fields of 10 MiB. Probes come by height, and each needs four or five heights, of a grid 16 fields.
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
+KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
+TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 
 
@@ -75,8 +79,10 @@ class PointSpread:
         self.qe_there: dict[tuple[int, int], np.ndarray] = {}
         self.weights_there: dict[tuple[int, int], np.ndarray] = {}
         self.lights: dict[int, tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = {}
+        self.densities: dict[tuple[int, int, int, int], np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
         self.psf_splines: dict[int, np.ndarray] = {}
+        self.wide_splines: tuple[np.ndarray, set[int]] | None = None
 
     def _qe_at(self, field: int, node: int) -> np.ndarray:
         """Return q (L or 1, 61, C) at a field of the bank and one of NODES azimuths."""
@@ -165,13 +171,22 @@ class PointSpread:
         key = (channel, spectrum, field, node, zone)
         kernel = self.kernels.get(key)
         if kernel is None:
+            density = self._density(channel, spectrum, field, node)
+            middle, half = len(density) // 2, self._half(zone)
+            there = slice(middle - half, middle + half)
+            kernel = spline_filter(density[there, there], order=zone.degree)
+            _keep(self.kernels, key, kernel, KEPT_KERNELS)
+        return kernel
+
+    def _density(self, channel: int, spectrum: int, field: int, node: int) -> np.ndarray:
+        """Return H (n, n) at one bank field and azimuth, in its PSFs' frame, with PAD around."""
+        key = (channel, spectrum, field, node)
+        density = self.densities.get(key)
+        if density is None:
             rates = self._rates(channel, spectrum, field, node)
             images, across, down = self._light(field)
-            n = images.shape[1]
-            middle, half = n // 2, self._half(zone)
-            there = slice(middle - half, middle + half)
             if across is None:
-                density = np.tensordot(rates.sum(axis=1), images[:, there, there], axes=1)
+                density = np.tensordot(rates.sum(axis=1), images, axes=1)
             else:
                 if down is None:
                     moved = np.einsum("lx,lyx->yx", rates @ across, images)
@@ -181,10 +196,9 @@ class PointSpread:
                         for rate, image in zip(rates, images, strict=True)
                     )
                     moved = scipy.fft.ifft(moved, axis=0)
-                density = scipy.fft.irfft(moved[there], n)[:, there]
-            kernel = spline_filter(density, order=zone.degree)
-            _keep(self.kernels, key, kernel, KEPT_KERNELS)
-        return kernel
+                density = scipy.fft.irfft(moved, images.shape[1])
+            _keep(self.densities, key, density, KEPT_DENSITIES)
+        return density
 
     def _half(self, zone: Zone) -> int:
         """Return half the width of a zone's kernels, samples."""
@@ -200,24 +214,35 @@ class PointSpread:
         self, zone: Zone, channel: int, spectra: Sequence[int], source: np.ndarray
     ) -> np.ndarray:
         """Return H (M, P) of spectra at a zone's t (P, 2) from source points (P, 2), per um^2."""
-        half = self._half(zone)
+        side = 2 * self._half(zone)
         x, y = (at / self.bank.pitch_um for at in self._turned(zone.t, source))
-        result = np.zeros((len(spectra), len(source)))
+        result = np.zeros((len(source), len(spectra)))
         nodes = list(self._nodes(source))
-        for field, side, of_field in self.fields.shares(source):
+        seen: dict[int, list[tuple[int, int, np.ndarray]]] = {1: [], -1: []}
+        for field, way, of_field in self.fields.shares(source):
             for here, of_node in nodes:
-                share = of_field * of_node
-                used = np.flatnonzero(share)
-                if not len(used):
-                    continue
-                node = self._seen_from(side, here)
-                share, where = share[used], side * np.stack([y[used], x[used]]) + half
-                for one, spectrum in zip(result, spectra, strict=True):
-                    kernel = self._kernel(channel, spectrum, field, node, zone)
-                    one[used] += share * map_coordinates(
-                        kernel, where, order=zone.degree, prefilter=False, mode="constant"
-                    )
-        return result
+                if (share := of_field * of_node).any():
+                    seen[way].append((field, self._seen_from(way, here), share))
+        for way, parts in seen.items():
+            if not parts:
+                continue
+            # All kernels side by side: a sparse matrix has for each point what it takes of each.
+            kernels = np.stack(
+                [
+                    self._kernel(channel, spectrum, field, node, zone).ravel()
+                    for field, node, _ in parts
+                    for spectrum in spectra
+                ],
+                axis=-1,
+            )
+            for first in range(0, len(source), TOGETHER):
+                part = slice(first, first + TOGETHER)
+                there = (way * at[part] + side // 2 for at in (y, x))
+                found = _between(*there, side, zone.degree, len(kernels)) @ kernels
+                found = found.reshape(-1, len(parts), len(spectra))
+                for number, (*_, share) in enumerate(parts):
+                    result[part] += share[part, None] * found[:, number]
+        return result.T
 
     def at(self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
         """Return H of spectra (P, M) at t from source (P,): no blend of wavelengths is resampled.
@@ -251,6 +276,66 @@ class PointSpread:
                 )
         return result
 
+    def wide(
+        self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray
+    ) -> np.ndarray:
+        """Return the same as `at`, of PSFs that are smooth, at t within them: all lines at once.
+
+        Each PSF is moved by its lateral colour once, and has a spline of its own there. What a
+        point needs of all fields and lines is one row of a sparse matrix.
+        """
+        fields, sides, shares = self.fields.near(source)
+        table, side = self._wide_splines(np.unique(fields))
+        x, y = (sides * at / self.bank.pitch_um + side // 2 for at in self._turned(t, source))
+        taken = _between(y, x, side, 3, len(table), fields * side**2)
+        taken.data *= np.repeat(shares.ravel(), 16)
+        rows = taken @ table
+        rows = rows.reshape(*fields.shape, -1)
+        if self.mean_qe is None:
+            return np.einsum("npl,pl->p", rows, excess @ self._weights_at(0, 0)[channel])
+        result = np.zeros(len(t))
+        nodes = list(self._nodes(source))
+        for field, seen in {(f, s) for f, s in zip(fields.flat, sides.flat, strict=True)}:
+            own = np.where(((fields == field) & (sides == seen))[..., None], rows, 0.0).sum(axis=0)
+            for node, of_node in nodes:
+                weights = self._weights_at(field, self._seen_from(seen, node))[channel]
+                result += of_node * np.einsum("pl,pl->p", own, excess @ weights)
+        return result
+
+    def _wide_splines(self, fields: np.ndarray) -> tuple[np.ndarray, int]:
+        """Return spline coefficients (all fields * n * n, L) of PSFs where they land, and n.
+
+        Those of the given fields are there; per um^2, with illumination.
+        """
+        pitch, lines = self.bank.pitch_um, len(self.bank.wavelengths_nm)
+        if self.wide_splines is None:
+            count = math.prod(self.bank.psf.shape[:-3])
+            most = max(
+                np.abs(self.fields.light(field, line)[2]).max()
+                for field in self.fields.used
+                for line in range(lines)
+            )
+            half = self.bank.psf.shape[-1] // 2 + SPLINE_PAD + math.ceil(most / pitch)
+            side = 2 * scipy.fft.next_fast_len(half, real=True)
+            self.wide_splines = np.zeros((count, side, side, lines)), set()
+        table, there = self.wide_splines
+        side = table.shape[1]
+        for field in set(fields.tolist()) - there:
+            images, moves = np.zeros((lines, side, side)), []
+            for line, image in enumerate(images):
+                psf, illumination, shift = self.fields.light(field, line)
+                around = side // 2 - len(psf) // 2
+                image[around : around + len(psf), around : around + len(psf)] = psf
+                image *= np.float64(illumination / pitch**2)
+                moves.append(shift)
+            x, y = np.array(moves).T / pitch
+            spectra = scipy.fft.rfft2(images)
+            spectra *= _moved(x, scipy.fft.rfftfreq(side))[:, None]
+            spectra *= _moved(y, scipy.fft.fftfreq(side))[:, :, None]
+            table[field] = np.moveaxis(scipy.fft.irfft2(spectra, (side, side)), 0, -1)
+            there.add(field)
+        return table.reshape(-1, lines), side
+
     def _psf_splines(self, field: int) -> np.ndarray:
         """Return the spline coefficients (L, n, n) of one field's PSFs, each on its own."""
         if field not in self.psf_splines:
@@ -266,6 +351,20 @@ class PointSpread:
         return self.psf_splines[field]
 
 
+def spreads_of(
+    sensor: Any,
+    spectra: np.ndarray,
+    wavelengths_nm: np.ndarray,
+    first: tuple[Any, Heights | Grid],
+    less: tuple[Any, Heights | Grid] | None,
+) -> list[tuple[float, PointSpread]]:
+    """Return what a bank with its fields spreads, and with the sign of it what it has more."""
+    return [
+        (sign, PointSpread(bank, sensor, fields, spectra, wavelengths_nm))
+        for sign, (bank, fields) in ((1.0, first), *(((-1.0, less),) if less else ()))
+    ]
+
+
 def _line_splines(bank: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
     """Return S (L, 61) of the bank's wavelengths; beyond the first and last they stay as there.
 
@@ -278,6 +377,68 @@ def _line_splines(bank: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
         return np.stack([np.interp(wavelengths_nm, lines, row) for row in each])
     within = np.minimum(np.maximum(wavelengths_nm, lines[0]), lines[-1])
     return CubicSpline(1e3 / lines[::-1], each[::-1], bc_type="not-a-knot")(1e3 / within).T
+
+
+def _between(
+    y: np.ndarray,
+    x: np.ndarray,
+    side: int,
+    degree: int,
+    count: int,
+    begin: np.ndarray | int = 0,
+) -> csr_array:
+    """Return the matrix (P, count) by which spline coefficients become values at points (...).
+
+    Parameters
+    ----------
+    y, x : ndarray (...), P in all
+        Rows and columns in squares of `side` coefficients each way, which end in nothing.
+    side, degree, count : int
+        Of the splines, and coefficients in all.
+    begin : ndarray (...) of int
+        Number of the first coefficient of the square.
+    """
+    places, weights = [], []
+    for at in (y, x):
+        first, of_taps = _taps(at, degree)
+        there = np.clip(first, 0, side - degree - 1)
+        places.append(there)
+        weights.append(of_taps * (there == first)[..., None])
+    taps = np.arange(degree + 1, dtype=np.int32)
+    first = (begin + places[0] * side + places[1]).astype(np.int32)
+    number = first[..., None, None] + (taps[:, None] * np.int32(side) + taps)
+    data = weights[0][..., :, None] * weights[1][..., None, :]
+    ends = np.arange(0, data.size + 1, (degree + 1) ** 2, dtype=np.int32)
+    return csr_array((data.ravel(), number.ravel(), ends), shape=(first.size, count))
+
+
+def _taps(at: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first coefficient around places (...), and the B-splines (..., degree + 1) there.
+
+    Of an odd degree, by Cox and de Boor's recursion: where t of a cell has passed, the k + 1
+    splines of degree k are B_k,j = ((k - j + t) B_k-1,j-1 + (j + 1 - t) B_k-1,j) / k.
+    """
+    cell = np.floor(at)
+    t = at - cell
+    splines = [np.ones_like(t)]
+    for k in range(1, degree + 1):
+        below = [0.0, *splines, 0.0]
+        splines = [((k - j + t) * below[j] + (j + 1 - t) * below[j + 1]) / k for j in range(k + 1)]
+    return cell.astype(np.int32) - degree // 2, np.stack(splines, axis=-1)
+
+
+def _moved(ways: np.ndarray, frequencies: np.ndarray) -> np.ndarray:
+    """Return by what transforms (L, F) of samples become those of splines moved by so many samples.
+
+    Frequencies in cycles a sample. The samples of a cubic spline with coefficients of transform C
+    have C (4 + 2 cos w) / 6; moved, those of the B-splines around in place of 1/6, 4/6, 1/6.
+    """
+    turn = np.exp(-2j * np.pi * frequencies)
+    of_samples = (4 + 2 * turn.real) / 6
+    first, weights = _taps(-ways, 3)
+    numbers = -(first[:, None] + np.arange(4))
+    moved = np.einsum("lt,ltf->lf", weights, turn ** numbers[..., None])
+    return np.where(ways[:, None] == 0, of_samples, moved) / of_samples**2
 
 
 def _keep(store: dict[Any, Any], key: Any, value: Any, most: int) -> None:

@@ -25,7 +25,7 @@ from scipy.ndimage import map_coordinates
 from gpusim.reference.coverage import cross, part_of
 from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.landing import landed
-from gpusim.reference.point_spread import PointSpread
+from gpusim.reference.point_spread import spreads_of
 from gpusim.reference.quadrature import Zone
 
 # Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
@@ -60,6 +60,8 @@ class Truth:
         Of the spectra and of the sensor's quantum efficiency.
     fields : Heights or Grid, optional
         In place of the bank's own.
+    less : (bank, Heights or Grid), optional
+        A bank of the same pitch and size, and its fields: what the first one brings more than it.
     """
 
     def __init__(
@@ -69,11 +71,12 @@ class Truth:
         spectra: np.ndarray,
         wavelengths_nm: np.ndarray,
         fields: Heights | Grid | None = None,
+        less: tuple[Any, Heights | Grid] | None = None,
     ) -> None:
         self.bank = bank
         self.sensor = sensor
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
-        self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
+        self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.boxes = self._boxes()
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
@@ -175,13 +178,17 @@ class Truth:
     ) -> list[list[np.ndarray]]:
         """Return of each spectrum a ring around a pixel, or how it changes with the source."""
         source = centre - zone.t
-        here = self.spread.around(zone, channel, spectra, source)
+
+        def around(source: np.ndarray) -> np.ndarray:
+            return sum(
+                sign * spread.around(zone, channel, spectra, source)
+                for sign, spread in self.spreads
+            )
+
+        here = around(source)
         found = [here]
         if zone.change:
-            found = [
-                (self.spread.around(zone, channel, spectra, source + way) - here) / way.sum()
-                for way in np.eye(2) * self.half_um
-            ]
+            found = [(around(source + way) - here) / way.sum() for way in np.eye(2) * self.half_um]
         return [[zone.ring(one) for one in of_spectrum] for of_spectrum in zip(*found, strict=True)]
 
     def _chart_shares(
@@ -367,12 +374,13 @@ class Truth:
                 continue
             owners, source, weight = np.nonzero(near)[0], sources[near], weights[near]
             excess, channel = highlights.excess[owners], self._channel(row, col)
-            light = np.zeros(len(source))
-            for place, share in zip(seen, of_seen, strict=True):
-                t = centre + place - source
-                light += share * self.spread.at(channel, excess, t, source)
-            each = np.bincount(owners, light * weight)
-            out[number] = np.maximum(each, 0.0).sum() * self.side_um**2
+            for sign, spread in self.spreads:
+                light = np.zeros(len(source))
+                for place, share in zip(seen, of_seen, strict=True):
+                    t = centre + place - source
+                    light += share * spread.at(channel, excess, t, source)
+                each = np.bincount(owners, light * weight)
+                out[number] += sign * np.maximum(each, 0.0).sum() * self.side_um**2
         return out
 
     def _boxes(self) -> list[tuple[float, float, float, float, float]]:

@@ -10,6 +10,7 @@ their light is; its highlights come one by one.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.ndimage import map_coordinates
 
 from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.landing import landed
-from gpusim.reference.point_spread import PointSpread
+from gpusim.reference.point_spread import spreads_of
 
 # Side of a cell in samples of the level, and points along it: where the level holds little light,
 # and where rays land in it. Against cells of two samples with 4 x 4 points the demonstration's 64
@@ -44,10 +45,12 @@ class Wide:
         spectra: np.ndarray,
         wavelengths_nm: np.ndarray,
         fields: Heights | Grid | None = None,
+        less: tuple[Any, Heights | Grid] | None = None,
     ) -> None:
         self.bank, self.sensor = bank, sensor
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
-        self.spread = PointSpread(bank, sensor, self.fields, spectra, wavelengths_nm)
+        self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
+        self.count = len(spectra)
         share = float(bank.psf.sum(axis=(-2, -1), dtype=float).max())
         step, points = SMOOTH if share < LITTLE else STRUCTURED
         self.reach_um = bank.psf.shape[-1] / 2 * bank.pitch_um
@@ -56,7 +59,6 @@ class Wide:
         self.inner = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
         self.point_um = self.step_um / points
         self.of_samples = self._cells(min(step, SAMPLED))
-        self.painted: tuple[Any, np.ndarray, np.ndarray] | None = None
         self.summed: tuple[Any, np.ndarray] | None = None
         self.lamps: tuple[Any, np.ndarray, np.ndarray] | None = None
         self.area_um2 = sensor.pixel_pitch_um**2 * sensor.fill_factor
@@ -89,9 +91,9 @@ class Wide:
                 shares = self._shares(placed, source)
             else:
                 shares, source = self._samples(placed, source, step_um)
-            t = middle * pitch - source
-            light = self.spread.at(channel, shares, t, source)
-            out[number] = light.sum() * step_um**2 * self.area_um2
+            given = channel, shares, middle * pitch - source, source
+            light = sum(sign * spread.wide(*given).sum() for sign, spread in self.spreads)
+            out[number] = light * step_um**2 * self.area_um2
             if not is_chart:
                 out[number] += self._highlights(placed.highlights, middle * pitch, channel)
         return out
@@ -99,10 +101,9 @@ class Wide:
     def _shares(self, chart: Any, source: np.ndarray) -> np.ndarray:
         """Return the mean coefficient (P, M) of each spectrum in cells about points (P, 2)."""
         ideal = self.fields.ideal(source[:, None] + self.inner)
-        count = len(self.spread.spectra)
-        cell = np.arange(len(source))[:, None] * count + self._materials(chart, ideal)
-        found = np.bincount(cell.ravel(), minlength=len(source) * count)
-        return found.reshape(len(source), count) / len(self.inner)
+        cell = np.arange(len(source))[:, None] * self.count + self._materials(chart, ideal)
+        found = np.bincount(cell.ravel(), minlength=len(source) * self.count)
+        return found.reshape(len(source), self.count) / len(self.inner)
 
     def _samples(
         self, raster: Any, source: np.ndarray, step_um: float
@@ -187,60 +188,59 @@ class Wide:
         near = np.hypot(*(middle - real).T) < self.reach_um
         if not near.any():
             return 0.0
-        found = self.spread.at(channel, light[near], middle - real[near], real[near])
-        return float(found.sum() * self.area_um2)
+        given = channel, light[near], middle - real[near], real[near]
+        found = sum(sign * spread.at(*given).sum() for sign, spread in self.spreads)
+        return float(found * self.area_um2)
 
     def _materials(self, chart: Any, ideal: np.ndarray) -> np.ndarray:
         """Return the material at each of the points (P, I, 2)."""
         low, high = ideal.min(axis=(0, 1)), ideal.max(axis=(0, 1))
-        reach = np.array([p.reach for p in chart.primitives])
-        near = [
-            p
-            for p in chart.primitives
-            if abs(p.cx - (low[0] + high[0]) / 2) < p.reach + (high[0] - low[0]) / 2
-            and abs(p.cy - (low[1] + high[1]) / 2) < p.reach + (high[1] - low[1]) / 2
-        ]
-        if len(near) > FEW and self._area(chart, reach) < LARGEST:
-            first, materials = self._painted(chart, reach)
+        at, reach = _discs(chart)
+        reached = np.abs(at - (low + high) / 2) < reach[:, None] + (high - low) / 2
+        near = np.flatnonzero(reached.all(axis=1))
+        if len(near) > FEW and (painted := _painted(chart, self.point_um)) is not None:
+            first, materials = painted
             at = np.round((ideal - first) / self.point_um).astype(int)
             at = np.clip(at, 0, np.array(materials.shape[::-1]) - 1)
             return materials[at[..., 1], at[..., 0]]
         found = np.full(ideal.shape[:2], chart.background)
-        for shape in near:
+        for shape in (chart.primitives[number] for number in near):
             found[shape.distance(ideal[..., 0], ideal[..., 1]) <= 0] = shape.material
         return found
 
-    def _area(self, chart: Any, reach: np.ndarray) -> float:
-        """Return how many points a grid over all primitives has."""
-        at = np.array([(p.cx, p.cy) for p in chart.primitives])
-        sides = (at + reach[:, None]).max(axis=0) - (at - reach[:, None]).min(axis=0)
-        return float(np.prod(sides / self.point_um + 4))
 
-    def _painted(self, chart: Any, reaches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first point (2,) of a grid over a chart's primitives, and its materials there.
+@lru_cache(maxsize=8)
+def _discs(chart: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres (N, 2) and radii (N,) of circles around a chart's primitives."""
+    at = np.array([(p.cx, p.cy) for p in chart.primitives]).reshape(-1, 2)
+    return at, np.array([p.reach for p in chart.primitives])
 
-        On its border lies the background, as beyond.
-        """
-        if self.painted is None or self.painted[0] is not chart:
-            at = np.array([(p.cx, p.cy) for p in chart.primitives]).reshape(-1, 2)
-            reach = reaches[:, None]
-            low = (at - reach).min(axis=0, initial=0.0) - self.point_um
-            high = (at + reach).max(axis=0, initial=0.0) + self.point_um
-            cols, rows = np.ceil((high - low) / self.point_um).astype(int) + 2
-            materials = np.full((rows, cols), chart.background)
-            for shape, place, radius in zip(chart.primitives, at, reach, strict=True):
-                (left, top), (right, bottom) = (
-                    np.round((place + way * radius - low) / self.point_um).astype(int) + way
-                    for way in (-1, 1)
-                )
-                x = low[0] + self.point_um * np.arange(max(left, 0), right + 1)
-                y = low[1] + self.point_um * np.arange(max(top, 0), bottom + 1)[:, None]
-                part = materials[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
-                x, y = x[: part.shape[1]], y[: part.shape[0]]
-                part[shape.distance(x, y) <= 0] = shape.material
-            materials[[0, -1]] = materials[:, [0, -1]] = chart.background
-            self.painted = chart, low, materials
-        return self.painted[1:]
+
+@lru_cache(maxsize=8)
+def _painted(chart: Any, point_um: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the first point (2,) of a grid over a chart's primitives, and its materials there.
+
+    On its border lies the background, as beyond. None where that takes too many points.
+    """
+    at, reach = _discs(chart)
+    reach = reach[:, None]
+    low = (at - reach).min(axis=0, initial=0.0) - point_um
+    high = (at + reach).max(axis=0, initial=0.0) + point_um
+    cols, rows = np.ceil((high - low) / point_um).astype(int) + 2
+    if float(cols) * float(rows) >= LARGEST:
+        return None
+    materials = np.full((rows, cols), chart.background)
+    for shape, place, radius in zip(chart.primitives, at, reach, strict=True):
+        (left, top), (right, bottom) = (
+            np.round((place + way * radius - low) / point_um).astype(int) + way for way in (-1, 1)
+        )
+        x = low[0] + point_um * np.arange(max(left, 0), right + 1)
+        y = low[1] + point_um * np.arange(max(top, 0), bottom + 1)[:, None]
+        part = materials[max(top, 0) : bottom + 1, max(left, 0) : right + 1]
+        x, y = x[: part.shape[1]], y[: part.shape[0]]
+        part[shape.distance(x, y) <= 0] = shape.material
+    materials[[0, -1]] = materials[:, [0, -1]] = chart.background
+    return low, materials
 
 
 def _edge(at: np.ndarray, count: int) -> np.ndarray:

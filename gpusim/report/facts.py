@@ -15,6 +15,8 @@ import numpy as np
 
 import gpusim
 from gpusim.gpu.wgsl import shaders_sha256
+from gpusim.isp.levels import iso_speed, saturated_share
+from gpusim.plan.costs import content_of
 from gpusim.scene import Chart
 
 if TYPE_CHECKING:
@@ -64,6 +66,8 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "tolerance": capture.accuracy.tolerance,
             "tolerance_unit": capture.accuracy.unit,
             "best_effort": capture.accuracy.best_effort,
+            "saturated_share": _saturated(capture),
+            "iso": iso_speed(capture.camera.sensor),
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
         },
         "camera": _camera(capture.camera),
@@ -76,6 +80,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         },
         "shaders_sha256": shaders_sha256(),
         "plan": _plan(capture.plan),
+        "costs": None if capture.costs is None else plain(content_of(capture.costs)),
         "qe_by_place": _qe_by_place(capture),
         "memory": plain(capture.memory),
         "work": plain(capture.work),
@@ -84,6 +89,13 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         "certificate": plain(capture.certificate),
         "files": list(files),
     }
+
+
+def _saturated(capture: Capture) -> float:
+    """Return the share of the lit pixels that are saturated."""
+    row, col, rows, cols = capture.active_area
+    lit = capture.raw[row : row + rows, col : col + cols]
+    return saturated_share(lit, capture.camera.sensor) if lit.size else 0.0
 
 
 def _camera(camera: Camera) -> dict[str, Any]:

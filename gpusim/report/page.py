@@ -15,8 +15,17 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from gpusim.plan.stages import RIM
 from gpusim.report.probes import probe_map
-from gpusim.report.words import duration, error, exposure, mebibytes, sigmas, tolerance
+from gpusim.report.words import (
+    duration,
+    error,
+    exposure,
+    mebibytes,
+    saturated,
+    sigmas,
+    tolerance,
+)
 
 # The overview shows no single pixel, so a JPEG serves: 0.3 MB where a PNG of a noisy capture has 3.
 _OVERVIEW_PX = 1400
@@ -55,7 +64,7 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         title,
         summary,
         _cards(facts),
-        _pictures(developed),
+        _pictures(facts, developed),
         _stages(facts),
         _certificate(facts),
         _quantum_efficiency(facts),
@@ -139,7 +148,15 @@ def _embedded(image: Image.Image, form: str, **options: Any) -> str:
     return f"data:image/{form.lower()};base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
-def _pictures(developed: np.ndarray) -> str:
+def _rim(facts: Mapping[str, Any]) -> str:
+    """Return what of the sensor no light reaches, if any."""
+    reasons = [
+        one["reason"] for one in facts["plan"]["stages"] if one["name"] == RIM and one["runs"]
+    ]
+    return "".join(f"<p><strong>Black</strong>: {escape(reason)}.</p>\n" for reason in reasons)
+
+
+def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
     """Return the overview with the frames of the crops, and the crops."""
     rows, cols = developed.shape[:2]
     scale = min(1.0, _OVERVIEW_PX / max(rows, cols))
@@ -163,9 +180,9 @@ def _pictures(developed: np.ndarray) -> str:
 <svg viewBox="0 0 {cols} {rows}" fill="none">
 <g stroke="#000" stroke-opacity=".6" stroke-width="{cols / 280:.1f}">{frames}</g>
 <g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
-<figcaption>The developed raw, at {size[0]} x {size[1]} px. The frames are the crops below,
-which show each pixel as it is.</figcaption></figure>
-<div class="crops">{crops}</div>"""
+<figcaption>The developed raw, at {size[0]} x {size[1]} px. {escape(saturated(facts))}.
+The frames are the crops below, which show each pixel as it is.</figcaption></figure>
+{_rim(facts)}<div class="crops">{crops}</div>"""
 
 
 def _stages(facts: Mapping[str, Any]) -> str:

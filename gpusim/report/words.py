@@ -38,6 +38,12 @@ def error(value: float | None) -> str:
     return f"{value:.1e}" if value else "0"
 
 
+def saturated(facts: Mapping[str, Any]) -> str:
+    """Return what share of the pixels of a capture's facts is saturated."""
+    share = facts["capture"]["saturated_share"]
+    return f"Saturated: {100 * share:.2g} % of the pixels" if share else "No pixel is saturated"
+
+
 def tolerance(capture: Mapping[str, Any]) -> str:
     """Return the tolerance of a capture's facts: 0.001, or 0.1 sigma."""
     return f"{capture['tolerance']:g}" + (" sigma" if capture["tolerance_unit"] == "sigma" else "")

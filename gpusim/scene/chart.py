@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -101,6 +102,15 @@ def _clearance(a: Primitive, b: Primitive) -> float:
     return float(min(a.distance(*b.corners().T).min(), b.distance(*a.corners().T).min()))
 
 
+def materials_under(primitives: Sequence[Primitive], background: int) -> np.ndarray:
+    """Return the index (P,) of the material all around each primitive, in painter's order."""
+    under = np.full(len(primitives), background)
+    x, y = np.array([(shape.cx, shape.cy) for shape in primitives]).reshape(-1, 2).T
+    for number, shape in enumerate(primitives, start=1):
+        under[number:][shape.distance(x[number:], y[number:]) <= 0] = shape.material
+    return under
+
+
 @dataclass(frozen=True)
 class Chart:
     """Materials painted over a background, in painter's order.
@@ -143,6 +153,10 @@ class Chart:
                 raise ValueError(f"primitive {i}: extent {min(extents)} is not positive")
         _ = self.gap  # computing it finds what crosses, touches or hides
 
+    def __hash__(self) -> int:
+        # Caches ask often; by all primitives it takes a millisecond.
+        return hash((self.materials, self.background, len(self.primitives)))
+
     @cached_property
     def gap(self) -> float:
         """Least distance between any two outlines, in the primitives' unit; infinite below two."""
@@ -171,6 +185,11 @@ class Chart:
             gap = min(gap, distance)
         return gap
 
+    @cached_property
+    def under(self) -> np.ndarray:
+        """Index of the material around each primitive."""
+        return materials_under(self.primitives, self.background)
+
     def placed(self, half_height_um: float) -> Chart:
         """Return the chart in um on a sensor of that half-height."""
         scaled = []
@@ -178,7 +197,10 @@ class Chart:
             extents = ("radius",) if isinstance(p, Disc) else ("half_w", "half_h")
             changed = {name: getattr(p, name) * half_height_um for name in ("cx", "cy", *extents)}
             scaled.append(replace(p, **changed))
-        return replace(self, primitives=tuple(scaled))
+        # Nothing crosses now that did not before: the gap is as much larger, and not sought anew.
+        placed = object.__new__(Chart)
+        placed.__dict__.update(vars(self), primitives=tuple(scaled), gap=self.gap * half_height_um)
+        return placed
 
     def material_at(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the index of the material at each point; an outline belongs to its primitive.

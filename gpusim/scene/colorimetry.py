@@ -7,6 +7,11 @@ import numpy as np
 REC709_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """Chromaticities x, y of Rec.709 red, green, blue and its D65 white (ITU-R BT.709)."""
 
+LARGEST_XY = 10.0  # of a chromaticity; those of ACES AP0, the widest in use, lie within 1
+# Primaries on a line make no colours. The condition of their matrix is 3.3 for Rec.709, 1.6 for
+# ACES AP0, 1 for XYZ itself.
+MOST_CONDITION = 1e4
+
 # Cone-like responses of the Bradford transform (Lam 1985; ICC.1, annex E).
 BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]
@@ -20,12 +25,26 @@ def rgb_to_xyz(chromaticities: tuple[float, ...]) -> np.ndarray:
     ----------
     chromaticities : tuple of 8 float
         x, y of red, green, blue and white, in this order (as in the OpenEXR attribute of that
-        name).
+        name). A primary may have y = 0, as X and Z of the XYZ space itself.
+
+    Raises
+    ------
+    ValueError
+        Numbers that are none, primaries on a line, or a white that is not between them.
     """
     xy = np.reshape(np.asarray(chromaticities, np.float64), (4, 2))
-    columns = np.stack([xy[:, 0] / xy[:, 1], np.ones(4), (1 - xy.sum(axis=1)) / xy[:, 1]])
+    if not (np.abs(xy) < LARGEST_XY).all():
+        raise ValueError(f"a number that is none, or beyond {LARGEST_XY:g}")
+    columns = np.stack([xy[:, 0], xy[:, 1], 1 - xy.sum(axis=1)])
     primaries, white = columns[:, :3], columns[:, 3]
-    return primaries * np.linalg.solve(primaries, white)
+    if np.linalg.cond(primaries) > MOST_CONDITION:
+        raise ValueError("the primaries lie on a line")
+    if not white[1] > 0:
+        raise ValueError("the white has no luminance")
+    shares = np.linalg.solve(primaries, white / white[1])
+    if not (shares > 0).all():
+        raise ValueError("the white does not lie between the primaries")
+    return primaries * shares
 
 
 def adaptation(source_xyz: np.ndarray, target_xyz: np.ndarray) -> np.ndarray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from gpusim.config.names import perhaps
 from gpusim.errors import UserError
+from gpusim.lens.projection import PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
 from gpusim.scene.charts import CHARTS
 from gpusim.scene.raster import Raster
@@ -37,6 +39,8 @@ class Scene:
         Spectral radiance of the scene's white: a perfect diffuser, or a photograph's RGB (1, 1, 1).
     notes : tuple of str
         What a reader of the result should know of how the scene was made.
+    projection : Projection
+        How it lies on the ideal image plane.
     """
 
     name: str
@@ -45,6 +49,7 @@ class Scene:
     illuminant: str
     white: np.ndarray
     notes: tuple[str, ...] = ()
+    projection: Projection = RECTILINEAR
 
     @property
     def white_luminance_cd_m2(self) -> float:
@@ -53,7 +58,10 @@ class Scene:
 
 
 def make_scene(
-    name_or_path: str | Path, luminance_cd_m2: float | None = None, illuminant: str = "D50"
+    name_or_path: str | Path,
+    luminance_cd_m2: float | None = None,
+    illuminant: str = "D50",
+    projection: str = RECTILINEAR.name,
 ) -> Scene:
     """Return a chart of the project or a photograph from an EXR file.
 
@@ -67,11 +75,15 @@ def make_scene(
     illuminant : str
         CIE name of the light on a chart. A photograph's spectra are those of Mallett and Yuksel
         (2019), under D65.
+    projection : str
+        How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
+        to the sides.
 
     Raises
     ------
     UserError
-        For an unknown name or illuminant, a luminance that is not positive, or an unusable file.
+        For an unknown name, illuminant or projection, a luminance that is not positive, or an
+        unusable file.
     """
     if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
         raise UserError(
@@ -80,16 +92,23 @@ def make_scene(
             value=luminance_cd_m2,
             allowed="above 0",
         )
-    name = str(name_or_path)
+    if projection not in PROJECTIONS:
+        raise UserError(
+            "there is no such projection",
+            field="projection",
+            value=projection,
+            allowed=", ".join(PROJECTIONS),
+        )
+    name, plane = str(name_or_path), PROJECTIONS[projection]
     if name in CHARTS:
         chart, reflectances = CHARTS[name]()
         white = white_radiance(illuminant, luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2)
-        return Scene(name, reflectances * white, chart, illuminant, white)
+        return Scene(name, reflectances * white, chart, illuminant, white, projection=plane)
     path = Path(name_or_path)
     if path.suffix.lower() == ".exr":
-        return _photograph(path, luminance_cd_m2)
+        return replace(_photograph(path, luminance_cd_m2), projection=plane)
     raise UserError(
-        "unknown scene",
+        f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
         allowed=f"{', '.join(CHARTS)}, or a file NAME.exr",
@@ -99,7 +118,7 @@ def make_scene(
 def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:
     from gpusim.scene.exr import read_exr
 
-    photograph = read_exr(path)
+    photograph = read_exr(path, needs_luminance=luminance_cd_m2 is None)
     known = luminance_cd_m2 or photograph.white_luminance_cd_m2
     scale = known or DEFAULT_WHITE_LUMINANCE_CD_M2
     notes = photograph.notes

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from gpusim.config.model import Strict
+from gpusim.config.text import read_text
 from gpusim.errors import UserError
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_POINTS = 4096  # of a measured response
 LINEAR_SHARES = (0.05, 0.95)  # of saturation, between which EMVA 1288 judges the linearity
@@ -182,10 +184,7 @@ def read_numbers(path: Path) -> list[float]:
     UserError
         The file cannot be read, or a line is no number.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the table cannot be read: {error}", file=path) from error
+    lines = read_text(path, "the table").splitlines()
     numbers = []
     for place, line in enumerate(lines, start=1):
         if text := line.partition("#")[0].strip():

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from itertools import chain
 
-from pydantic import field_validator
+from pydantic import field_validator, model_validator
 
-from gpusim.sensor.strict import Strict, wrong
+from gpusim.config.model import Strict
+from gpusim.config.names import perhaps
+from gpusim.sensor.strict import wrong
 
-# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name.
+# Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name, in the
+# order of TIFF/EP's CFAPattern (ISO 12234-2), in which red is 0 and white 6.
 CFA_LETTERS = "RGBCMYW"
 # By the names under which they are known; W is what RCCB and RCCC call C, clear.
 PATTERNS = {
@@ -30,7 +33,8 @@ class ColourFilterArray(Strict):
 
     A channel is a letter of :data:`CFA_LETTERS`, which is the colour of its filter, and may have
     more after it: Gr and Gb are green photosites of unlike response. A file may also give one of
-    the names of :data:`PATTERNS`, in which C is clear: a photosite without a filter, W.
+    the names of :data:`PATTERNS`, in which C is clear: a photosite without a filter, W. The pattern
+    alone may stand for all of it: ``cfa: RGGB``.
 
     Attributes
     ----------
@@ -44,13 +48,21 @@ class ColourFilterArray(Strict):
     pattern: list[list[str]]
     shift_px: tuple[float, float] = (0.0, 0.0)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _pattern_alone(cls, data: object) -> object:
+        return {"pattern": data} if isinstance(data, str | list) else data
+
     @field_validator("pattern", mode="before")
     @classmethod
     def _by_name(cls, pattern: object) -> object:
         if not isinstance(pattern, str):
             return pattern
         if pattern not in PATTERNS:
-            raise wrong(f"there is no pattern {pattern!r}", f"a table, or {', '.join(PATTERNS)}")
+            raise wrong(
+                f"there is no pattern {pattern!r}{perhaps(pattern, PATTERNS)}",
+                f"a table, or {', '.join(PATTERNS)}",
+            )
         return [list(row) for row in PATTERNS[pattern]]
 
     @field_validator("shift_px")

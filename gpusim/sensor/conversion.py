@@ -12,10 +12,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
-from pydantic import ValidationError
 
+from gpusim.config.mistakes import checked
 from gpusim.errors import UserError
-from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.sensor import Sensor
 
 GIVEN = "given by hand"
@@ -76,10 +75,7 @@ class Conversion:
                 allowed=f"give it by hand: {' '.join(f'--set {one}=...' for one in missing)}",
             )
         fields["sources"] = {name: text for name, text in sources.items() if name not in own}
-        try:
-            return Sensor.model_validate(fields, context={"folder": self.file.parent})
-        except ValidationError as error:
-            raise user_error(error, Sensor, self.file) from error
+        return checked(Sensor, fields, self.file, folder=self.file.parent)
 
 
 class _Dumper(yaml.SafeDumper):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.config.model import Strict
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_SPECIES = 4
 

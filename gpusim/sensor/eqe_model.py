@@ -29,19 +29,19 @@ filters in front of the sensor are not. Between the values it is straight along 
 
 from __future__ import annotations
 
-import json
 import warnings
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from gpusim.errors import UserError
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.text import read_json
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.mistakes import user_error
-from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
 
 Cube = list[list[list[NotNegative]]]
 KEYS = "source, wavelengths_nm, theta_deg, phi_deg, channels: see gpusim/sensor/eqe_model.py"
@@ -206,20 +206,7 @@ def read_eqe(path: Path) -> EqeMap:
     UserError
         Where the file cannot be read, is no JSON, or an axis or a value is wrong.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the quantum efficiency cannot be read: {error}", file=path) from error
-    except json.JSONDecodeError as error:
-        raise UserError(
-            f"the file is not JSON: {error.msg}",
-            file=path,
-            field=f"line {error.lineno}",
-            allowed=KEYS,
-        ) from error
+    data = read_json(path, "the quantum efficiency")
     if isinstance(data, dict):
         data["file"] = path.name
-    try:
-        return EqeMap.model_validate(data)
-    except ValidationError as error:
-        raise user_error(error, EqeMap, path) from error
+    return checked(EqeMap, data, path)

@@ -8,12 +8,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError, ValidationInfo, model_validator
+from pydantic import ValidationInfo, model_validator
 
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.text import read_text
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.mistakes import user_error
-from gpusim.sensor.strict import NotNegative, Positive, Strict, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
 
 
 class Filter(Strict):
@@ -66,10 +68,7 @@ def read_spectrum(path: Path) -> tuple[list[float], list[float]]:
     UserError
         Where the file cannot be read, or a line is not two numbers that are not negative.
     """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"the spectrum cannot be read: {error}", file=path) from error
+    lines = read_text(path, "the spectrum").splitlines()
     rows = []
     for number, line in enumerate(lines, start=1):
         text = line.partition("#")[0].strip()
@@ -113,8 +112,4 @@ def load_filters(data: object, path: Path) -> list[Filter]:
     UserError
         A wrong field, or a spectrum that cannot be read.
     """
-    try:
-        found = _Filters.model_validate({"filters": data}, context={"folder": path.parent})
-    except ValidationError as error:
-        raise user_error(error, _Filters, path) from error
-    return found.filters
+    return checked(_Filters, {"filters": data}, path, folder=path.parent).filters

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 from pydantic import Field, model_validator
 
-from gpusim.sensor.strict import Strict, wrong
+from gpusim.config.model import Strict
+from gpusim.sensor.strict import wrong
 
 MAX_BORDER = 4096  # pixels
 

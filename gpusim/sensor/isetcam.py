@@ -23,14 +23,14 @@ have no counterpart in a sensor; any other is refused.
 
 from __future__ import annotations
 
-import json
+import io
 import math
 from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
+from gpusim.config.text import read_bytes, read_json
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion
 
@@ -183,23 +183,30 @@ def black_level_dn(
 
 # The file
 
+MOST_BYTES = 64 << 20  # a struct has 10 kB, or some MB with an image
+MOST_BITS = 64
+
 
 def _struct(file: Path) -> dict:
     """Return the sensor's struct of either kind of file."""
     try:
         if file.suffix.lower() == ".mat":
-            top = loadmat(file, simplify_cells=True)
+            content = read_bytes(file, "the sensor file", MOST_BYTES)
+            top = loadmat(io.BytesIO(content), simplify_cells=True)
             top = {key: value for key, value in top.items() if not key.startswith("__")}
         else:
-            top = json.loads(file.read_text(encoding="utf-8"))
+            top = read_json(file, "the sensor file")
     except NotImplementedError as error:
         raise UserError(
             "the .mat file is of version 7.3",
             file=file,
             allowed="save(file, 'sensor', '-v7') of MATLAB, or JSON",
         ) from error
-    except (OSError, ValueError, TypeError, MatReadError) as error:
-        raise UserError(f"the sensor file cannot be read: {error}", file=file) from error
+    except UserError:
+        raise
+    except Exception as error:  # SciPy raises whatever a damaged file leads it to
+        reason = str(error) or type(error).__name__
+        raise UserError(f"the sensor file cannot be read: {reason}", file=file) from error
     for name in ("sensor", "isa"):
         if isinstance(top, dict) and isinstance(top.get(name), dict):
             return top[name]
@@ -229,6 +236,12 @@ def _sorted(made: Conversion, values: dict[str, object]) -> dict[str, object]:
     for dotted, value in values.items():
         plain = "".join(character for character in dotted.lower() if character.isalnum())
         meaning = place.get(plain)
+        try:
+            np.shape(value)
+        except ValueError as error:
+            raise UserError(
+                "a parameter is no array: its rows differ in length", file=made.file, field=dotted
+            ) from error
         if meaning is not None:
             if np.size(value) == 0:
                 continue  # MATLAB's [], not set
@@ -304,10 +317,19 @@ class _Reader:
 def _bits(read: _Reader) -> int:
     """Return the bits of the converter, from their number or a method such as ``10 bit``."""
     if "bits" in read.found:
-        return int(read.number("bits", above=0))
+        bits = read.number("bits", above=0)
+        if bits > MOST_BITS:
+            raise UserError(
+                "the converter is none",
+                file=read.file,
+                field="bits",
+                value=bits,
+                allowed=f"1 to {MOST_BITS}",
+            )
+        return int(bits)
     method = str(read.found.get("method", "none")).strip().lower()
     number = method.removesuffix("bit").strip()
-    if not number.isdigit():
+    if not number.isdecimal() or not 0 < int(number[:9]) <= MOST_BITS:
         raise UserError(
             "the sensor has no converter",
             file=read.file,
@@ -343,7 +365,7 @@ def _read_colours(made: Conversion, read: _Reader) -> None:
     wave = _array(read, "wave", 1)
     filters = _array(read, "filters", 2, (wave.size, None))
     names = read.found.get("filter_names")
-    names = [names] if isinstance(names, str) else [] if names is None else list(names)
+    names = [] if names is None else [names] if isinstance(names, str) else list(np.ravel(names))
     if len(names) != filters.shape[1]:
         raise UserError(
             "each filter needs a name",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pydantic import ValidationError
-
+from gpusim.config.mistakes import checked
+from gpusim.config.names import perhaps
+from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.misregistration import mixed
-from gpusim.sensor.mistakes import read_yaml, user_error
 from gpusim.sensor.sensor import Sensor
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
@@ -32,16 +32,12 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
         path = PRESETS / f"{name_or_path}.yaml"
         if not path.exists():
             raise UserError(
-                "there is no sensor of that name",
+                f"there is no sensor of that name{perhaps(name_or_path, presets())}",
                 field="sensor",
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
-    data = read_yaml(path)
-    try:
-        sensor = mixed(Sensor.model_validate(data, context={"folder": path.parent}))
-    except ValidationError as error:
-        raise user_error(error, Sensor, path) from error
+    sensor = mixed(checked(Sensor, read_yaml(path, "the sensor file"), path, folder=path.parent))
     if sensor.masks is None:
         return sensor
     area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)

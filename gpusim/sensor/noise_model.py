@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections import Counter
-from functools import lru_cache
+from collections import Counter, OrderedDict
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
+from gpusim.config.arrays import read_npy, read_tiff
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # exact in the SI of 2019, as is
 ELEMENTARY_CHARGE_C = 1.602176634e-19
@@ -143,6 +145,8 @@ class Masks(Strict):
     offset_e: str | None = None
     area: tuple[int, int, int, int] | None = None
 
+    _digests: dict[str, str] = PrivateAttr(default_factory=dict)  # of each mask's values
+
     def placed(self, folder: Path, area: tuple[int, int, int, int]) -> Masks:
         """Return the masks with their files found and their size checked.
 
@@ -152,6 +156,7 @@ class Masks(Strict):
             A file that cannot be read, of another size, or with a wrong value.
         """
         area = self.area or area
+        digests = {}
         paths = {
             name: str(folder / path)
             for name in ("gain", "offset_e")
@@ -159,6 +164,7 @@ class Masks(Strict):
         }
         for name, path in paths.items():
             plane = read_mask(path)
+            digests[name] = _kept(plane)
             if plane.shape != area[2:]:
                 raise UserError(
                     "the mask is not of the sensor's size",
@@ -174,7 +180,30 @@ class Masks(Strict):
                     field=f"masks.{name}",
                     allowed="finite numbers" + ", none negative" * (name == "gain"),
                 )
-        return self.model_copy(update={**paths, "area": area})
+        placed = self.model_copy(update={**paths, "area": area})
+        placed._digests = digests
+        return placed
+
+    def plane(self, name: str) -> np.ndarray:
+        """Return a mask as it was when the sensor was loaded: (rows, cols), float32, read-only.
+
+        Raises
+        ------
+        UserError
+            It is read again, and its file has changed since.
+        """
+        path, digest = getattr(self, name), self._digests.get(name)
+        if digest in _PLANES:
+            return _PLANES[digest]
+        plane = read_mask(path)
+        if digest not in (None, _kept(plane)):
+            raise UserError(
+                "the mask has changed since the sensor was loaded",
+                file=path,
+                field=f"masks.{name}",
+                allowed="the same values until the work is done",
+            )
+        return plane
 
     def part(self, name: str, origin: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
         """Return a mask on a rectangle of the chip: (rows, cols), float32.
@@ -182,7 +211,7 @@ class Masks(Strict):
         Beside the lit area, on the border, it changes nothing.
         """
         part = np.full(shape, 1 if name == "gain" else 0, np.float32)
-        area = read_mask(getattr(self, name))
+        area = self.plane(name)
         into, of = [], []
         for first, count, start, size in zip(
             origin, shape, self.area[:2], self.area[2:], strict=True
@@ -194,7 +223,21 @@ class Masks(Strict):
         return part
 
 
-@lru_cache(maxsize=4)
+# Masks by the digest of their values, the last ones used: a path may come to hold others.
+_PLANES: OrderedDict[str, np.ndarray] = OrderedDict()
+MOST_PLANES = 4
+
+
+def _kept(plane: np.ndarray) -> str:
+    """Keep a mask and return the digest of its shape and values."""
+    digest = hashlib.sha256(repr(plane.shape).encode() + plane.tobytes()).hexdigest()
+    _PLANES[digest] = plane
+    _PLANES.move_to_end(digest)
+    while len(_PLANES) > MOST_PLANES:
+        _PLANES.popitem(last=False)
+    return digest
+
+
 def read_mask(path: str) -> np.ndarray:
     """Return the plane in a file: (rows, cols), float32, read-only.
 
@@ -206,11 +249,9 @@ def read_mask(path: str) -> np.ndarray:
     try:
         match Path(path).suffix.lower():
             case ".npy":
-                plane = np.load(path, allow_pickle=False)
+                plane = read_npy(Path(path))
             case ".tif" | ".tiff":
-                import tifffile
-
-                plane = tifffile.imread(path)
+                plane = read_tiff(Path(path))
             case ".exr":
                 import OpenEXR
 
@@ -218,6 +259,8 @@ def read_mask(path: str) -> np.ndarray:
                     (plane,) = (channel.pixels for channel in file.channels().values())
             case _:
                 raise ValueError("unknown kind of file")
+        if plane.dtype.kind not in "fiu":
+            raise ValueError(f"values of type {plane.dtype}")
         plane = np.asarray(plane, np.float32)
         if plane.ndim != 2:
             raise ValueError(f"{plane.ndim} dimensions")

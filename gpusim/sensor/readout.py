@@ -21,6 +21,8 @@ slope of the photon transfer; all that moves charge before all that is added whe
 
 from __future__ import annotations
 
+import hashlib
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -42,6 +44,22 @@ from gpusim.sensor.sensor import Sensor
 LOW_GAIN_SEED = 0x6C6F775F6761696E
 # What each of two reads has of its own; the rest comes once, with the charge.
 EACH_READ = ("read noise", "line noise")
+
+
+def noise_seed(seed: int, exposure_s: float, analogue_gain: float) -> int:
+    """Return the seed of the noise of a frame that is taken with an exposure at a gain.
+
+    With the same words for two exposures the noise of a bracket would be the same but for its size,
+    and its frames no independent ones.
+
+    Parameters
+    ----------
+    seed : int
+        Of the capture, 0 to 2^64 - 1.
+    exposure_s, analogue_gain : float
+    """
+    words = struct.pack("<Qdd", seed, exposure_s, analogue_gain)
+    return int.from_bytes(hashlib.blake2b(words, digest_size=8).digest(), "little")
 
 
 @dataclass(frozen=True)

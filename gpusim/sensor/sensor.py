@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
+from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
@@ -31,10 +32,11 @@ from gpusim.sensor.frame import Border, Frame, Overscan
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.smear_model import Smear
-from gpusim.sensor.strict import NotNegative, Positive, Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive, wrong
 
 MAX_SIDE = 65535  # pixels
 ABSOLUTE_ZERO_C = -273.15
+HOTTEST_C = 200.0  # silicon conducts by itself well above; the doubling of dark current ends before
 
 Value = TypeVar("Value", float, np.ndarray)
 
@@ -277,6 +279,24 @@ class Sensor(Strict):
             }
         )
 
+    def at_iso(self, iso: int) -> Sensor:
+        """Return the sensor at the step of its analogue gain that has this ISO speed.
+
+        Raises
+        ------
+        UserError
+            The file lists no such step.
+        """
+        steps = {step.iso: step for step in self.analogue_gains if step.iso is not None}
+        if iso not in steps:
+            raise UserError(
+                f"the sensor {self.name} has no such ISO speed",
+                field="iso",
+                value=iso,
+                allowed=", ".join(map(str, steps)) or "none: its file lists no speeds; see --gain",
+            )
+        return self.at_gain(steps[iso].gain)
+
     def at_low_gain(self) -> Sensor:
         """Return the sensor as it reads at the low gain of two."""
         dual = self.dual_gain
@@ -414,12 +434,12 @@ class Sensor(Strict):
         """Return a temperature of the sensor, degrees Celsius; None: the reference temperature."""
         if temperature_c is None:
             return self.reference_temperature_c
-        if not ABSOLUTE_ZERO_C < temperature_c < math.inf:
+        if not ABSOLUTE_ZERO_C < temperature_c <= HOTTEST_C:
             raise UserError(
                 "not a temperature of a sensor",
                 field="temperature_c",
                 value=temperature_c,
-                allowed=f"above {ABSOLUTE_ZERO_C} degrees Celsius",
+                allowed=f"above {ABSOLUTE_ZERO_C}, up to {HOTTEST_C:g} degrees Celsius",
             )
         return temperature_c
 

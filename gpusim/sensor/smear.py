@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusim.gpu import Array, Kernel, Recording
+from gpusim.gpu import Array, Kernel, Recording, need_double_float
 from gpusim.sensor.smear_model import Smear
 
 PIECE_ROWS = 32  # as in the shader
@@ -42,6 +42,7 @@ def record_smear(
     pieces = -(-rows // PIECE_ROWS)
     sums = rec.buffer(f"{label} sums", (pieces + 1, cols, 2), "f4")
     rec.clear(sums)
+    need_double_float(rec.device)
     passed = 0 if smear.kind == "interline" else 1 + smear.cleared_by_shift
     params = {
         "rows": rows,

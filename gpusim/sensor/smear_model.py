@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from gpusim.sensor.strict import Positive, Strict, wrong
+from gpusim.config.model import Strict
+from gpusim.sensor.strict import Positive, wrong
 
 
 class Smear(Strict):

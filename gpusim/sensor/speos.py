@@ -40,9 +40,9 @@ from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
+from gpusim.config.text import read_bytes, read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion
-from gpusim.sensor.mistakes import read_yaml
 
 PERCENT, UNITY = ("percentage",), ("0 to 1", "o to 1", "[0;1]")
 BIT_DEPTHS = (8, 10, 12, 14, 16)
@@ -72,7 +72,7 @@ def read_speos(file: Path) -> Conversion:
     UserError
         The file or one of its spectra cannot be read; a key is unknown, missing or wrong.
     """
-    top = _mapping(file, read_yaml(file), "(top level)")
+    top = _mapping(file, read_yaml(file, "the sensor file"), "(top level)")
     _only(file, "", top, tuple(KEYS))
     parts = {}
     for part, known in KEYS.items():
@@ -249,6 +249,14 @@ def _read_numbers(made: Conversion, emva: dict, peak: float) -> None:
     if "ast" in emva and "dr" in emva:
         # dB of a ratio of amplitudes (EMVA 1288 release 3.1, section 2.5); bit: powers of two
         value, unit = _split(file, "EMVA Data.DR", emva["dr"])
+        if unit != "1" and value > MOST_DR:
+            raise UserError(
+                "the dynamic range is none",
+                file=file,
+                field="EMVA Data.DR",
+                value=value,
+                allowed=f"up to {MOST_DR:g}",
+            )
         ratios = {None: 10 ** (value / 20), "db": 10 ** (value / 20), "bit": 2**value, "1": value}
         if unit not in ratios:
             raise _unit_error(file, "EMVA Data.DR", unit, ("dB", "bit", "1"))
@@ -265,6 +273,8 @@ def _read_numbers(made: Conversion, emva: dict, peak: float) -> None:
 
 
 # Values
+
+MOST_DR = 400.0  # dB or bit: 1e20, beyond any pixel
 
 
 def _is_none(value: object) -> bool:
@@ -379,10 +389,7 @@ def read_spectrum(file: Path) -> Curve:
     """
     samples: list[tuple[float, float]] = []
     count = None
-    try:
-        lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise UserError(f"the spectrum cannot be read: {error}", file=file) from error
+    lines = read_bytes(file, "the spectrum").decode("utf-8", errors="replace").splitlines()
     for number, line in enumerate(lines, 1):
         words = line.split()
         try:

@@ -16,7 +16,7 @@ from gpusim.sensor.merge import record_merge
 from gpusim.sensor.sensor import Sensor
 from gpusim.stress.made import FLAT, camera_of, gaussian_bank, mono, white_rate
 from gpusim.stress.sensor_files import wrong
-from gpusim.stress.table import Case
+from gpusim.stress.table import Case, Engine
 
 WHITE = Scene("white", FLAT[None], Chart(("white",), 0, ()), "E", FLAT)
 DUAL = DualGain(
@@ -143,7 +143,7 @@ CASES: tuple[Case, ...] = (
     ("charge beyond both reads", beyond_both_reads, None),
     ("column offsets beyond the codes", offsets_beyond_the_codes, None),
     ("border of no pixel", wrong("optical_black", {"top": 0}), "optical_black"),
-    ("border wider than allowed", wrong("optical_black", {"left": 5000}), "4096"),
+    ("border wider than allowed", wrong("optical_black", {"left": 5000}), Engine("4096")),
     ("border out of phase", wrong("optical_black", {"top": 3}), "filter pattern"),
     (
         "response that falls",
@@ -168,7 +168,7 @@ CASES: tuple[Case, ...] = (
     (
         "merged codes beyond 16 bits",
         wrong("dual_gain", DUAL.model_dump() | {"system_gain_dn_per_e": 0.01}),
-        "65535",
+        Engine("65535"),
     ),
     ("unknown step of the gain", lambda: mono().at_gain(3), "no such step"),
 )

@@ -1,8 +1,9 @@
 """One case and its verdict: what is expected, what came out, and whether that is right.
 
 What is expected comes from a closed form or from the truth model, never from the engine. A case
-that the product declines with a clear error is "refused", and says so; only what neither holds nor
-is declined fails.
+that no program could do, for physics or the input forbid it, and that the product declines with a
+clear error is "refused", and says so. One that physics allows and the engine declines is a "limit":
+it is not as expected, and counted apart. What neither holds nor is declined fails.
 """
 
 from __future__ import annotations
@@ -12,8 +13,13 @@ from dataclasses import dataclass
 
 from gpusim.errors import UserError
 
-HELD, REFUSED, FAILED = "held", "refused", "FAILED"
+HELD, REFUSED, LIMIT, FAILED = "held", "refused", "limit", "FAILED"
 LEVEL = 1e-6  # of the tests of laws, at a fixed seed
+
+
+class Engine(str):
+    """Words that a refusal must have where physics allows the case and the engine does not."""
+
 
 # Case, what is done, and words that a refusal must have, should it be one: None where it must hold.
 # What is done returns what is expected, what came out, and whether that is right.
@@ -37,11 +43,12 @@ def judged(name: str, case: Callable[[], tuple], refusal: str | None) -> Row:
         expected, got, right = case()
     except UserError as error:
         clear = refusal is not None and refusal in error.screen()
-        return Row(name, wanted, short(error), REFUSED if clear else FAILED)
+        declined = LIMIT if isinstance(refusal, Engine) else REFUSED
+        return Row(name, wanted, short(error), declined if clear else FAILED)
     except Exception as error:  # a crash is what this table is to show
         return Row(name, wanted, f"{type(error).__name__}: {error}", FAILED)
     if right == REFUSED:
-        return Row(name, expected, got, REFUSED)
+        return Row(name, expected, got, LIMIT if isinstance(refusal, Engine) else REFUSED)
     return Row(name, expected, got, HELD if right else FAILED)
 
 

@@ -10,3 +10,9 @@ fn cubic_weights(f: f32) -> vec4f {
         f * f * f,
     ) / 6.0;
 }
+
+// Their derivatives
+fn cubic_slopes(f: f32) -> vec4f {
+    let e = 1.0 - f;
+    return 0.5 * vec4f(-e * e, f * (3.0 * f - 4.0), -e * (3.0 * e - 4.0), f * f);
+}

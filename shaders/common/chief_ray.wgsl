@@ -1,36 +1,43 @@
 // The chief-ray map of any lens, from the real image plane to the ideal one; x and u in sim samples from the optical axis.
 //
-// Without distortion u = x. With an axis (DEGREE 0): see common/distortion. Without one:
-//   u = sum of terms[k] z_x^i z_y^j,  i + j <= DEGREE,  z = (x - c) / R with the image circle's centre c and radius R,
-// by Horner's scheme in z_x within each power of z_y and in z_y over them; terms: z_y^DEGREE first, and of each power of z_y
-// the highest of z_x first. Fitted on the host in float64.
-// Depends on the globals: `DISTORTION`: bool; `DEGREE`: u32; `terms`: array<vec2f>; `params.g_low`, `.g_high`, `.circle` (c), `.inverse_radius2`.
+// Without distortion u = x. With an axis: see common/distortion. Without one:
+//   u = x + sum of terms[(i + a) (n + 3) + j + b] w_a(s - i) w_b(r - j),  a, b = 0 to 3,
+// a bicubic spline over the square around the image circle, n x n cells: s, r = n (1 + z) / 2, z = (x - c) / R with the circle's
+// centre c and radius R; i, j their whole parts; w the B-spline's weights of common/b_spline. Beyond the square it goes on as
+// at its sides.
+// Made on the host in float64.
+// Depends on the globals: `DISTORTION`, `AXIS`: bool; `terms`: array<vec2f>; `params.circle` (c), `.inverse_radius2`, `.pieces` (n).
+#include "b_spline"
 #include "distortion"
 
 fn chief_ray(x: vec2f) -> IdealPoint {
     if (!DISTORTION) {
         return IdealPoint(x, mat2x2f(1.0, 0.0, 0.0, 1.0));
     }
-    if (DEGREE == 0u) {
-        return ideal_point(x, params.inverse_radius2, params.g_low, params.g_high);
+    if (AXIS) {
+        return ideal_point(x, params.inverse_radius2, params.pieces);
     }
-    let scale = sqrt(params.inverse_radius2);
-    let z = (x - params.circle) * scale;
-    var u = vec2f(0.0);
+    let scale = 0.5 * params.pieces * sqrt(params.inverse_radius2);
+    let s = clamp(0.5 * params.pieces + (x - params.circle) * scale, vec2f(0.0), vec2f(params.pieces));
+    let cell = min(floor(s), vec2f(params.pieces - 1.0));
+    let across = cubic_weights(s.x - cell.x);
+    let down = cubic_weights(s.y - cell.y);
+    let across_slopes = cubic_slopes(s.x - cell.x);
+    let down_slopes = cubic_slopes(s.y - cell.y);
+    let side = u32(params.pieces) + 3u;
+    var shift = vec2f(0.0);
     var along_x = vec2f(0.0);
     var along_y = vec2f(0.0);
-    var k = 0u;
-    for (var row = 0u; row <= DEGREE; row++) {
-        var sum = vec2f(0.0);
-        var slope = vec2f(0.0);
-        for (var i = 0u; i <= row; i++) {
-            slope = slope * z.x + sum;
-            sum = sum * z.x + terms[k];
-            k++;
-        }
-        along_y = along_y * z.y + u;
-        along_x = along_x * z.y + slope;
-        u = u * z.y + sum;
+    for (var a = 0u; a < 4u; a++) {
+        let k = (u32(cell.x) + a) * side + u32(cell.y);
+        let c0 = terms[k];
+        let c1 = terms[k + 1u];
+        let c2 = terms[k + 2u];
+        let c3 = terms[k + 3u];
+        let column = down.x * c0 + down.y * c1 + down.z * c2 + down.w * c3;
+        shift += across[a] * column;
+        along_x += across_slopes[a] * column;
+        along_y += across[a] * (down_slopes.x * c0 + down_slopes.y * c1 + down_slopes.z * c2 + down_slopes.w * c3);
     }
-    return IdealPoint(u, scale * mat2x2f(along_x, along_y));
+    return IdealPoint(x + shift, mat2x2f(vec2f(1.0, 0.0) + scale * along_x, vec2f(0.0, 1.0) + scale * along_y));
 }

@@ -15,24 +15,23 @@
 // that order, for one g after another. Between r and q, and between q and p on the way back, sixteen times sixteen numbers
 // wait in `lines`: each is stored and loaded once, which is what costs on lavapipe; arithmetic hides behind it. Of the
 // inverse transform over q only those results are kept on which photosites lie: nothing else is left of the fold onto them.
-// spectra (planes, BY, T), kernels (planes, T/16, E, 16, C, 8, 8, 2) per node [electrons/s per unit of the plane, divided
+// Three kernels of this file do that, for a function of all its memory accesses takes the compilers of software drivers more
+// than twice as long as the three together: PHASE 0 makes the sums over r, 1 those over q, the products and the inverse over q,
+// 2 the rest. Overrides are what shapes the code; lengths and counts are params, so that few kernels serve all grids.
+// spectra (planes, height, T), kernels (planes, T/16, E, 16, C, 8, 8, 2) per node [electrons/s per unit of the plane, divided
 // by T^2]: [j, kx/8, g, p, c, q/2, kx%8, q%2], what eight lanes load lies together
-// -> folded (ceil(S/2), M, T/2, 2) electrons/s: sites 2 i and 2 i + 1 side by side. Kernels have no frequency kx = T/2.
-// Dispatch: (T/16, 1, 1) workgroups of 8 invocations; of more than four channels once for each four of them, from `first`
-// on. Then each site has a kernel of its own, and a dispatch makes the sites of its kernels.
+// -> folded (ceil(S/2), T/D, T/2, 2) electrons/s: sites 2 i and 2 i + 1 side by side. Kernels have no frequency kx = T/2.
+// Dispatch: (T/16, 1, 1) workgroups of 8 invocations; PHASE 0, then 1, then 2. Of more than four
+// channels PHASE 1 once for each four of them, from `first` on. Then each site has a kernel of its own, and a dispatch makes
+// the sites of its kernels.
 #include "sixteen"
 #include "texels"
 
-override T: u32 = 512u;           // transform length, samples
-override E: u32 = 2u;             // T/256: 1, 2 or 4
-override BY: u32 = 336u;          // block height, samples
-override C: u32 = 3u;             // channels in the kernels
-override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
-override M: u32 = 128u;           // T/D
-override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
-override STEP: u32 = 2u;          // samples from a site to the next; 0 where every site has kernels of its own
-override PAIRS: u32 = 2u;         // ceil(sites / 2)
-override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes
+override PHASE: u32 = 0u;
+override TIMES: u32 = 2u;         // E = T/256, 1, 2 or 4: for PHASE 0 and 2; a param too, whose loops stay loops
+override C: u32 = 3u;             // channels of a dispatch, at most 4: for PHASE 1
+override D: u32 = 4u;             // samples from a photosite to the next of the same site, 1, 2, 4 or 8: for PHASE 1 and 2
+override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes: for PHASE 0 and 1
 
 struct Params {
     first_s: f32,
@@ -40,6 +39,13 @@ struct Params {
     planes: u32,                  // coefficient planes that the block needs
     first: u32,                   // of the channels of this dispatch
     mirrored: vec2u,              // 1 where the block is its mirror image, x and y
+    channels: u32,                // in the kernels
+    pairs: vec2u,                 // of sites, that this dispatch makes: the first, and the one after the last
+    site_slots: u32,              // of `lines`, of each column: ceil(sites / 2) E 16/D 17
+    height: u32,                  // of a block, samples
+    times: u32,                   // E = T/256: 1, 2 or 4
+    period: u32,                  // CFA period: sites = period^2, site = period row + column
+    site_step: u32,               // samples from a site to the next; 0 where every site has kernels of its own
     site_channels: vec4u,         // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
@@ -62,29 +68,35 @@ alias Sum = array<vec2f, 16>;
 // For the upper and for the lower nodes: (left, right) each.
 struct Weighted { upper: vec4f, lower: vec4f, }
 
+// T, a power of two.
+fn length_of_lines() -> u32 {
+    return 256u * params.times;
+}
+
 // exp(-2 pi i k / T)
 fn turn(k: u32) -> vec2f {
-    return twiddle[k % T];
+    return twiddle[k & (length_of_lines() - 1u)];
 }
 
 // Row spectra of one sample of column kx: (A_0, A_1) for the left and the right node.
 fn sides(j: u32, kx: u32, y: u32) -> vec4f {
-    let line = (j * BY + y) * T;
+    let line = (j * params.height + y) * length_of_lines();
     if (NODES == 1u) {
         return vec4f(spectra[line + kx], 0.0, 0.0);
     }
     let z = 0.5 * spectra[line + kx];
-    let mirror = 0.5 * conj(spectra[line + (T - kx) % T]);
+    let mirror = 0.5 * conj(spectra[line + ((length_of_lines() - kx) & (length_of_lines() - 1u))]);
     return vec4f(z + mirror, -times_i(z - mirror));
 }
 
-fn weighted(j: u32, kx: u32, y: u32, g: u32) -> Weighted {
-    if (y >= BY) {
+// Of a row turned by w.
+fn weighted(j: u32, kx: u32, y: u32, w: vec2f) -> Weighted {
+    if (y >= params.height) {
         return Weighted();
     }
     var a = sides(j, kx, y);
-    if (E > 1u) {
-        a = pair_mul(a, turn(g * y));
+    if (TIMES > 1u) {
+        a = pair_mul(a, w);
     }
     if (NODES != 4u) {
         return Weighted(a, vec4f(0.0));
@@ -93,15 +105,32 @@ fn weighted(j: u32, kx: u32, y: u32, g: u32) -> Weighted {
     return Weighted(a - lower, lower);
 }
 
-// Sum over e at n + 16 r, for `r`.
-fn put(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, r: u32, j: u32, kx: u32, n: u32, g: u32) {
-    var sum = weighted(j, kx, n + 16u * r, g);
-    for (var e = 1u; e < E; e++) {
-        let more = weighted(j, kx, n + 16u * r + 256u * e, g);
-        sum = Weighted(sum.upper + more.upper, sum.lower + more.lower);
+// Adds row y, and y + 256 where there are that many; `beyond` is the turn from the one to the other.
+fn put(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, r: u32, j: u32, kx: u32, y: u32, g: u32, beyond: vec2f) {
+    var w = vec2f(1.0, 0.0);
+    if (TIMES > 1u) {
+        w = turn(g * y);
     }
-    (*upper)[r] = sum.upper;
-    (*lower)[r] = sum.lower;
+    let this_ = weighted(j, kx, y, w);
+    (*upper)[r] += this_.upper;
+    (*lower)[r] += this_.lower;
+    if (TIMES > 1u) {
+        let that = weighted(j, kx, y + 256u, cmul(w, beyond));
+        (*upper)[r] += that.upper;
+        (*lower)[r] += that.lower;
+    }
+}
+
+// Adds the rows y + 16 r.
+fn put_all(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, j: u32, kx: u32, y: u32, g: u32, beyond: vec2f) {
+    put(upper, lower, 0u, j, kx, y, g, beyond); put(upper, lower, 1u, j, kx, y + 16u, g, beyond);
+    put(upper, lower, 2u, j, kx, y + 32u, g, beyond); put(upper, lower, 3u, j, kx, y + 48u, g, beyond);
+    put(upper, lower, 4u, j, kx, y + 64u, g, beyond); put(upper, lower, 5u, j, kx, y + 80u, g, beyond);
+    put(upper, lower, 6u, j, kx, y + 96u, g, beyond); put(upper, lower, 7u, j, kx, y + 112u, g, beyond);
+    put(upper, lower, 8u, j, kx, y + 128u, g, beyond); put(upper, lower, 9u, j, kx, y + 144u, g, beyond);
+    put(upper, lower, 10u, j, kx, y + 160u, g, beyond); put(upper, lower, 11u, j, kx, y + 176u, g, beyond);
+    put(upper, lower, 12u, j, kx, y + 192u, g, beyond); put(upper, lower, 13u, j, kx, y + 208u, g, beyond);
+    put(upper, lower, 14u, j, kx, y + 224u, g, beyond); put(upper, lower, 15u, j, kx, y + 240u, g, beyond);
 }
 
 // Sixteen numbers, `step` slots apart.
@@ -172,13 +201,13 @@ fn pair_up(v: ptr<function, Sixteen>, a: ptr<function, Sum>, b: ptr<function, Su
 
 // Samples from the first site to a site, along x and y.
 fn offset_x(site: u32) -> u32 {
-    let k = site % PERIOD;
-    return select(k, PERIOD - 1u - k, params.mirrored.x == 1u) * STEP;
+    let k = site % params.period;
+    return select(k, params.period - 1u - k, params.mirrored.x == 1u) * params.site_step;
 }
 
 fn offset_y(site: u32) -> u32 {
-    let k = site / PERIOD % PERIOD;
-    return select(k, PERIOD - 1u - k, params.mirrored.y == 1u) * STEP;
+    let k = site / params.period % params.period;
+    return select(k, params.period - 1u - k, params.mirrored.y == 1u) * params.site_step;
 }
 
 fn channel_of(site: u32) -> u32 {
@@ -217,7 +246,7 @@ fn store(v: ptr<function, Sixteen>, at: u32, even: vec2f, odd: vec2f) {
 }
 
 fn store_one(x: vec4f, t: u32, at: u32, even: vec2f, odd: vec2f) {
-    folded[at + t * (16u / D) * (T / 2u)] = vec4f(cmul(x.xy, even), cmul(x.zw, odd));
+    folded[at + t * (16u / D) * (length_of_lines() / 2u)] = vec4f(cmul(x.xy, even), cmul(x.zw, odd));
 }
 
 // Adds numbers turned by exp(2 pi i g y / T), y = 16 t + `first`.
@@ -240,32 +269,36 @@ fn add_turned(sum: ptr<function, Sixteen>, v: ptr<function, Sixteen>, g: u32, fi
     (*sum)[15] += pair_mul((*v)[15], conj(turn(g * (first + 16u * 15u))));
 }
 
-@compute @workgroup_size(8, 1, 1)
-fn main(@builtin(global_invocation_id) id: vec3u) {
-    let kx = id.x;
-    let first_pair = select(0u, params.first / 2u, C > 4u);
-    let end_pair = select(PAIRS, min(first_pair + 2u, PAIRS), C > 4u);
-    let site_slots = PAIRS * E * (16u / D) * 17u;
-    let base = (kx / 8u * (site_slots + params.planes * 2u * SQUARE)) * 8u + kx % 8u;
-    let forward = base + site_slots * 8u;
-    for (var g = 0u; g < E; g++) {
-        for (var j = 0u; j < params.planes; j++) {
-            for (var n = 0u; n < 16u; n++) {
-                var upper: Sixteen;
-                var lower: Sixteen;
-                put(&upper, &lower, 0u, j, kx, n, g); put(&upper, &lower, 1u, j, kx, n, g);
-                put(&upper, &lower, 2u, j, kx, n, g); put(&upper, &lower, 3u, j, kx, n, g);
-                put(&upper, &lower, 4u, j, kx, n, g); put(&upper, &lower, 5u, j, kx, n, g);
-                put(&upper, &lower, 6u, j, kx, n, g); put(&upper, &lower, 7u, j, kx, n, g);
-                put(&upper, &lower, 8u, j, kx, n, g); put(&upper, &lower, 9u, j, kx, n, g);
-                put(&upper, &lower, 10u, j, kx, n, g); put(&upper, &lower, 11u, j, kx, n, g);
-                put(&upper, &lower, 12u, j, kx, n, g); put(&upper, &lower, 13u, j, kx, n, g);
-                put(&upper, &lower, 14u, j, kx, n, g); put(&upper, &lower, 15u, j, kx, n, g);
-                let w = turn(E * n);
-                let w2 = turn(2u * E * n);
-                let w4 = turn(4u * E * n);
-                let w8 = turn(8u * E * n);
-                let at = forward + (2u * j * SQUARE + n) * 8u;
+// Slots of a column: those of the sites, then those of the planes.
+fn slots_of_sites(kx: u32) -> u32 {
+    return kx / 8u * (params.site_slots + params.times * params.planes * 2u * SQUARE) * 8u + kx % 8u;
+}
+
+// Slots of the planes, of g.
+fn slots_of_planes(kx: u32, g: u32) -> u32 {
+    return slots_of_sites(kx) + (params.site_slots + g * params.planes * 2u * SQUARE) * 8u;
+}
+
+// The planes' columns, of the left and the right node: sums over e and r.
+fn forward(kx: u32) {
+    for (var j = 0u; j < params.planes; j++) {
+        for (var n = 0u; n < 16u; n++) {
+            let w = turn(params.times * n);
+            let w2 = turn(2u * params.times * n);
+            let w4 = turn(4u * params.times * n);
+            let w8 = turn(8u * params.times * n);
+            for (var g = 0u; g < params.times; g++) {
+                let beyond = turn(256u * g);
+                var upper = Sixteen();
+                var lower = Sixteen();
+                if (TIMES == 4u) {
+                    for (var e = 0u; e < params.times; e += 2u) {
+                        put_all(&upper, &lower, j, kx, n + 256u * e, g, beyond);
+                    }
+                } else {
+                    put_all(&upper, &lower, j, kx, n, g, beyond);
+                }
+                let at = slots_of_planes(kx, g) + (2u * j * SQUARE + n) * 8u;
                 sixteen(&upper);
                 turn_sixteen(&upper, w, w2, w4, w8);
                 keep(&upper, at, 17u);
@@ -276,94 +309,118 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                 }
             }
         }
-        for (var p = 0u; p < 16u; p++) {
-            // Sum(): without it, wgpu 0.32 leaves variables as the last turn of the loop left them.
-            var sum_0 = Sum();
-            var sum_1 = Sum();
-            var sum_2 = Sum();
-            var sum_3 = Sum();
-            for (var j = 0u; j < params.planes; j++) {
-                let i = ((((j * (T / 16u) + kx / 8u) * E + g) * 16u + p) * C + params.first) * 64u + kx % 8u;
-                let at = forward + (2u * j * SQUARE + 17u * p) * 8u;
-                var x: Sixteen;
-                load(&x, at, 1u);
+    }
+}
+
+// Sums over q, the products, and the inverse over q.
+fn products(kx: u32) {
+    let base = slots_of_sites(kx);
+    for (var i = 0u; i < 16u * params.times; i++) {
+        let g = i / 16u;
+        let p = i % 16u;
+        let forward = slots_of_planes(kx, g);
+        // Sum(): without it, wgpu 0.32 leaves variables as the last turn of the loop left them.
+        var sum_0 = Sum();
+        var sum_1 = Sum();
+        var sum_2 = Sum();
+        var sum_3 = Sum();
+        for (var j = 0u; j < params.planes; j++) {
+            let k = ((((j * (length_of_lines() / 16u) + kx / 8u) * params.times + g) * 16u + p) * params.channels + params.first) * 64u + kx % 8u;
+            let at = forward + (2u * j * SQUARE + 17u * p) * 8u;
+            var x: Sixteen;
+            load(&x, at, 1u);
+            sixteen(&x);
+            add_upper(&sum_0, &x, k);
+            if (C > 1u) { add_upper(&sum_1, &x, k + 64u); }
+            if (C > 2u) { add_upper(&sum_2, &x, k + 128u); }
+            if (C > 3u) { add_upper(&sum_3, &x, k + 192u); }
+            if (NODES == 4u) {
+                load(&x, at + SQUARE * 8u, 1u);
                 sixteen(&x);
-                add_upper(&sum_0, &x, i);
-                if (C > 1u) { add_upper(&sum_1, &x, i + 64u); }
-                if (C > 2u) { add_upper(&sum_2, &x, i + 128u); }
-                if (C > 3u) { add_upper(&sum_3, &x, i + 192u); }
-                if (NODES == 4u) {
-                    load(&x, at + SQUARE * 8u, 1u);
-                    sixteen(&x);
-                    add_lower(&sum_0, &x, i);
-                    if (C > 1u) { add_lower(&sum_1, &x, i + 64u); }
-                    if (C > 2u) { add_lower(&sum_2, &x, i + 128u); }
-                    if (C > 3u) { add_lower(&sum_3, &x, i + 192u); }
-                }
-            }
-            var low: Sixteen;
-            var high: Sixteen;
-            let w = conj(turn(E * p));
-            let w2 = conj(turn(2u * E * p));
-            let w4 = conj(turn(4u * E * p));
-            let w8 = conj(turn(8u * E * p));
-            pair_up(&low, &sum_0, &sum_1);
-            sixteen_back(&low);
-            turn_sixteen(&low, w, w2, w4, w8);
-            if (C > 2u) {
-                pair_up(&high, &sum_2, &sum_3);
-                sixteen_back(&high);
-                turn_sixteen(&high, w, w2, w4, w8);
-            }
-            for (var pair = first_pair; pair < end_pair; pair++) {
-                let site = 2u * pair;
-                let even = channel_of(site) - params.first;
-                let odd = channel_of(site + 1u) - params.first;
-                let o_y = offset_y(site);
-                let at = base + (((pair * E + g) * (16u / D)) * 17u + p) * 8u;
-                lines[at] = rows_of(&low, &high, 0u, even, odd, o_y);
-                if (1u < 16u / D) { lines[at + 1u * 17u * 8u] = rows_of(&low, &high, 1u * D, even, odd, o_y); }
-                if (2u < 16u / D) { lines[at + 2u * 17u * 8u] = rows_of(&low, &high, 2u * D, even, odd, o_y); }
-                if (3u < 16u / D) { lines[at + 3u * 17u * 8u] = rows_of(&low, &high, 3u * D, even, odd, o_y); }
-                if (4u < 16u / D) { lines[at + 4u * 17u * 8u] = rows_of(&low, &high, 4u * D, even, odd, o_y); }
-                if (5u < 16u / D) { lines[at + 5u * 17u * 8u] = rows_of(&low, &high, 5u * D, even, odd, o_y); }
-                if (6u < 16u / D) { lines[at + 6u * 17u * 8u] = rows_of(&low, &high, 6u * D, even, odd, o_y); }
-                if (7u < 16u / D) { lines[at + 7u * 17u * 8u] = rows_of(&low, &high, 7u * D, even, odd, o_y); }
-                if (8u < 16u / D) { lines[at + 8u * 17u * 8u] = rows_of(&low, &high, 8u * D, even, odd, o_y); }
-                if (9u < 16u / D) { lines[at + 9u * 17u * 8u] = rows_of(&low, &high, 9u * D, even, odd, o_y); }
-                if (10u < 16u / D) { lines[at + 10u * 17u * 8u] = rows_of(&low, &high, 10u * D, even, odd, o_y); }
-                if (11u < 16u / D) { lines[at + 11u * 17u * 8u] = rows_of(&low, &high, 11u * D, even, odd, o_y); }
-                if (12u < 16u / D) { lines[at + 12u * 17u * 8u] = rows_of(&low, &high, 12u * D, even, odd, o_y); }
-                if (13u < 16u / D) { lines[at + 13u * 17u * 8u] = rows_of(&low, &high, 13u * D, even, odd, o_y); }
-                if (14u < 16u / D) { lines[at + 14u * 17u * 8u] = rows_of(&low, &high, 14u * D, even, odd, o_y); }
-                if (15u < 16u / D) { lines[at + 15u * 17u * 8u] = rows_of(&low, &high, 15u * D, even, odd, o_y); }
+                add_lower(&sum_0, &x, k);
+                if (C > 1u) { add_lower(&sum_1, &x, k + 64u); }
+                if (C > 2u) { add_lower(&sum_2, &x, k + 128u); }
+                if (C > 3u) { add_lower(&sum_3, &x, k + 192u); }
             }
         }
+        var low: Sixteen;
+        var high: Sixteen;
+        let w = conj(turn(params.times * p));
+        let w2 = conj(turn(2u * params.times * p));
+        let w4 = conj(turn(4u * params.times * p));
+        let w8 = conj(turn(8u * params.times * p));
+        pair_up(&low, &sum_0, &sum_1);
+        sixteen_back(&low);
+        turn_sixteen(&low, w, w2, w4, w8);
+        if (C > 2u) {
+            pair_up(&high, &sum_2, &sum_3);
+            sixteen_back(&high);
+            turn_sixteen(&high, w, w2, w4, w8);
+        }
+        for (var pair = params.pairs.x; pair < params.pairs.y; pair++) {
+            let site = 2u * pair;
+            let even = channel_of(site) - params.first;
+            let odd = channel_of(site + 1u) - params.first;
+            let o_y = offset_y(site);
+            let at = base + (((pair * params.times + g) * (16u / D)) * 17u + p) * 8u;
+            lines[at] = rows_of(&low, &high, 0u, even, odd, o_y);
+            if (1u < 16u / D) { lines[at + 1u * 17u * 8u] = rows_of(&low, &high, 1u * D, even, odd, o_y); }
+            if (2u < 16u / D) { lines[at + 2u * 17u * 8u] = rows_of(&low, &high, 2u * D, even, odd, o_y); }
+            if (3u < 16u / D) { lines[at + 3u * 17u * 8u] = rows_of(&low, &high, 3u * D, even, odd, o_y); }
+            if (4u < 16u / D) { lines[at + 4u * 17u * 8u] = rows_of(&low, &high, 4u * D, even, odd, o_y); }
+            if (5u < 16u / D) { lines[at + 5u * 17u * 8u] = rows_of(&low, &high, 5u * D, even, odd, o_y); }
+            if (6u < 16u / D) { lines[at + 6u * 17u * 8u] = rows_of(&low, &high, 6u * D, even, odd, o_y); }
+            if (7u < 16u / D) { lines[at + 7u * 17u * 8u] = rows_of(&low, &high, 7u * D, even, odd, o_y); }
+            if (8u < 16u / D) { lines[at + 8u * 17u * 8u] = rows_of(&low, &high, 8u * D, even, odd, o_y); }
+            if (9u < 16u / D) { lines[at + 9u * 17u * 8u] = rows_of(&low, &high, 9u * D, even, odd, o_y); }
+            if (10u < 16u / D) { lines[at + 10u * 17u * 8u] = rows_of(&low, &high, 10u * D, even, odd, o_y); }
+            if (11u < 16u / D) { lines[at + 11u * 17u * 8u] = rows_of(&low, &high, 11u * D, even, odd, o_y); }
+            if (12u < 16u / D) { lines[at + 12u * 17u * 8u] = rows_of(&low, &high, 12u * D, even, odd, o_y); }
+            if (13u < 16u / D) { lines[at + 13u * 17u * 8u] = rows_of(&low, &high, 13u * D, even, odd, o_y); }
+            if (14u < 16u / D) { lines[at + 14u * 17u * 8u] = rows_of(&low, &high, 14u * D, even, odd, o_y); }
+            if (15u < 16u / D) { lines[at + 15u * 17u * 8u] = rows_of(&low, &high, 15u * D, even, odd, o_y); }
+        }
     }
-    for (var pair = first_pair; pair < end_pair; pair++) {
+}
+
+// The rest of the inverse.
+fn inverse(kx: u32) {
+    let base = slots_of_sites(kx);
+    for (var pair = params.pairs.x; pair < params.pairs.y; pair++) {
         let site = 2u * pair;
         let o_y = offset_y(site);
         let even = conj(turn(kx * offset_x(site)));
         let odd = conj(turn(kx * offset_x(site + 1u)));
         for (var r = 0u; r < 16u / D; r++) {
-            let at = base + (pair * E * (16u / D) + r) * 17u * 8u;
-            let to = (pair * M + r) * (T / 2u) + kx;
+            let at = base + (pair * params.times * (16u / D) + r) * 17u * 8u;
+            let to = (pair * (length_of_lines() / D) + r) * (length_of_lines() / 2u) + kx;
             var v: Sixteen;
-            if (E == 1u) {
+            if (TIMES == 1u) {
                 load(&v, at, 1u);
                 sixteen_back(&v);
                 store(&v, to, even, odd);
             } else {
-                for (var e = 0u; e < E; e++) {
+                for (var e = 0u; e < params.times; e++) {
                     var sum = Sixteen();
-                    for (var g = 0u; g < E; g++) {
+                    for (var g = 0u; g < params.times; g++) {
                         load(&v, at + g * (16u / D) * 17u * 8u, 1u);
                         sixteen_back(&v);
                         add_turned(&sum, &v, g, D * r + o_y + 256u * e);
                     }
-                    store(&sum, to + e * (256u / D) * (T / 2u), even, odd);
+                    store(&sum, to + e * (256u / D) * (length_of_lines() / 2u), even, odd);
                 }
             }
         }
+    }
+}
+
+@compute @workgroup_size(8, 1, 1)
+fn main(@builtin(global_invocation_id) id: vec3u) {
+    if (PHASE == 0u) {
+        forward(id.x);
+    } else if (PHASE == 1u) {
+        products(id.x);
+    } else {
+        inverse(id.x);
     }
 }

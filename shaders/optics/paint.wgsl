@@ -1,7 +1,8 @@
 // Paints a chart onto one block of the sim grid, on the real image plane, low-passed by a Gaussian.
 //
-// The chart is a list of primitives on the ideal (distortion-free) plane, painted in order over a background:
-//   a(x) <- a(x) + (m - a(x)) w(u(x)),   w = the primitive's indicator convolved with the Gaussian
+// The chart is a list of primitives on the ideal (distortion-free) plane over a background. Each lies all in one material, n:
+//   a(x) = background + sum (m - n) w(u(x)),   w = the primitive's indicator convolved with the Gaussian
+// This sum is the chart convolved with the Gaussian, however near to one another outlines are.
 // The Gaussian has standard deviation `sigma` samples on the *real* plane; along the unit vector e of the ideal
 // plane that is sigma |M^T e|, M = du/dx. Rectangle: product of two differences of Phi (exact for every angle).
 // Disc: Phi((R - r)/s - s/(2R)): to first order in s/R the curved edge drifts inward by s^2/(2R), the f'/r term of
@@ -21,18 +22,17 @@ override BX: u32 = 336u;       // block width, samples
 override BY: u32 = 336u;       // block height, samples
 override J: u32 = 3u;          // coefficient planes, 1 to 8
 override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
-override DEGREE: u32 = 0u;     // of the chief-ray map of a lens without an axis; 0: it has one
+override AXIS: bool = true;     // the chief-ray map is that of a lens with an axis, see common/chief_ray
 override DISTORTION: bool = true;   // the ideal and the real image differ
 
 const DISC = 1u;               // kind of primitive; 0 is a rectangle
 const SMALL_DISC = 2u;
 
 struct Params {
-    g_low: vec4f,             // chief-ray map, see common/chief_ray
-    g_high: vec4f,
     circle: vec2f,            // centre of the image circle
     origin: vec2f,            // sample (0, 0) of the block
-    inverse_radius2: f32,
+    inverse_radius2: f32,     // of that circle
+    pieces: f32,              // of the chief-ray map, see common/chief_ray
     sigma: f32,
     first: u32,               // of the dispatch's tiles
 }
@@ -42,7 +42,7 @@ struct Primitive {
     half_size: vec2f,         // a disc has its radius in x, a small one its number of strips n in y
     axis: vec2f,              // unit vector of the rectangle's width; of a small disc cos(pi/n), sin(pi/n)
     kind: u32,
-    material: u32,
+    step: u32,                // row of `materials`: m - n
 }
 
 struct Tile {
@@ -55,7 +55,7 @@ struct Tile {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> primitives: array<Primitive>;
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
-@group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two per material: up to 8 coefficients
+@group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two a row: up to 8 coefficients; then steps
 @group(0) @binding(4) var<storage, read> tiles: array<Tile>;
 @group(0) @binding(5) var<storage, read> terms: array<vec2f>;       // of the chief-ray map, see common/chief_ray
 @group(0) @binding(6) var<storage, read_write> planes: array<f32>;
@@ -122,7 +122,7 @@ fn begin(at: vec2u, low: vec4f, high: vec4f) -> Sample {
 
 fn painted(s: Sample, shape: Primitive, low: vec4f, high: vec4f) -> Sample {
     let w = coverage(shape, s.ideal);
-    return Sample(s.at, s.x, s.ideal, s.low + w * (low - s.low), s.high + w * (high - s.high));
+    return Sample(s.at, s.x, s.ideal, s.low + w * low, s.high + w * high);
 }
 
 // Beyond the image circle no light arrives.
@@ -161,8 +161,8 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local
     if (EDGES) {
         for (var i = 0u; i < tile.count; i++) {
             let shape = primitives[chosen[tile.first + i]];
-            let low = materials[2u * shape.material];
-            let high = materials[2u * shape.material + 1u];
+            let low = materials[2u * shape.step];
+            let high = materials[2u * shape.step + 1u];
             a = painted(a, shape, low, high);
             b = painted(b, shape, low, high);
             c = painted(c, shape, low, high);

@@ -10,7 +10,7 @@
 // fields of a lens, some are below 0: what that makes of a highlight's light is not, for no highlight takes light away.
 // Every pixel takes its highlights in the order of the list, so that tiles repeat the same sums bit for bit.
 // Units: positions in pixels, tables in samples of their own, a in units of the scene's spectra, rates in electrons/s.
-// tables (tables, C, FOURS, N, N, 4), row tangential, column radial, four spectra side by side; N/2 is the chief ray.
+// tables (tables, C, fours, N, N, 4), row tangential, column radial, four spectra side by side; N/2 is the chief ray.
 // rates (S, rows, cols), of the rectangle.
 // The sensor is cut into squares of 16 x 16 CFA cells, of each of which the host has listed the highlights within reach.
 // Dispatch: (squares across, down, S) workgroups of 16 x 16, one photosite each, from square `first` on.
@@ -19,15 +19,15 @@
 override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels
-override FOURS: u32 = 1u;     // ceil(M/4) for M spectra of the scene
 override N: u32 = 320u;       // side of a table, samples
-override MIXED: u32 = 8u;     // tables of a highlight
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square
     origin: vec2i,            // (x, y) of the rectangle's first CFA cell
     size: vec2i,              // (columns, rows) of the planes
     across: u32,              // squares across the sensor
+    fours: u32,               // ceil(M/4) for M spectra of the scene; a param, as `mixed`, so that loops stay loops
+    mixed: u32,               // tables of a highlight
     reach2: f32,              // squared distance beyond which tables hold nothing, table samples
     site_channels: vec4u,     // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
@@ -46,12 +46,12 @@ struct Part {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> highlights: array<Highlight>;
-@group(0) @binding(2) var<storage, read> radiance: array<vec4f>;  // (highlights, FOURS)
+@group(0) @binding(2) var<storage, read> radiance: array<vec4f>;  // (highlights, fours)
 @group(0) @binding(3) var<storage, read> starts: array<u32>;     // of each square's list in `near`, and the end of the last
 @group(0) @binding(4) var<storage, read> near: array<u32>;
 @group(0) @binding(5) var<storage, read> tables: array<vec4f>;
 @group(0) @binding(6) var<storage, read_write> rates: array<f32>;
-@group(0) @binding(7) var<storage, read> parts: array<Part>;      // (highlights, MIXED)
+@group(0) @binding(7) var<storage, read> parts: array<Part>;      // (highlights, mixed)
 
 fn channel_of(site: u32) -> u32 {
     return (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
@@ -76,15 +76,15 @@ fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
     let wy = cubic_weights(at.y - cell.y);
     let corner = u32(cell.y - 1.0) * N + u32(cell.x - 1.0);
     var sum = 0.0;
-    for (var q = 0u; q < FOURS; q++) {
+    for (var q = 0u; q < params.fours; q++) {
         var spread = vec4f(0.0);
-        for (var k = 0u; k < MIXED; k++) {
-            let part = parts[i * MIXED + k];
-            let first = ((part.table * C + channel) * FOURS + q) * N * N + corner;
+        for (var k = 0u; k < params.mixed; k++) {
+            let part = parts[i * params.mixed + k];
+            let first = ((part.table * C + channel) * params.fours + q) * N * N + corner;
             spread += part.share * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
                 + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx));
         }
-        sum += dot(radiance[i * FOURS + q], spread);
+        sum += dot(radiance[i * params.fours + q], spread);
     }
     return max(sum, 0.0);
 }

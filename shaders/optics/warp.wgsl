@@ -19,7 +19,7 @@
 
 override BX: u32 = 336u;  // block width, samples
 override BY: u32 = 336u;  // block height, samples
-override DEGREE: u32 = 0u;  // of the chief-ray map of a lens without an axis; 0: it has one
+override AXIS: bool = true;  // the chief-ray map is that of a lens with an axis, see common/chief_ray
 override DISTORTION: bool = true;  // the ideal and the real image differ
 override SPLINE: bool = true;
 override SQUEEZED: bool = false;
@@ -27,15 +27,14 @@ override SIDE: u32 = 4u;  // 2 where SQUEEZED
 override PLANES: u32 = 1u;  // 1 to 3
 
 struct Params {
-    g_low: vec4f,             // chief-ray map, see common/chief_ray
-    g_high: vec4f,
     circle: vec2f,            // centre of the image circle
     origin: vec2f,            // sample (0, 0) of the block
     centre: vec2f,            // the optical axis in raster samples (sample 0 at 0)
     size: vec2i,              // raster columns, rows
     first: vec2i,             // column and row of the raster with which `coefficients` begins
     cols: i32,                // columns of `coefficients`
-    inverse_radius2: f32,
+    inverse_radius2: f32,     // of that circle
+    pieces: f32,              // of the chief-ray map, see common/chief_ray
     scale: f32,               // raster samples per sim sample
     plane: u32,               // the first
     reach: i32,               // points to each side of the sample

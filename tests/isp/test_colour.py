@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from harness import assert_close
 
-from gpusim.errors import UserError
 from gpusim.isp.colour import LIGHT_SOURCE, colour_matrix, response
 from gpusim.scene.spectra import (
     QUADRATURE_NM,
@@ -40,10 +39,16 @@ def test_response_is_in_the_order_rgb_and_takes_the_lens_in():
     assert_close(through, clear * lens, rtol=1e-15)
 
 
-@pytest.mark.parametrize("channels", ["RG", "RGBW", "CMY"])
-def test_other_filters_have_no_colour_data(channels):
-    with pytest.raises(UserError, match="filter array"):
-        response({channel: np.ones(61) for channel in channels})
+@pytest.mark.parametrize("channels", ["RG", "RGBW", "CMY", "W"])
+def test_every_filter_has_its_row(channels):
+    """In the order in which files name them, and the white kept."""
+    given = {name: np.linspace(0.2, 0.9, 61) ** n for n, name in enumerate(channels[::-1], 1)}
+    curves = response(given)
+    order = [given[name] for name in sorted(channels, key="RGBCMYW".index)]
+    assert_close(curves / QUADRATURE_NM / WAVELENGTHS_NM, np.array(order), rtol=1e-14)
+    white = white_radiance("D65", 1.0)
+    seen = curves @ white
+    assert_close(colour_matrix(curves, "D65") @ xyz(white), seen / seen.max(), rtol=1e-12)
 
 
 @pytest.mark.parametrize("illuminant", ILLUMINANTS)

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 import xarray
 from lens.made import fisheye
+from optics.made import bank as made_bank
 
-from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens import bank as bank_module
 from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
-from gpusim.lens.prescription import Coating
+from gpusim.lens.field_bank import seen_as
+from gpusim.lens.prescription import Coating, load_prescription
+from gpusim.lens.projection import ANGULAR
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
-from gpusim.sensor.load import load_sensor
 
 SMALL = {"wavelengths_nm": [450.0, 550.0, 650.0], "size": 64}
 
@@ -252,18 +253,21 @@ def test_a_wavelength_beyond_the_bank_has_no_chief_rays(bank):
     assert "450 to 650" in caught.value.screen()
 
 
-def test_a_sensor_that_sees_beyond_the_ideal_plane_is_refused(fisheye_bank, monkeypatch):
-    monkeypatch.setattr(bank_module, "cached_bank", lambda *_, **__: fisheye_bank)
-    half_um = {"inside": 0.99, "beyond": 1.01}
-    cameras = {}
-    for name, share in half_um.items():
-        side = round(share * fisheye_bank.rectilinear_circle_um * 2**0.5 / 1.55)
-        sensor = load_sensor("imx477").roi(64, 64)
-        sensor = sensor.model_copy(update={"rows": side, "cols": side})
-        cameras[name] = Camera("fisheye", fisheye(), sensor)
-    assert cameras["inside"].bank() is fisheye_bank
-    with pytest.raises(UserError, match="more than 85 deg"):
-        cameras["beyond"].bank()
+def test_a_fisheye_has_an_angular_plane_to_its_edge(fisheye_bank):
+    angular = seen_as(fisheye_bank, ANGULAR)
+    assert angular.rectilinear_circle_um == angular.image_circle_um == fisheye_bank.image_circle_um
+    f_um = 1e3 * angular.efl_mm
+    ideal = f_um * np.radians([0.0, 30.0, 84.9, 104.9, 105.1])
+    real, inside = angular.real_from_ideal(ideal)
+    np.testing.assert_array_equal(inside, [True] * 4 + [False])
+    np.testing.assert_allclose(
+        real[:4], fisheye_bank.height_from_angle([0.0, 30.0, 84.9, 104.9])[0], rtol=1e-12
+    )
+    np.testing.assert_allclose(angular.ideal_from_real(real)[0], ideal, rtol=1e-9, atol=1e-9)
+    # Below the end of the flat plane both have the same field at a point, at other places.
+    flat = fisheye_bank.ideal_from_real(real[:3])[0]
+    np.testing.assert_allclose(np.arctan(flat / f_um), ideal[:3] / f_um, rtol=1e-9, atol=1e-12)
+    assert seen_as(angular, ANGULAR) is angular
 
 
 def test_psf_of_the_axis_is_symmetric_and_that_of_the_corner_is_not(bank):
@@ -288,10 +292,11 @@ def test_a_bank_survives_its_file(bank, tmp_path):
 
 
 def test_the_file_holds_every_field_of_the_bank():
-    names = ("_VARIABLES", "_RAYS", "_HALO", "_SCALARS", "_BETWEEN")
+    names = ("_VARIABLES", "_RAYS", "_HALO", "_SCALARS", "_BETWEEN", "_BETWEEN_FIELDS")
     kinds = (getattr(bank_module, name) for name in names)
     stored = {"provenance"}.union(*kinds)
-    assert {field.name for field in dataclasses.fields(Bank)} == stored
+    # The projection is the scene's.
+    assert {field.name for field in dataclasses.fields(Bank)} == stored | {"projection"}
 
 
 def test_a_file_says_how_wavelengths_are_joined_and_older_ones_are_cubic(bank, tmp_path):
@@ -432,3 +437,31 @@ def test_settings_that_make_no_bank_are_refused(demo_lens, settings, words):
         compute_bank(demo_lens, **TINY | settings)
     for word in words:
         assert word in caught.value.screen()
+
+
+def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    whole, computed = made_bank(size=16), []
+
+    def compute(prescription, progress=None):
+        computed.append(1)
+        return whole
+
+    lens = load_prescription("double-gauss")
+    bank_module.from_cache(Bank, compute, lens, {})
+    (file,) = tmp_path.rglob("*.nc")
+    content = file.read_bytes()
+    rng = np.random.default_rng(17)
+    damages = [content[:100], b"", content[: len(content) // 2], content + content]
+    for _ in range(10):  # 16 bytes anywhere: header, groups, names, data
+        at = int(rng.integers(0, len(content) - 16))
+        damages.append(content[:at] + rng.bytes(16) + content[at + 16 :])
+    for damaged in damages:
+        file.write_bytes(damaged)
+        for _ in range(2):
+            found = bank_module.from_cache(Bank, compute, lens, {})
+            np.testing.assert_array_equal(found.psf, whole.psf)
+            np.testing.assert_array_equal(found.real_height_um, whole.real_height_um)
+            assert found.provenance == whole.provenance
+    # Once for each damage that counts: not fatal, nor for ever.
+    assert 8 < len(computed) <= 1 + len(damages)

@@ -123,7 +123,7 @@ def test_nothing_is_evaluated(line):
         ("ISETPARMS.TXT", "made-up\\made-up'", "made-up\\other'", ["other_DI_.dat", "read"]),
         ("ISETPARMS.yaml", "transmission: 0.9", "{}", ["transmission", "ISETPARMS.yaml"]),
         ("ISETPARMS.yaml", "0.9", "[0.9, 0.8]", ["transmission", "2 numbers", "1 or 3"]),
-        ("ISETPARMS.yaml", "0.9", "0.9\ncolour: red", ["colour", "not known"]),
+        ("ISETPARMS.yaml", "0.9", "0.9\ncolour: red", ["colour", "unknown field"]),
         ("made-up_RI_.dat", "1.000000E+00", "", ["not whole", "11 numbers"]),
         ("made-up_RI_.dat", "1.000000E+00", "one", ["number", "_RI_"]),
         ("made-up_DI_.dat", "E-01", "E-04", ["lie apart", "_DI_.dat"]),

@@ -161,7 +161,7 @@ VALUES = ("mtf", "fields", 1, "values")
 @pytest.mark.parametrize(
     ("where", "value", "words"),
     [
-        (("efl_mm",), ..., ["efl_mm", "missing", "must be given in this file"]),
+        (("efl_mm",), ..., ["efl_mm", "missing", "a field is missing"]),
         (("transmission",), ..., ["transmission", "missing"]),
         (("working_f_number",), ..., ["working_f_number", "missing"]),
         (("mtf", "fields", 1, "relative_illumination"), ..., ["mtf.fields.2", "missing"]),
@@ -182,7 +182,7 @@ VALUES = ("mtf", "fields", 1, "values")
         (("mtf", "fields", 0, "relative_illumination"), 0.9, ["1 on the axis"]),
         (("wavelengths_nm",), [[430, 490], [490, 600]], ["wavelengths_nm must rise", "gap"]),
         (("transmission",), 1.2, ["transmission", "up to 1"]),
-        (("colour",), "blue", ["colour", "not known"]),
+        (("colour",), "blue", ["colour", "unknown field"]),
     ],
 )  # fmt: skip
 def test_what_is_no_table_is_refused_by_name(where, value, words):

@@ -8,7 +8,8 @@ from harness import assert_close
 from optics.made import plane_bank
 
 from gpusim.errors import UserError
-from gpusim.lens.plane_map import FIT_ERROR_UM, MAX_DEGREE, PlaneMap
+from gpusim.lens.plane_map import FIT_ERROR_UM, MAP_ERROR_UM, MOST_CELLS, PlaneMap, Rings
+from gpusim.lens.projection import ANGULAR
 
 # The maps' directions differ in x and y, and so do all numbers.
 KEYSTONE, SHIFT = (0.08, -0.03), (7.0, -4.0)
@@ -39,7 +40,8 @@ def test_it_leads_from_the_real_to_the_ideal_plane(bank):
     u, v, inside = bank.ideal_points(real[:, 0], real[:, 1])
     assert inside.all()
     assert_close(np.stack([u, v], axis=-1), ideal, atol=1.5 * FIT_ERROR_UM)  # between the rays
-    assert 2 < bank.plane_map.degree < MAX_DEGREE
+    assert 8 <= len(bank.plane_map.net) - 3 < MOST_CELLS
+    assert bank.plane_map.error_um < MAP_ERROR_UM
     # The control: what the keystone does, x for y or of the other sign.
     assert np.abs(closed_form(ideal[:, ::-1])[:, ::-1] - real).max() > 1
     assert np.abs(closed_form(-ideal) + real).max() > 1
@@ -148,19 +150,77 @@ def test_blends_are_bicubic_and_nothing_is_turned(bank):
     assert len(ahead.fields) == 16
 
 
-def test_rays_that_follow_no_polynomial_are_refused(bank):
+def test_rays_that_tell_of_no_smooth_map_are_refused(bank):
     rough = bank.ray_x_um + np.where(np.arange(len(bank.ray_x_um)) % 2, 0.05, 0.0)
     with pytest.raises(UserError, match="not smooth enough") as caught:
         _ = dataclasses.replace(bank, ray_x_um=rough).plane_map
-    assert "um off at" in caught.value.value and caught.value.field == "max_field_deg"
+    assert "um are open" in caught.value.value and caught.value.field == "max_field_deg"
+
+
+def rings(count: int = 12, spokes: int = 20, start: float = 0.4, turn: int = 1) -> np.ndarray:
+    """Return fields x, y of rays: (0, 0), then rings to 10 deg."""
+    azimuth = start + turn * 2 * np.pi * np.arange(spokes) / spokes
+    way = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    angles = 10.0 * np.sin(np.pi / 2 * np.arange(1, count + 1) / count)
+    return np.concatenate([np.zeros((1, 2)), (angles[:, None, None] * way).reshape(-1, 2)])
+
+
+def wavy(field_deg: np.ndarray) -> np.ndarray:
+    """Return real points (M, 2) of fields, um: barrel, shear and coma, in no simple function."""
+    x, y = field_deg.T / 10
+    bend = 1 - 0.1 * (x * x + y * y) + 0.01 * np.cos(2 * x - y)
+    return np.stack([100 * x * bend + 8 * y + 3, 100 * y * bend - 4 * x * x - 2], axis=-1)
+
+
+@pytest.mark.parametrize(("start", "turn"), [(0.4, 1), (-2.0, 1), (0.0, -1)])
+def test_rings_tell_of_every_field(start: float, turn: int):
+    fields = rings(start=start, turn=turn)
+    told = Rings(fields, wavy(fields))
+    theta, azimuth = np.radians(np.linspace(0.3, 10, 9)), np.linspace(-4, 4, 11)
+    found = told(theta, azimuth)
+    way = np.stack([np.sin(azimuth), np.cos(azimuth)], axis=-1)
+    expected = wavy((np.degrees(theta)[:, None, None] * way).reshape(-1, 2)).reshape(9, 11, 2)
+    assert_close(found, expected, atol=told.error_um)
+    assert 1e-7 < told.error_um < MAP_ERROR_UM
+    # Fewer rings, or directions, leave more open: and say so.
+    for few in (rings(5, 20), rings(12, 8)):
+        less = Rings(few, wavy(few))
+        off = np.abs(less(theta, azimuth) - expected).max()
+        assert off < less.error_um and 3 * told.error_um < less.error_um
+
+
+def test_a_map_of_another_projection_has_its_heights():
+    fields = rings()
+    real = wavy(fields)
+    circle = (float(real[0, 0]), float(real[0, 1]))
+    radius = np.hypot(*(real[-20:] - real[0]).T).min()
+    inner = np.hypot(*(real - real[0]).T) < 0.999 * radius
+    for height in (np.tan, ANGULAR.height):
+        plane = PlaneMap(fields, real, lambda theta, h=height: 1e3 * h(theta), circle, radius)
+        theta = np.radians(np.hypot(*fields.T))
+        expected = 1e3 * (height(theta) / np.maximum(np.degrees(theta), 1e-9))[:, None] * fields
+        found = np.stack(plane.ideal_points(*real.T)[:2], axis=-1)
+        assert_close(found[inner], expected[inner], atol=plane.error_um + FIT_ERROR_UM)
+    assert np.abs(1e3 * np.tan(theta) - 1e3 * theta).max() > 1  # the two do differ
+
+
+def test_rays_that_are_no_rings_are_refused():
+    fields = rings()
+    for wrong in (fields[:-1], fields + 0.01, np.roll(fields, 5, axis=0), rings(3), rings(8, 3)):
+        with pytest.raises(UserError, match="no rings"):
+            Rings(wrong, wavy(wrong))
 
 
 def test_a_map_that_folds_is_refused():
-    """U = x^2 about a point inside the circle: two points of the image see one field."""
-    line = np.linspace(-1, 1, 21)
-    z = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    ideal = np.stack([100 * (z[:, 0] + 0.6 * z[:, 0] ** 2), 100 * z[:, 1]], axis=-1)
-    with pytest.raises(UserError, match="folds the image over"):
-        PlaneMap(100.0 * z, ideal, (0.0, 0.0), 100.0)
-    ideal[:, 0] -= 100 * 0.15 * z[:, 0] ** 2  # slope 1 - 0.9 at the rim
-    assert PlaneMap(100.0 * z, ideal, (0.0, 0.0), 100.0).degree == 2
+    """Fields that move outwards and back again: two of them meet in one image point."""
+    fields = rings(20, 16)
+    x, y = fields.T / 10
+    for folds, back in ((True, 0.6), (False, 0.2)):
+        real = 100 * np.stack([x - back * x * x, y], axis=-1)  # slope 1 - 2 back at the rim
+        circle, radius = (0.0, 0.0), 100 * (1 - back)
+        given = fields, real, lambda theta: 570 * np.tan(theta), circle, radius
+        if folds:
+            with pytest.raises(UserError, match="folds the image over"):
+                PlaneMap(*given)
+        else:
+            assert PlaneMap(*given).error_um < 0.1

@@ -151,8 +151,8 @@ GOOD = {
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        (["f_numbr"], 2.8, ["f_numbr", "not known", "f_number"]),
-        (["surfaces", 0, "radios"], 2.8, ["surfaces.1.radios", "not known", "radius"]),
+        (["f_numbr"], 2.8, ["f_numbr", "unknown field", "f_number"]),
+        (["surfaces", 0, "radios"], 2.8, ["surfaces.1.radios", "unknown field", "radius"]),
         (["stop"], ..., ["stop", "missing"]),
         (["stop"], 3, ["stop must be a surface number from 1 to 2"]),
         (["f_number"], 0, ["f_number", "value:   0", "greater than 0"]),
@@ -177,7 +177,7 @@ GOOD = {
         (["surfaces", 0, "glass"], "model", ["a model glass needs nd and vd"]),
         (["surfaces", 0, "nd"], 1.5, ["nd and vd come together"]),
         (["surfaces", 0, "glass"], "constant", ["a constant glass needs nd and no vd"]),
-        (["surfaces", 0, "asphere"], {"a32": 1e-9}, ["a32", "not known"]),
+        (["surfaces", 0, "asphere"], {"a32": 1e-9}, ["a32", "unknown field"]),
         (["surfaces", 0, "tilt_deg"], [0, 90], ["surfaces.1.tilt_deg.2", "90", "less than 90"]),
         (["coating"], {"wavelength_nm": [500.0]}, ["coating.reflectance", "missing"]),
         (
@@ -231,12 +231,12 @@ def test_printed_indices_beside_a_catalogue_glass_are_told_apart_in_the_account(
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"title: [unclosed", ["not a YAML file"]),
-        (b"\xff\xfe\x00\x01", ["not a YAML file"]),
-        (b"title: 2026-99-99", ["not a YAML file", "month"]),
-        (b"[" * 1000, ["not a YAML file"]),
-        (b"", ["holds no prescription", "NoneType"]),
-        (b"- 1\n- 2\n", ["holds no prescription", "list"]),
+        (b"title: [unclosed", ["not YAML"]),
+        (b"\xff\xfe\x00\x01", ["cannot be read", "no text"]),
+        (b"title: 2026-99-99", ["patent, source, units", "missing"]),  # a title as any other
+        (b"[" * 1000, ["not YAML", "more than 32 lists inside one another"]),
+        (b"", ["no fields with values", "nothing"]),
+        (b"- 1\n- 2\n", ["no fields with values", "[1, 2]"]),
     ],
 )
 def test_a_file_that_is_no_prescription_is_refused(tmp_path, content, words):

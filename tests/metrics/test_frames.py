@@ -116,7 +116,7 @@ MISTAKES = {
     "below zero": (lambda at: np.save(at / "2.npy", -np.ones((24, 20), int)), "digital numbers"),
     "size": (lambda at: np.save(at / "2.npy", np.ones((24, 21), int)), "not of one size"),
     "small": (lambda at: np.save(at / "1.npy", np.ones((24, 7), int)), "too small"),
-    "camera": (lambda at: (at / "camera.json").write_text("{"), "cannot be read"),
+    "camera": (lambda at: (at / "camera.json").write_text("{"), "is not JSON"),
     "camera field": (lambda at: (at / "camera.json").write_text('{"gain": 2}'), "not what a"),
     "pattern": (
         lambda at: (at / "camera.json").write_text('{"pattern": [["R"], ["G", "B"]]}'),

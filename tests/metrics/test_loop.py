@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
 from gpusim.metrics import flat_field, law, loop
 from gpusim.metrics.emva import characterise
@@ -352,12 +351,46 @@ def test_masks_are_part_of_the_non_uniformity(device: Device, tmp_path):
     assert table["DSNU"].expected == pytest.approx(np.hypot(2.5, 3.0), rel=0.02)
 
 
-def test_two_gains_have_no_photon_transfer():
-    dual = DualGain(
-        system_gain_dn_per_e=0.05, temporal_dark_noise_e=9.0, black_level_dn=64, switch_dn=3000
-    )
-    with pytest.raises(UserError, match="that of one gain"):
-        flat_field.lights(sensor_of(dual_gain=dual))
+DUAL = DualGain(
+    system_gain_dn_per_e=0.05, temporal_dark_noise_e=25.0, black_level_dn=70, switch_dn=1800
+)
+
+
+@pytest.fixture(scope="module")
+def merged(device: Device):
+    return measured(device, sensor_of(dual_gain=DUAL, full_well_e=4e4))
+
+
+def test_two_merged_reads_are_predicted_and_said(merged):
+    """A transfer that steps up where the read at low gain takes over."""
+    sensor = sensor_of(dual_gain=DUAL, full_well_e=4e4)
+    table = verdicts(merged, sensor)
+    assert [row for row in table.values() if not row.within] == []
+    assert "from 1800 DN on" in table["K"].reason
+    assert table["K"].expected > 0.3 + table["K"].uncertainty
+    # Dark frames show the noise of the read at high gain, in DN.
+    assert table["sigma_d"].expected * table["K"].expected == pytest.approx(6.0 * 0.3, rel=0.01)
+
+
+@pytest.mark.parametrize("change", [{"temporal_dark_noise_e": 35.0}, {"switch_dn": 3900}])
+def test_a_wrong_read_at_low_gain_falls_outside(merged, change):
+    sensor = sensor_of(dual_gain=DUAL.model_copy(update=change), full_well_e=4e4)
+    assert not verdicts(merged, sensor)["K"].within
+
+
+@pytest.mark.parametrize("change", [{"system_gain_dn_per_e": 0.051}, {"black_level_dn": 80}])
+def test_a_wrong_merge_falls_outside(device: Device, monkeypatch, change):
+    """A planted error of the stage: the sensor file is right, the merging is not."""
+    merge = readout.record_merge
+
+    def planted(rec: Recording, high, low, sensor, **options):
+        dual = sensor.dual_gain.model_copy(update=change)
+        return merge(rec, high, low, sensor.model_copy(update={"dual_gain": dual}), **options)
+
+    monkeypatch.setattr(readout, "record_merge", planted)
+    sensor = sensor_of(dual_gain=DUAL, full_well_e=4e4)
+    table = verdicts(measured(device, sensor), sensor)
+    assert not (table["K"].within and table["eta at 550 nm"].within)
 
 
 def test_the_light_reaches_beyond_saturation_in_even_steps():

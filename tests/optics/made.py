@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from gpusim.gpu import Device
@@ -336,25 +337,36 @@ def convolve_for(
     return Convolve(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, site_channels)
 
 
-def bent(seed: int, degree: int, radius: float, bend: float = 0.1) -> np.ndarray:
-    """Return a map (D + 1, D + 1, 2) as of `gpusim.reference.chief_ray`, in samples, near u = x.
+def pieces_of(g, count: int = 24) -> np.ndarray:
+    """Return a map u = x g(|x|^2 / R^2) as of `gpusim.reference.chief_ray`: pieces (n, 4), float32.
 
-    `bend` is the sum of what all terms beyond the first degree change, over the radius.
+    `g`: coefficients of a polynomial, low to high. The pieces are a cubic spline's, near it.
+    """
+    knots = np.linspace(0, 1, count + 1)
+    spline = CubicSpline(knots, np.polynomial.Polynomial(g)(knots) - 1)
+    pieces = spline.c[::-1].T / float(count) ** np.arange(4)
+    return pieces.astype(np.float32).astype(float)
+
+
+def bent(seed: int, cells: int, radius: float, bend: float = 0.1) -> np.ndarray:
+    """Return a map (n + 3, n + 3, 2) as of `gpusim.reference.chief_ray`, in samples, near u = x.
+
+    `bend` is what it changes at most, over the radius; in different ways along x and y.
     """
     rng = np.random.default_rng(seed)
-    terms = rng.uniform(-1, 1, (degree + 1, degree + 1, 2))
-    terms[np.add.outer(range(degree + 1), range(degree + 1)) > degree] = 0.0
-    terms *= bend * radius / np.abs(terms).sum(axis=(0, 1))
-    terms[1, 0, 0] += radius
-    terms[0, 1, 1] += radius
-    return terms
+    phase = rng.uniform(0, 2 * np.pi, (2, 3))
+    line = (np.arange(cells + 3) - 1) / cells * 2 - 1
+    x, y = line[:, None], line[None]
+    waves = [
+        np.sin(1.1 * x + one) * np.cos(1.7 * y + two) + 0.5 * np.sin(0.9 * x * y + three)
+        for one, two, three in phase
+    ]
+    return np.stack(waves, axis=-1).astype(np.float32) * np.float64(np.float32(bend * radius / 1.5))
 
 
-def shader_terms(terms: np.ndarray) -> np.ndarray:
-    """Return coefficients in the order of shaders/common/chief_ray."""
-    degree = len(terms) - 1
-    rows = [terms[row::-1, degree - row] for row in range(degree + 1)]
-    return np.concatenate(rows).astype(np.float32)
+def shader_terms(distortion: np.ndarray) -> np.ndarray:
+    """Return a map's numbers in the order of shaders/common/chief_ray."""
+    return distortion.reshape(-1, 2).astype(np.float32)
 
 
 def twiddles(length: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from harness import assert_close, filled, run_stage, unwritten
 from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
-from gpusim.optics.convolve import Scratch
+from gpusim.optics.convolve import Scratch, columns_passes
 from gpusim.optics.grid import SimGrid
 from gpusim.reference.columns import columns
 
@@ -56,8 +56,11 @@ def case(
     turn = 2 if channels == 2 else 4
     site_channels = [(3 * site + site // turn + 1) % channels for site in range(grid.sites)]
     made = convolve_for(device, grid, site_channels, channels)
-    kernel = Kernel("optics/columns", **made.columns.overrides | {"BY": height, "NODES": nodes})
-    outputs, step = kernel.overrides["C"], kernel.overrides["STEP"]
+    passes = [
+        (kernel, params | {"height": height})
+        for kernel, params in columns_passes(grid, made.outputs, nodes)
+    ]
+    outputs, step = len(made.outputs.places), made.outputs.step
     rng = np.random.default_rng(length + stride)
     spectra = complex_noise(rng, planes, height, length)
     if nodes == 1:  # of real rows: each frequency is its mirror's conjugate
@@ -70,20 +73,21 @@ def case(
     needed = planes if needed is None else needed
     pairs = -(-grid.sites // 2)
     shape = (pairs, grid.window, length // 2, 2)
-    lines = Scratch.shapes(grid, planes)["lines"]
+    lines = filled(int(np.prod(Scratch.shapes(grid, planes)["lines"])), np.float32)
     inputs = {"twiddle": twiddles(length), "spectra": spectra}
     inputs |= {name: packed(one) for name, one in zip(NODES, kernels, strict=True)}
     result = filled(int(np.prod(shape)) + 70, np.complex64)
-    for first in range(0, outputs, 4):
-        params = {"first_s": first_s, "step_s": step_s, "planes": needed, "first": first}
-        params["mirrored"] = mirrored
-        result = run_stage(
+    params = {"first_s": first_s, "step_s": step_s, "planes": needed, "mirrored": mirrored}
+    for kernel, sizes in passes:
+        given = {"lines": lines, "folded": result}
+        found = run_stage(
             kernel,
             (length // 16, 1, 1),
-            params | {"site_channels": made.site_channels},
-            inputs | {"lines": filled(int(np.prod(lines)), np.float32), "folded": result},
-            {"folded": (result.shape, np.complex64)},
-        )["folded"]
+            params | sizes,
+            inputs | given,
+            {name: (array.shape, array.dtype) for name, array in given.items()},
+        )
+        lines, result = found["lines"], found["folded"]
     assert unwritten(result[-70:]).all()
     offsets = [np.arange(period)[:: -1 if turned else 1] * step for turned in mirrored]
     sites = [
@@ -173,7 +177,7 @@ def test_planes_that_are_not_needed_are_left_out(device: Device):
 
 def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device):
     made = case(device, 512, 8, 4, 4, 70, 1)[3]
-    words = made.site_channels
+    words = made.columns[0][1]["site_channels"]
     channels = [words[site // 8] >> 4 * (site % 8) & 15 for site in range(16)]
     assert channels == [(3 * site + site // 4 + 1) % 4 for site in range(16)]
     assert set(channels) == {0, 1, 2, 3}
@@ -181,8 +185,10 @@ def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device)
 
 def test_the_defaults_are_of_one_grid(device: Device):
     made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
-    assert Kernel("optics/columns").overrides == made.columns.overrides
+    passes = [kernel.overrides for kernel, _ in made.columns]
+    defaults = [Kernel("optics/columns", PHASE=phase).overrides for phase in range(3)]
+    assert passes == defaults
 
 
 def test_the_dispatch_is_as_the_header_says():
-    assert Kernel("optics/columns", T=256, E=1, M=64).workgroup_size == (8, 1, 1)
+    assert Kernel("optics/columns").workgroup_size == (8, 1, 1)

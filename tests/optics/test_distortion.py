@@ -1,60 +1,77 @@
-"""The chief-ray map of the shaders, against NumPy's polynomials.
+"""The chief-ray map of the shaders, against SciPy's piecewise polynomials.
 
-Tolerance of g and of its slope: Horner's scheme in f32 takes two roundings a step, 16 in all with
-the argument's own, each of sums that are at most the sum of |coefficient| (r2 <= 1.2, and its
-powers): 20 * 2^-24 sum |c_k| r2^k.
+Tolerance of d: the place s takes three roundings, of at most n, and d changes by its slope over n
+from one whole number to the next; Horner's scheme six more, of sums that are at most the sum of
+|coefficient|. Of u = x + x d: two.
 """
 
 import numpy as np
+import pytest
 from harness import assert_close, wgsl_eval
 from optics.made import ULP
+from scipy.interpolate import CubicSpline
 
 RNG = np.random.default_rng(67)
-COEFFICIENTS = RNG.uniform(-1, 1, 8).astype(np.float32)
 RADIUS = 300.0
 X = RNG.uniform(-230, 230, (4000, 2)).astype(np.float32)  # to 1.08 of the radius
 
 
-def evaluated(member: str, returns: str) -> np.ndarray:
-    count = len(X)
+def spline(count: int) -> CubicSpline:
+    """Return a wild d: it changes by 0.2 over a piece or two, and falls as well as it rises."""
+    return CubicSpline(np.linspace(0, 1, count + 1), RNG.uniform(-0.1, 0.1, count + 1))
+
+
+def pieces(d: CubicSpline) -> np.ndarray:
+    count = len(d.x) - 1
+    return (d.c[::-1].T / float(count) ** np.arange(4)).astype(np.float32)
+
+
+def evaluated(table: np.ndarray, member: str, returns: str) -> np.ndarray:
     inputs = {
         "x": ("vec2f", X),
-        "inverse": ("f32", np.full(count, RADIUS**-2)),
-        "low": ("vec4f", np.broadcast_to(COEFFICIENTS[:4], (count, 4))),
-        "high": ("vec4f", np.broadcast_to(COEFFICIENTS[4:], (count, 4))),
+        "inverse": ("f32", np.full(len(X), RADIUS**-2)),
     }
-    expression = f"ideal_point(x, inverse, low, high).{member}"
-    return wgsl_eval("distortion", expression, inputs, returns=returns)
+    numbers = ", ".join(f"vec2f({float(a)!r}, {float(b)!r})" for a, b in table.reshape(-1, 2))
+    terms = f"var<private> terms: array<vec2f, {2 * len(table)}> = array({numbers});"
+    expression = f"ideal_point(x, inverse, {float(len(table))}).{member}"
+    return wgsl_eval("distortion", expression, inputs, returns=returns, declarations=terms)
 
 
-def polynomial() -> tuple[np.polynomial.Polynomial, np.polynomial.Polynomial, np.ndarray]:
-    """Return g, the sum of its terms' amounts, and r2."""
-    coefficients = COEFFICIENTS.astype(np.float64)
-    r2 = np.sum(X.astype(np.float64) ** 2, axis=1) * float(np.float32(RADIUS**-2))
-    return np.polynomial.Polynomial(coefficients), np.polynomial.Polynomial(abs(coefficients)), r2
-
-
-def test_the_ideal_point():
-    g, amount, r2 = polynomial()
-    bound = 21 * ULP * amount(r2)[:, None] * np.abs(X)
-    assert_close(evaluated("u", "vec2f"), X * g(r2)[:, None], atol=bound)
-
-
-def test_the_jacobian_is_that_of_the_point():
-    """Against differences of the host's float64 map."""
-    g, amount, r2 = polynomial()
-    x = X.astype(np.float64)
+@pytest.mark.parametrize("count", [1, 2, 7, 32])
+def test_the_ideal_point_and_its_jacobian(count: int):
+    d = spline(count)
+    table = pieces(d)
     inverse = float(np.float32(RADIUS**-2))
+    x = X.astype(np.float64)
 
     def ideal(points: np.ndarray) -> np.ndarray:
-        return points * g(np.sum(points**2, axis=1) * inverse)[:, None]
+        rho2 = np.minimum(np.sum(points**2, axis=1) * inverse, 1.0)
+        return points * (1 + d(rho2))[:, None]
 
-    # The slope's coefficients k c_k take one more rounding each, and five factors follow: 28
-    # roundings of at most 2 sum k |c_k| r2^k, with 21 of g.
-    bound = ULP * (21 * amount(r2) + 2 * 28 * r2 * amount.deriv()(r2))
-    step = 1e-3  # error of a central difference: step^2 u''' / 6, below 1e-9
+    # The table's own rounding is one more of each coefficient.
+    amount = np.abs(table).sum(axis=1).max()
+    steepest = np.abs(d(np.linspace(0, 1, 999), 1)).max()
+    off = ULP * (3 * steepest + 7 * amount)
+    found = evaluated(table, "u", "vec2f")
+    assert_close(found, ideal(x), atol=off * np.abs(x).max() + 2 * ULP * 1.5 * np.abs(x).max())
+    # The slope's place is off likewise, and it changes by its own slope; factors 2, 3 and n of the
+    # coefficients; it counts by 2 rho^2.
+    bends = np.abs(d(np.linspace(0, 1, 999), 2)).max()
+    off += 2 * ULP * (3 * bends + 10 * 3 * count * amount) + 2 * ULP
+    step = 1e-3  # of a central difference: step^2 / 6 of a third derivative of 600 / R^2, and more
+    lit = np.hypot(*x.T) < RADIUS - 2 * step
+    assert lit.mean() > 0.9
     for axis in (0, 1):
         away = np.eye(2)[axis] * step
         numeric = (ideal(x + away) - ideal(x - away)) / (2 * step)
-        found = evaluated(f"jacobian[{axis}]", "vec2f")
-        assert_close(found, numeric, atol=bound[:, None] + 1e-8)
+        column = evaluated(table, f"jacobian[{axis}]", "vec2f")
+        assert_close(column[lit], numeric[lit], atol=off + 1e-6)
+
+
+def test_beyond_the_circle_d_is_that_of_the_rim():
+    d = spline(5)
+    x = X.astype(np.float64)
+    beyond = np.hypot(*x.T) > RADIUS * 1.001
+    found = evaluated(pieces(d), "u", "vec2f")[beyond]
+    assert beyond.sum() > 20
+    assert_close(found, x[beyond] * (1 + d(1.0)), atol=20 * ULP * 400)

@@ -1,19 +1,19 @@
 """Paint: against convolution with the Gaussian, shape by shape, in float64.
 
 Tolerance of a weight. Phi is good to 1e-6 (see test_normal), four times for a rectangle. The
-distance to an edge is off by 30 roundings of the position, |x| sum |c_k| at most 200 samples (24 of
-the map, see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a
-Gaussian of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The
-width takes some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the
-shader's first-order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A
-smaller one is cut into strips, which leave 3e-6.
+distance to an edge is off by 30 roundings of the position, |u| at most 200 samples (24 of the map,
+see test_distortion; the difference from the centre, the dot product): 4e-4 samples, over a Gaussian
+of at least 0.7 samples with a density of 0.4: 2.1e-4, twice where two edges meet. The width takes
+some 40 roundings: nothing beside it. WEIGHT = 5e-4. A disc of 16 s or more: the shader's first-
+order term leaves 0.07 (s/R)^2 of the Gaussian's integral besides, 3e-4 at most. A smaller one is
+cut into strips, which leave 3e-6.
 Weights act on differences of materials, and at most two shapes have an edge at one place.
 """
 
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
-from optics.made import DEFAULT_GRID, bank, bent, scene, shader_terms, shapes
+from optics.made import DEFAULT_GRID, bank, bent, pieces_of, scene, shader_terms, shapes
 from scipy.special import i0e, ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
@@ -31,15 +31,16 @@ from gpusim.optics.paint import (
     primitive_row,
     primitives_by_block,
     tiles_by_block,
+    with_steps,
 )
 from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
-from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.chart import Chart, Disc, Rect, materials_under
 
 F32 = np.float32
 WEIGHT = 5e-4
-IDENTITY = np.eye(8)[0]
-BENT = np.array([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01], F32).astype(float)
+IDENTITY = np.zeros((1, 4))
+BENT = pieces_of([1.05, -0.1, 0.06, -0.05, 0.04, -0.03, 0.02, -0.01])
 NO_KERNELS = FieldKernels(np.zeros((3, 1, 3, 4, 4), F32), Heights(np.array([0.0, 1.0])), 0.5)
 
 
@@ -67,14 +68,16 @@ def on_device(
     """
     rng = np.random.default_rng(len(shapes))
     place = rng.permutation(len(shapes) + 3)[: len(shapes)]
+    under = materials_under(shapes, background)
+    coefficients, steps = with_steps(table, [one.material for one in shapes], under)
     rows = np.zeros(len(shapes) + 3, PRIMITIVE)
     rows["half_size"] = rows["axis"] = np.nan  # of those that the block does not see
-    for at, one in zip(place, shapes, strict=True):
-        rows[at] = primitive_row(one, 1.0, sigma, least_stretch)
+    for at, one, step in zip(place, shapes, steps, strict=True):
+        rows[at] = primitive_row(one, step, 1.0, sigma, least_stretch)
         if rows[at]["kind"] == DISC_KIND:
             rows[at]["half_size"][1] = np.nan
-    eight = np.full((len(table), 8), np.nan, F32)
-    eight[:, : table.shape[1]] = table
+    eight = np.full((len(coefficients), 8), np.nan, F32)
+    eight[:, : table.shape[1]] = coefficients
     planes = table.shape[1]
     general = distortion.ndim == 3
     tiles = [
@@ -86,11 +89,10 @@ def on_device(
         "optics/paint",
         (len(tiles), 1, 1),
         {
-            "g_low": np.full(4, 9.0) if general else distortion[:4],
-            "g_high": np.full(4, 9.0) if general else distortion[4:],
             "circle": circle,
             "origin": origin,
             "inverse_radius2": radius**-2,
+            "pieces": len(distortion) - 3 if general else len(distortion),
             "sigma": sigma,
             "first": 2,
         },
@@ -99,13 +101,13 @@ def on_device(
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
             "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
-            "terms": shader_terms(distortion) if general else np.full((1, 2), np.nan, F32),
+            "terms": shader_terms(distortion),
         },
         {"planes": (planes * shape[0] * shape[1] + 400, F32)},
         BX=shape[1],
         BY=shape[0],
         J=planes,
-        DEGREE=len(distortion) - 1 if general else 0,
+        AXIS=not general,
     )["planes"]
     assert unwritten(result[-400:]).all()
     return result[:-400].reshape(-1, *shape)
@@ -129,8 +131,9 @@ def reference(
             "half_size": (one.radius,) if isinstance(one, Disc) else (one.half_w, one.half_h),
             "angle": None if isinstance(one, Disc) else one.angle_rad,
             "material": one.material,
+            "under": under,
         }
-        for one in shapes
+        for one, under in zip(shapes, materials_under(shapes, background), strict=True)
     ]
     return paint(rows, table, background, origin, shape, sigma, distortion, radius, circle)
 
@@ -195,7 +198,7 @@ def test_small_discs_under_a_map_that_shears(radius: float):
     Strips leave 3e-6, Phi twice 1e-6; a disc's coverage changes by at most 0.4 / s along a position
     that is off by 30 roundings of 200 samples, 4e-4, as in the header.
     """
-    bend = {"distortion": np.array([0.95, -0.15, 0, 0, 0, 0, 0, 0]), "radius": 150.0}
+    bend = {"distortion": pieces_of([0.95, -0.15]), "radius": 150.0}
     middle = np.array([91.3, 66.8])
     centre, jacobian = chief_ray_twin(middle, **bend)
     least = np.linalg.svd(jacobian, compute_uv=False)[-1]
@@ -230,6 +233,17 @@ def test_shapes_within_shapes_in_painters_order():
     assert np.abs(found - turned).max() > 0.3  # a control: the order does matter
 
 
+def test_outlines_that_are_nearer_than_the_gaussian_is_wide():
+    """Two bars a sample apart are a wide bar with a gap: what is between them is no product."""
+    table = materials(2, 1)
+    place = (-9.5, -7.5), (17, 19)
+    bars = on_device([Rect(x, 0.3, 2.0, 6.0, 0.0, 1) for x in (-2.5, 2.5)], table, *place)
+    wide = Rect(0, 0.3, 4.5, 6.0, 0.0, 1)
+    # The gap ends where the bar does, as near as a chart's outlines may come.
+    gap = on_device([wide, Rect(0, 0.3, 0.5, 6.0 - 1e-6, 0.0, 0)], table, *place)
+    assert_close(bars, gap, atol=4 * WEIGHT * np.ptp(table))
+
+
 @pytest.mark.parametrize("planes", range(1, 9))
 def test_planes_from_one_to_eight(planes: int):
     shapes = [Rect(1, 2, 6, 5, 0.3, 1), Rect(-3, -2, 4, 3, 0.1, 0)]
@@ -262,15 +276,15 @@ def test_the_chart_is_warped_and_so_is_the_gaussian():
     assert np.abs(round_blur - expected).max() > 0.02
 
 
-@pytest.mark.parametrize("degree", [3, 8])
-def test_a_lens_without_an_axis_warps_the_gaussian_in_its_own_way(degree: int):
+@pytest.mark.parametrize("cells", [3, 8])
+def test_a_lens_without_an_axis_warps_the_gaussian_in_its_own_way(cells: int):
     """Shear and anamorphic stretch; and the rim of the image circle, about its own centre."""
     radius, circle = 50.0, (4.5, -2.5)
-    terms = bent(degree, degree, radius, 0.4).astype(F32).astype(float)
+    terms = bent(cells, cells, radius, 0.2)
     stack = [Rect(22, 14, 22, 14, 0.4, 1), Disc(21, 12, 11, 2)]
     place = {"distortion": terms, "radius": radius, "circle": circle}
-    # Positions take (degree + 1) (degree + 2) roundings of at most 1.4 radii: WEIGHT has twice
-    # those 4e-4 samples.
+    # Positions take some 40 roundings of at most 0.4 radii and one of u itself: WEIGHT has more
+    # than twice those 5e-5 samples.
     check(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
     expected = reference(stack, 1 + materials(3, 2), (4.5, -6.5), (43, 58), **place)
     for wrong in (
@@ -310,7 +324,7 @@ def test_tiles_far_from_the_first_know_where_they_are():
     edge = 1.9 * 1590.0
     for shape, half_size in (((3, 1611), (edge, 1e4)), ((1611, 3), (1e4, edge))):
         rect = Rect(0.0, 0.0, *half_size, 0.0, 1)
-        found = on_device([rect], table, (0.5, 0.5), shape, distortion=1.9 * IDENTITY)[0]
+        found = on_device([rect], table, (0.5, 0.5), shape, distortion=pieces_of([1.9]))[0]
         z = (1590 - (np.arange(1611) + 0.5)) / 0.8
         expected = np.broadcast_to(0.2 + 0.8 * ndtr(z), (3, 1611))
         # f32 at 3000 samples: 4 * 2^-24 * 3000 = 7e-4, over 1.5 of sigma, with a density of 0.4.
@@ -380,7 +394,7 @@ def test_the_host_paints_blocks_of_the_real_plane(device: Device):
             origin,
             GRID.block[::-1],
             sigma=SIGMA,
-            distortion=chief_ray.coefficients,
+            distortion=chief_ray.pieces,
             radius=chief_ray.radius_um / PITCH_UM,
         )
         assert np.ptp(expected) > 0.5
@@ -474,8 +488,8 @@ def test_tiles_know_their_ground_and_their_edges():
                 if place < plain:
                     assert count == 0
                     assert radius.max() < chief_ray.radius_um - 6 * SIGMA * PITCH_UM
-                g = np.polynomial.Polynomial(chief_ray.coefficients)
-                factor = g(np.minimum(radius / chief_ray.radius_um, 1) ** 2)
+                at_um = np.minimum(radius, chief_ray.radius_um)
+                factor = LENS.ideal_from_real(at_um)[0] / at_um
                 listed = chosen[start : start + count]
                 # What is not listed has no edge within six sigma of any sample...
                 for number in set(range(len(primitives))) - set(listed):

@@ -86,6 +86,8 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
             "size": (cols, lines),
             "across": across,
             "reach2": 29.0**2,
+            "fours": -(-spectra // 4),
+            "mixed": mixed_tables,
             "site_channels": words,
         },
         {
@@ -101,9 +103,7 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
         S=period**2,
         PERIOD=period,
         C=channels,
-        FOURS=-(-spectra // 4),
         N=side,
-        MIXED=mixed_tables,
     )["rates"]
     site, y, x = np.indices(before.shape)
     pixels = np.stack(

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 from command_line import gpusim
 
+from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.plan import calibrate
-from gpusim.plan.costs import LAVAPIPE, UNITS, Costs
+from gpusim.plan.costs import LAVAPIPE, UNITS, Costs, content_of
 from gpusim.plan.layout import TRANSFORMS
 
 
@@ -73,11 +74,28 @@ def test_a_spoilt_file_is_measured_again(device: Device, cache, measured, text: 
     assert len(measured) == 2 and calibrate.cached_costs(device) == measured[1]
 
 
-def test_a_rate_that_is_no_number_is_refused(device: Device, cache: Path, measured):
+@pytest.mark.parametrize("rate", ["NaN", "-1.0", "Infinity", "true_", "1e999"])
+@pytest.mark.parametrize("where", ["ns", "lengths"])
+def test_a_rate_that_is_none_is_refused(device: Device, cache: Path, measured, rate, where):
     calibrate.adapter_costs(device)
     (file,) = cache.iterdir()
-    file.write_text(file.read_text().replace("1.0", "NaN", 1))
+    before, name, after = file.read_text().partition(f'"{where}"')
+    file.write_text(before + name + after.replace("1.0", rate, 1))
     assert calibrate.cached_costs(device) is None
+
+
+def test_rates_survive_a_report(tmp_path: Path):
+    file = tmp_path / "report.json"
+    file.write_text(json.dumps({"costs": content_of(LAVAPIPE)}))
+    assert calibrate.planned_costs(file) == LAVAPIPE
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", '{"costs": 3}', '{"costs": {"ns": {}}}', "{"])
+def test_a_report_without_rates_is_refused(tmp_path: Path, text: str):
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(UserError) as caught:
+        calibrate.planned_costs(tmp_path / "report.json")
+    assert caught.value.file == tmp_path / "report.json"
 
 
 def test_other_shaders_or_another_driver_have_rates_of_their_own(

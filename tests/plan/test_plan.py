@@ -47,6 +47,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "paint",
         "warp",
         "dark blocks",
+        "image circle",
         "distortion",
         "lateral",
         "halo",
@@ -89,7 +90,16 @@ def test_every_stage_says_why_it_runs_or_not():
     ]
     assert all(stage.reason for stage in plan.stages)
     # What other stages do in passing has no cost of its own.
-    in_passing = {"distortion", "lateral", "tail", "flare", "prnu", "dsnu", "read noise"}
+    in_passing = {
+        "image circle",
+        "distortion",
+        "lateral",
+        "tail",
+        "flare",
+        "prnu",
+        "dsnu",
+        "read noise",
+    }
     for stage in plan.stages:
         timed = stage.runs and stage.name not in in_passing
         assert (stage.predicted_cost_s is not None and stage.predicted_cost_s > 0) == timed

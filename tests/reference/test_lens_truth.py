@@ -1,5 +1,6 @@
 """The judge itself: against closed forms, against the other tracer, and against its own grids."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ from lens.made import lens
 from scipy.interpolate import CubicSpline
 
 from gpusim.lens.prescription import load_prescription
+from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.transfer import diffraction_mtf
 from gpusim.lens.wavefront import pupils, sample_field
@@ -43,7 +45,9 @@ def sensor(lit_nm: float | None = None):
 def scene(*rects: Rect):
     """Return a bright ground with rectangles of a tenth of its light, lengths in um."""
     chart = Chart(("bright", "dark"), 0, rects).placed(1 / (401 * PITCH_UM / 2))
-    return SimpleNamespace(source=chart, spectra=np.stack([LIGHT, 0.1 * LIGHT]))
+    return SimpleNamespace(
+        source=chart, spectra=np.stack([LIGHT, 0.1 * LIGHT]), projection=RECTILINEAR
+    )
 
 
 @pytest.fixture(scope="module")
@@ -160,7 +164,9 @@ def test_a_raster_is_looked_up_as_its_spline(perfect, seen_through_it):
     planes = np.full((2, 80, 80), 0.5, np.float32)  # not 0: radiance never rings below it
     planes[0, :, 40:] = 1.0
     planes[1] = 0.25
-    subject = SimpleNamespace(source=Raster(planes), spectra=np.stack([LIGHT, LIGHT]))
+    subject = SimpleNamespace(
+        source=Raster(planes), spectra=np.stack([LIGHT, LIGHT]), projection=RECTILINEAR
+    )
     judge = Judge(perfect, sensor(550.0), subject, TABLE)
     found = judge.pixel(seen_through_it, 200, 200).rate
     even = (
@@ -188,6 +194,27 @@ def test_an_even_scene_gives_its_radiance_times_the_solid_angle(gauss, point):
     # beyond the image circle, 10 mm, where the scene is black.
     assert 0 < seen.beyond.max() < 2e-3
     assert -1e-5 - 0.1 * seen.beyond.max() < found / (known * area) - 1 < 1e-5
+
+
+def test_a_frame_knows_where_scenes_have_a_direction(gauss):
+    """By angle, a place f theta in the direction of the field: also behind the camera."""
+    index = gauss.index(np.array([550.0]))
+    flat = frame_of(gauss, index, np.array([4.0, -3.0]), 25.0)
+    bent = replace(flat, flat=False)
+    x1, x2 = (
+        one.ravel() for one in np.meshgrid(np.linspace(-9e3, 9e3, 7), np.linspace(-9e3, 9e3, 5))
+    )
+    x, y, off = flat.ideal(x1, x2)
+    assert np.abs(np.hypot(x, y) / 25e3 - np.tan(off)).max() < 1e-12
+    u, v, same = bent.ideal(x1, x2)
+    assert np.abs(np.hypot(u, v) / 25e3 - off).max() < 1e-12 and (same == off).all()
+    assert np.abs(np.arctan2(v, u) - np.arctan2(y, x)).max() < 1e-12
+    for frame, place in ((flat, (x, y)), (bent, (u, v))):
+        back = np.stack(frame.of_ideal(*place)[:2])
+        assert np.abs(back - [x1, x2]).max() < 1e-7
+    # A direction 120 degrees off the axis, from the other side of the axis.
+    away = 25e3 * np.radians(120.0)
+    assert not bent.of_ideal(np.array(away), np.array(0.0))[2]
 
 
 @pytest.mark.slow

@@ -20,6 +20,9 @@ DUAL = {
 }
 
 
+ONE_GAIN = {"analogue_gains": []}  # the preset has steps, which do not go with a dual gain
+
+
 def changed(**changes) -> Sensor:
     return load_sensor("imx477").model_copy(update=changes)
 
@@ -161,11 +164,26 @@ MISTAKES = {
     "sigma below 0": ({"column_offset": {"sigma_dn": -1}}, "greater than 0"),
     "a gain of 0": ({"analogue_gains": [{"gain": 0}]}, "greater than 0"),
     "a field of a gain": ({"analogue_gains": [{"gain": 1, "ISO": 100}]}, "gain, iso"),
-    "the low gain is not lower": ({"dual_gain": DUAL | {"system_gain_dn_per_e": 0.5}}, "below"),
-    "a switch above the codes": ({"dual_gain": DUAL | {"switch_dn": 4096}}, "up to 4095"),
-    "a switch in the black": ({"dual_gain": DUAL | {"switch_dn": 256}}, "above the black"),
-    "codes beyond 16 bits": ({"dual_gain": DUAL | {"system_gain_dn_per_e": 0.02}}, "65535"),
-    "low black at the top": ({"dual_gain": DUAL | {"black_level_dn": 4095}}, "below 4095"),
+    "the low gain is not lower": (
+        {"dual_gain": DUAL | {"system_gain_dn_per_e": 0.5}} | ONE_GAIN,
+        "below",
+    ),
+    "a switch above the codes": (
+        {"dual_gain": DUAL | {"switch_dn": 4096}} | ONE_GAIN,
+        "up to 4095",
+    ),
+    "a switch in the black": (
+        {"dual_gain": DUAL | {"switch_dn": 256}} | ONE_GAIN,
+        "above the black",
+    ),
+    "codes beyond 16 bits": (
+        {"dual_gain": DUAL | {"system_gain_dn_per_e": 0.02}} | ONE_GAIN,
+        "65535",
+    ),
+    "low black at the top": (
+        {"dual_gain": DUAL | {"black_level_dn": 4095}} | ONE_GAIN,
+        "below 4095",
+    ),
     "dual gain and steps": ({"dual_gain": DUAL, "analogue_gains": [{"gain": 1}]}, "no analogue"),
 }
 
@@ -191,4 +209,4 @@ def test_the_fields_of_these_mistakes_are_right_without_them(tmp_path: Path):
     )
     assert sensor.site_black_dn == (256, 250.5, 250.5, 256)
     assert isinstance(sensor.column_offset, ColumnOffset)
-    assert loaded(tmp_path, dual_gain=DUAL).raw_max_dn == 256 + 10 * (4095 - 200)
+    assert loaded(tmp_path, dual_gain=DUAL, **ONE_GAIN).raw_max_dn == 256 + 10 * (4095 - 200)

@@ -95,19 +95,19 @@ def test_filters_in_front_of_the_lens_count_as_well(tmp_path: Path):
     [
         (
             {"wavelengths_nm": [400, 700], "transmission": [0.5, -0.1]},
-            "filters.0.transmission.1",
+            "filters.1.transmission.2",
             "0",
         ),
-        ({"wavelengths_nm": [400, 650], "transmission": [1, 1]}, "filters.0", "400 to 700 nm"),
-        ({"wavelengths_nm": [700, 400], "transmission": [1, 1]}, "filters.0", "more than"),
-        ({"wavelengths_nm": [400, 700], "transmission": [1]}, "filters.0", "2, as wavelengths"),
+        ({"wavelengths_nm": [400, 650], "transmission": [1, 1]}, "filters.1", "400 to 700 nm"),
+        ({"wavelengths_nm": [700, 400], "transmission": [1, 1]}, "filters.1", "more than"),
+        ({"wavelengths_nm": [400, 700], "transmission": [1]}, "filters.1", "2, as wavelengths"),
         (
             {"wavelengths_nm": [400, 700], "transmission": [1, float("nan")]},
-            "filters.0.transmission",
+            "filters.1.transmission",
             "",
         ),
-        (FLAT | {"colour": 3}, "filters.0.colour", "transmission"),
-        ({"file": "cut.csv", "transmission": [1]}, "filters.0", "one or the other"),
+        (FLAT | {"colour": 3}, "filters.1.colour", "transmission"),
+        ({"file": "cut.csv", "transmission": [1]}, "filters.1", "one or the other"),
     ],
 )
 def test_a_wrong_filter_is_refused(tmp_path: Path, entry: dict, field: str, said: str):

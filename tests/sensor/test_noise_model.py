@@ -13,6 +13,7 @@ from scipy.stats import norm, t
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Recording
+from gpusim.sensor import noise_model
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise import QUANTILES, REACH, record_noise
@@ -136,6 +137,8 @@ def test_a_pair_of_masks_is_applied_pixel_by_pixel(device: Device, tmp_path: Pat
         (-np.ones((24, 36), F32), "values that are none", "none negative"),
         (np.full((24, 36), np.nan, F32), "values that are none", "finite"),
         (np.array([{}], object), "cannot be read", ".npy"),
+        (np.ones((24, 36), complex), "values of type complex128", ".npy"),
+        (np.ones((24, 36), bool), "values of type bool", ".npy"),
     ],
 )
 def test_a_wrong_mask_is_refused(tmp_path: Path, plane: np.ndarray, said: str, allowed: str):
@@ -145,6 +148,22 @@ def test_a_wrong_mask_is_refused(tmp_path: Path, plane: np.ndarray, said: str, a
     assert caught.value.field.startswith("masks")
     assert Path(caught.value.file).name == "gain.npy"
     assert allowed in caught.value.allowed
+
+
+def test_a_mask_is_what_it_was_when_the_sensor_was_loaded(tmp_path: Path):
+    file = tmp_path / "gain.npy"
+    np.save(file, np.ones((24, 36), F32))
+    first = load_sensor(written(tmp_path, masks={"gain": "gain.npy"}))
+    np.save(file, np.full((24, 36), 2, F32))
+    second = load_sensor(written(tmp_path, masks={"gain": "gain.npy"}))
+    assert first != second  # what was prepared for one is not taken for the other
+    whole = (first.first_row, first.first_col), (24, 36)
+    assert first.masks.part("gain", *whole).mean() == 1
+    assert second.masks.part("gain", *whole).mean() == 2
+    noise_model._PLANES.clear()
+    assert second.masks.part("gain", *whole).mean() == 2
+    with pytest.raises(UserError, match="has changed since"):
+        first.masks.part("gain", *whole)
 
 
 def test_a_mask_that_is_not_there_or_of_another_kind_is_refused(tmp_path: Path):
@@ -235,10 +254,10 @@ def test_reset_noise_follows_the_temperature(device: Device, tmp_path: Path):
         ),
         ({"defects": {"dead_fraction": 0.2}}, "defects.dead_fraction", None),
         ({"defects": {"hot_fraction": 0.01}}, "defects", "no dark current"),
-        ({"defects": {"pixels": [{"row": 3, "col": 4}]}}, "defects.pixels.0.kind", "missing"),
+        ({"defects": {"pixels": [{"row": 3, "col": 4}]}}, "defects.pixels.1.kind", "missing"),
         (
             {"defects": {"pixels": [{"row": 3, "col": 4, "kind": "cold"}]}},
-            "defects.pixels.0.kind",
+            "defects.pixels.1.kind",
             None,
         ),
         (

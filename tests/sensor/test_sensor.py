@@ -10,10 +10,10 @@ from command_line import assert_refused, gpusim
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gpusim.cli import app
+from gpusim.config.mistakes import user_error
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
 from gpusim.sensor.load import load_sensor, presets
-from gpusim.sensor.mistakes import user_error
 from gpusim.sensor.sensor import Sensor
 
 
@@ -180,13 +180,13 @@ GREEN_AT_415_NM = ("quantum_efficiency", "channels", "G", 3)
         (
             ("quantum_efficiency", "channels", "G", 3),
             -0.1,
-            "quantum_efficiency.channels.G.3",
+            "quantum_efficiency.channels.G.4",
             "greater than or equal to 0",
         ),
         (
             ("quantum_efficiency", "channels", "G", 3),
             float("nan"),
-            "quantum_efficiency.channels.G.3",
+            "quantum_efficiency.channels.G.4",
             "finite",
         ),
         (
@@ -276,10 +276,10 @@ class Outer(BaseModel):
     ("data", "field", "words"),
     [
         ({"one": {"dept_e": 3, "depth_e": 1}}, "one.dept_e", "perhaps depth_e is meant"),
-        ({"many": [{"dept_e": 3, "depth_e": 1}]}, "many.0.dept_e", "perhaps depth_e is meant"),
+        ({"many": [{"dept_e": 3, "depth_e": 1}]}, "many.1.dept_e", "perhaps depth_e is meant"),
         ({"one": {}}, "one.depth_e", "all of depth_e"),
         ({"one": [1]}, "one", "of depth_e"),
-        ({"many": [{"depth_e": -1}]}, "many.0.depth_e", "greater than 0 (electrons)"),
+        ({"many": [{"depth_e": -1}]}, "many.1.depth_e", "greater than 0 (electrons)"),
     ],
 )
 def test_fields_of_parts_are_named_like_others(data, field: str, words: str):

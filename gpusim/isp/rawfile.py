@@ -1,0 +1,97 @@
+"""Raw files that `gpusim.isp.dng` wrote, read again: light by photosite, and its colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.isp import tiff
+from gpusim.isp.dng import BLACK_IS_ZERO, CFA, LINEAR_RAW, MAKE, TAGS
+from gpusim.sensor.cfa import CFA_LETTERS
+
+
+@dataclass(frozen=True, eq=False)
+class RawFile:
+    """A raw frame.
+
+    Attributes
+    ----------
+    signal_dn : ndarray (rows, cols), float32
+        Of the lit pixels: linear, less the black level.
+    span_dn : float
+        The same of a saturated pixel.
+    pattern : tuple of str
+        Rows of the filter pattern, from the first of these pixels; ``W`` where there are no
+        filters.
+    tags, exif : dict of int to (type, values)
+        All that the file says: see `gpusim.isp.tiff`.
+    """
+
+    signal_dn: np.ndarray
+    span_dn: float
+    pattern: tuple[str, ...]
+    tags: dict[int, tuple[int, object]]
+    exif: dict[int, tuple[int, object]]
+
+    @property
+    def colours(self) -> str:
+        """Letters of the filters, in the order of AsShotNeutral and of the matrices' rows."""
+        return "".join(sorted(set("".join(self.pattern)), key=CFA_LETTERS.index))
+
+    def value(self, name: str) -> np.ndarray:
+        """Return the values of a tag."""
+        return tiff.numbers(self.tags[TAGS[name]])
+
+
+def read_raw(path: Path) -> RawFile | None:
+    """Read a raw file; None where it is not as `write_dng` writes them.
+
+    Raises
+    ------
+    ValueError
+        It is, and is damaged.
+    """
+    try:
+        tags, exif = tiff.read_tags(path)
+    except ValueError:
+        return None
+    kind = tags.get(TAGS["PhotometricInterpretation"], (0, (None,)))[1][0]
+    if tags.get(TAGS["Make"], (0, ""))[1] != MAKE or kind not in (BLACK_IS_ZERO, CFA, LINEAR_RAW):
+        return None
+    try:
+        return _read(path, tags, exif, kind)
+    except (LookupError, OSError, TypeError) as error:
+        raise ValueError(f"a damaged raw file: {error}") from None
+
+
+def _read(path: Path, tags: dict, exif: dict, kind: int) -> RawFile:
+    def whole(tag: int) -> list[int]:
+        return [int(value) for value in tags[tag][1]]
+
+    (rows,), (cols,), (place,) = (
+        whole(tag) for tag in (tiff.LENGTH, tiff.WIDTH, tiff.STRIP_OFFSETS)
+    )
+    codes = np.fromfile(path, "<u2", rows * cols, offset=place)
+    if codes.size != rows * cols:
+        raise ValueError(f"a damaged raw file: {codes.size} of {rows * cols} pixels")
+    top, left, bottom, right = whole(TAGS["ActiveArea"])
+    codes = codes.reshape(rows, cols)[top:bottom, left:right]
+    if TAGS["LinearizationTable"] in tags:
+        codes = np.array(tags[TAGS["LinearizationTable"]][1], np.uint16)[codes]
+    black = tiff.numbers(tags[TAGS["BlackLevel"]])
+    black = black.reshape(whole(TAGS["BlackLevelRepeatDim"])).astype(np.float32)
+    pattern = ("W",)
+    if kind != LINEAR_RAW:
+        width = whole(TAGS["CFARepeatPatternDim"])[1]
+        sites = "".join(CFA_LETTERS[code] for code in whole(TAGS["CFAPattern"]))
+        pattern = tuple(sites[at : at + width] for at in range(0, len(sites), width))
+    span = whole(TAGS["WhiteLevel"])[0] - float(black.mean())
+    return RawFile(codes - tiled(black, codes.shape), span, pattern, tags, exif)
+
+
+def tiled(pattern: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a pattern repeated over a frame: (rows, cols)."""
+    rows, cols = (np.arange(n) % period for n, period in zip(shape, pattern.shape, strict=True))
+    return pattern[np.ix_(rows, cols)]

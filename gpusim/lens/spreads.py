@@ -1,0 +1,179 @@
+"""Line spreads of a lens's PSFs at fields and wavelengths of choice: what a survey measures.
+
+A bank is sampled as densely as it must be to be interpolated. How densely that is, is told by what
+PSFs do between fields and lines; their sums along x and along y tell it as well as they themselves,
+take a hundredth of the room, and need no halo. They come from the generator, as the bank does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.gpu import default_device
+from gpusim.lens.bank import (
+    REFERENCE_NM,
+    from_cache,
+    load_dataset,
+    save_dataset,
+)
+from gpusim.lens.field_map import WIDE_DEG
+from gpusim.lens.generator import Generator
+from gpusim.lens.halo import distances_um, fall
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.sampling import window
+from gpusim.lens.system import build, first_order, transmission
+
+Progress = Callable[[int, int], None]
+# Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of
+# what 13 lines in even steps of 25 nm do. In elevenths of 1/700 to 1/400, 550 nm is one of them.
+SHORTEST_NM, LONGEST_NM, ELEVENTHS = 400.0, 700.0, 11
+_VARIABLES = {
+    "field_deg": (("field",), "degree", "field angle in object space"),
+    "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
+    "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
+    "solid_angle_sr": (("field", "wavelength"), "sr", "projected solid angle of what passes"),
+    "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
+    "spread": (
+        ("field", "wavelength", "along", "at"),
+        "1",
+        "share of the light per sample, along xi and along eta; centred on the chief ray",
+    ),
+}
+_SCALARS = {
+    "pitch_um": ("um", "spacing of the samples"),
+    "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
+}
+
+
+def even_lines_nm(steps: int) -> np.ndarray:
+    """Return lines that are evenly spaced in 1 / lambda, `steps` of them in each eleventh."""
+    inverse = np.linspace(1 / SHORTEST_NM, 1 / LONGEST_NM, ELEVENTHS * steps + 1)
+    return np.round(1 / inverse, 6)
+
+
+def middles_deg(prescription: Prescription, field_deg: np.ndarray) -> np.ndarray:
+    """Return the fields half-way between fields, in image height nearly."""
+    if prescription.max_field_deg > WIDE_DEG:
+        return (field_deg[1:] + field_deg[:-1]) / 2
+    height = np.tan(np.radians(field_deg))
+    return np.degrees(np.arctan((height[1:] + height[:-1]) / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """Line spreads of a lens at F fields and L wavelengths.
+
+    Attributes
+    ----------
+    field_deg, wavelengths_nm : ndarray (F,), (L,)
+        Rising; the reference wavelength is among these.
+    height_um, solid_angle_sr : ndarray (F, L)
+    transmission : ndarray (L,)
+    spread : ndarray of float32 (F, L, 2, n)
+        The PSF, as far as a bank's first level holds it, summed along eta and along xi; the chief
+        ray is at sample n / 2.
+    pitch_um, efl_mm : float
+    provenance : dict
+    """
+
+    field_deg: np.ndarray
+    wavelengths_nm: np.ndarray
+    height_um: np.ndarray
+    solid_angle_sr: np.ndarray
+    transmission: np.ndarray
+    spread: np.ndarray
+    pitch_um: float
+    efl_mm: float
+    provenance: dict[str, str]
+
+    @property
+    def reference(self) -> int:
+        """Index of the reference wavelength."""
+        return int(np.abs(self.wavelengths_nm - REFERENCE_NM).argmin())
+
+    def save(self, path: str | Path) -> None:
+        """Write them as NetCDF, never half a file."""
+        import xarray
+
+        data = {
+            name: (dims, getattr(self, name), {"units": units, "long_name": meaning})
+            for name, (dims, units, meaning) in _VARIABLES.items()
+        }
+        data |= {
+            name: ((), float(getattr(self, name)), {"units": units, "long_name": meaning})
+            for name, (units, meaning) in _SCALARS.items()
+        }
+        save_dataset(xarray.Dataset(data, attrs=self.provenance), path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Spreads:
+        """Read what ``save`` wrote; raises where the file is not whole."""
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, ()))
+
+
+def spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    *,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Trace a lens and return the line spreads of its PSFs.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        Of a lens with an axis.
+    wavelengths_nm, field_deg : ndarray (L,), (F,)
+        See `Spreads`.
+    progress : callable, optional
+        Called with (fields done, fields in all).
+
+    Raises
+    ------
+    UserError
+        Where a field does not pass the lens.
+    """
+    system = build(prescription)
+    lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
+    size, pitch_um = window(system, lines)
+    within = fall(distances_um(size, pitch_um), size / 2 * pitch_um)
+    given = {"pitch_um": pitch_um, "size": size, "progress": progress}
+    generator = Generator(default_device(), system, lines, angles, **given)
+    found = np.empty((len(angles), len(lines), 2, size), np.float32)
+    solid_angle = np.empty(found.shape[:2])
+    try:
+        for field in range(len(angles)):
+            spread = generator.spread(field)
+            found[field, :, 0] = np.einsum("lyx,yx->lx", spread.psf, within)
+            found[field, :, 1] = np.einsum("lyx,yx->ly", spread.psf, within)
+            solid_angle[field] = spread.projected_solid_angle_sr
+        height = 1e3 * generator.chief_y_mm
+    finally:
+        generator.release()
+    return Spreads(
+        field_deg=angles,
+        wavelengths_nm=lines,
+        height_um=height,
+        solid_angle_sr=solid_angle,
+        transmission=transmission(prescription, lines),
+        spread=found,
+        pitch_um=float(pitch_um),
+        efl_mm=first_order(prescription, REFERENCE_NM).efl_mm,
+        provenance={"title": prescription.title, "holds": "line spreads of PSFs"},
+    )
+
+
+def cached_spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Return the same from the disk cache, or trace and store it."""
+    settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "progress": progress}
+    return from_cache(Spreads, spreads, prescription, settings)

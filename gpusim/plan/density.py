@@ -1,0 +1,411 @@
+"""How densely a lens's bank must be sampled for a tolerance, and what that leaves of error.
+
+Between a bank's fields and lines everything is interpolated, and how well depends on the lens: PSFs
+of fast lenses change quickly towards the rim, vignetting sets in all at once (the light behind the
+first sliver of a stop that is cut off goes as a power of 3/2: no cubic follows it), colours differ
+in focus. So the lens is asked: line spreads half-way between fields, and at lines between lines,
+are compared with what a bank makes of those around. Fields are halved where they miss, one interval
+for itself; lines are evenly spaced in 1 / lambda and made two or three times as many.
+
+What is compared is what the certificate compares: a pixel beside an edge, and an even scene,
+relative to the local signal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.lens.bank import default_fields_deg
+from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.lines import CUBIC, line_shares
+from gpusim.lens.places import lagrange
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.spreads import Spreads, cached_spreads, even_lines_nm, middles_deg
+from gpusim.optics.fold import spectral_weights
+from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
+from gpusim.plan.signal import brightest_e
+from gpusim.plan.stage import PlanStage
+from gpusim.scene.chart import Chart
+from gpusim.scene.scene import Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.aperture import transfer_along
+from gpusim.sensor.sensor import Sensor
+
+Progress = Callable[[int, int], None]
+# Banks are made for these tolerances and contrasts, so that few of them serve many renders.
+TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, SMALLEST)
+# White over black of a chart's edges, 1 where it has none: ISO 12233 has 4, charts of wide contrast
+# 16. Photographs count as the former.
+CONTRASTS = (1.0, 5.0, 20.0)
+PHOTOGRAPH = 5.0
+# Of the tolerance, for what fields and what lines leave each; together 0.35, and 0.94 remain for
+# the engine.
+FIELDS_SHARE, LINES_SHARE = 0.25, 0.25
+MOST_SHARE = 0.7  # of the tolerance: a bank that leaves more is refused
+# Lines at which fields are compared, of the twelve: 550 nm and both ends are among them.
+FEW = (0, 2, 4, 7, 9, 11)
+LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
+STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
+ROUNDS = 3  # of halving
+MOST_SAMPLES = 2**27  # of all PSFs: half a GiB
+NEAR_PX = 1.0  # from an edge, where pixels are judged
+
+
+@dataclass(frozen=True, eq=False)
+class Density:
+    """Where a bank is sampled, and what it is expected to err by, relative to the local signal.
+
+    Attributes
+    ----------
+    field_deg, wavelengths_nm : ndarray (F,), (L,)
+    height_um : ndarray (F,)
+        Of the fields.
+    fields_error : ndarray (F - 1,)
+        Half-way between the fields; 0 beyond the sensor's corners.
+    lines_um, lines_error : ndarray (A,)
+        Heights, and what the lines leave there.
+    contrast : float
+        Of edges that the bank was made for, 1 where the scene has none.
+    ratio : float
+        Of the scene's own edges.
+    """
+
+    field_deg: np.ndarray
+    wavelengths_nm: np.ndarray
+    height_um: np.ndarray
+    fields_error: np.ndarray
+    lines_um: np.ndarray
+    lines_error: np.ndarray
+    contrast: float
+    ratio: float
+
+    def at(self, radius_um: float) -> float:
+        """Return the error at an image height."""
+        place = int(np.searchsorted(self.height_um, radius_um, "right")) - 1
+        of_fields = self.fields_error[min(max(place, 0), len(self.fields_error) - 1)]
+        return math.hypot(of_fields, np.interp(radius_um, self.lines_um, self.lines_error))
+
+    @property
+    def worst(self) -> float:
+        """The largest error on the sensor."""
+        middles = (self.height_um[1:] + self.height_um[:-1]) / 2
+        used = [r for r, error in zip(middles, self.fields_error, strict=True) if error > 0]
+        return max(map(self.at, used), default=0.0)
+
+    @property
+    def sampling(self) -> dict[str, np.ndarray]:
+        """What `gpusim.camera.Camera.bank` takes."""
+        return {"wavelengths_nm": self.wavelengths_nm, "field_deg": self.field_deg}
+
+    @property
+    def why(self) -> str:
+        """Why it cannot be less."""
+        fields, lines = len(self.field_deg), len(self.wavelengths_nm)
+        return (
+            f"between {fields} fields and {lines} wavelengths the lens's PSFs are interpolated, "
+            f"which errs by {self.worst:.1e}, and more of them would not fit in half a GiB"
+        )
+
+    @property
+    def text(self) -> str:
+        """What was chosen, in words."""
+        fields, lines = len(self.field_deg), len(self.wavelengths_nm)
+        return f"PSFs of {fields} fields x {lines} wavelengths, what lies between interpolated"
+
+
+@dataclass(frozen=True, eq=False)
+class LensShare:
+    """What a tolerance leaves to the engine: the rest is the bank's, and of light beyond it.
+
+    Attributes
+    ----------
+    density : Density
+    bank : FieldBank
+        That was made so.
+    """
+
+    density: Density
+    bank: FieldBank
+
+    @cached_property
+    def window(self) -> float:
+        """What the light beyond the last level costs: it is spread evenly, and dark pixels lack it.
+
+        Of a scene half black and half white, a black pixel lacks half of it times the contrast.
+        """
+        beyond = getattr(self.bank, "beyond_energy", None)
+        share = 0.0 if beyond is None else float(beyond.max())
+        contrast = self.density.ratio
+        return share * (1 + 1 / contrast) / 2 * math.sqrt((contrast**2 + 1) / 2)
+
+    def excess(self, tolerance: float) -> float:
+        """Return what is not the engine's over what it may be of a tolerance, at most."""
+        return (self.density.worst + self.window) / (MOST_SHARE * tolerance)
+
+    def left_of(self, tolerance: float) -> float:
+        """Return the engine's part of a tolerance: squares add, but for light that is lost."""
+        most = MOST_SHARE * tolerance
+        window = min(self.window, most)
+        of_bank = min(self.density.worst, most - window)
+        return max(math.sqrt((tolerance - window) ** 2 - of_bank**2), SMALLEST)
+
+    @property
+    def stages(self) -> tuple[PlanStage, ...]:
+        """Describe them."""
+        return (
+            PlanStage("bank", True, self.density.text, self.density.worst),
+            PlanStage("window", True, "light beyond the bank's widest level", self.window),
+        )
+
+
+class _Axis(NamedTuple):
+    """What the planner's bound of the signal asks of a bank."""
+
+    wavelengths_nm: np.ndarray
+    projected_solid_angle_sr: np.ndarray
+    transmission: np.ndarray
+    relative_illumination: np.ndarray
+    spectral_degree: int = CUBIC
+
+
+def bank_density(
+    lens: object,
+    sensor: Sensor,
+    scene: Scene,
+    accuracy: Accuracy,
+    exposure_s: float = math.inf,
+    progress: Progress | None = None,
+) -> Density | None:
+    """Return how densely to sample the bank of a lens; None where it cannot be traced.
+
+    Parameters
+    ----------
+    lens : Prescription, or anything else
+        Traced where it is a prescription of a lens with an axis.
+    sensor, scene, accuracy
+    exposure_s : float
+        Longest that will be captured: see `gpusim.plan.plan_optics`.
+    progress : callable, optional
+        Called with (fields done, fields in all).
+
+    Raises
+    ------
+    UserError
+        Where a field does not pass the lens; where the densest bank errs by more than the tolerance
+        leaves to it and no best effort is asked for: with the nearest that can be met.
+    """
+    if not isinstance(lens, Prescription) or not lens.is_centred:
+        return None
+    ratio = _contrast(scene)
+    contrast = next((one for one in CONTRASTS if ratio <= one), CONTRASTS[-1])
+    survey = _Survey(lens, sensor, scene, contrast, progress)
+    asked = _relative(survey, sensor, scene, accuracy, exposure_s)
+    tolerance = _class_of(asked)
+    at_um, between = survey.lines_error()
+    steps = next((n for n in STEPS if between.max() / n**4 <= LINES_SHARE * tolerance), STEPS[-1])
+    lines = even_lines_nm(steps)
+    most_fields = MOST_SAMPLES // (len(lines) * survey.size**2)
+    fields, errors = survey.refined(FIELDS_SHARE * tolerance, most_fields)
+    between = between / steps**4
+    found = Density(
+        field_deg=fields,
+        wavelengths_nm=lines,
+        height_um=np.array([survey.height_um(one) for one in fields]),
+        fields_error=errors,
+        lines_um=at_um,
+        lines_error=between,
+        contrast=survey.contrast,
+        ratio=ratio,
+    )
+    if found.worst > MOST_SHARE * asked and not accuracy.best_effort:
+        nearest = rounded_up(found.worst / MOST_SHARE * accuracy.tolerance / asked)
+        raise UserError(
+            f"The tolerance cannot be met: {found.why}.",
+            field="tolerance",
+            value=accuracy.text,
+            allowed=f"{accuracy.in_words(nearest)} or more{BEST_EFFORT}",
+        )
+    return found
+
+
+def _class_of(tolerance: float) -> float:
+    """Return the tolerance that a bank is made for."""
+    return next((one for one in TOLERANCES if one <= tolerance), TOLERANCES[-1])
+
+
+def _relative(
+    survey: _Survey, sensor: Sensor, scene: Scene, accuracy: Accuracy, exposure_s: float
+) -> float:
+    """Return the tolerance relative to the brightest signal."""
+    if accuracy.unit == "relative":
+        return accuracy.tolerance
+    brightest = sensor.full_well_e
+    if sensor.eqe_map is None:
+        brightest = min(brightest, brightest_e(survey.axis, sensor, scene, exposure_s))
+    signal = brightest, sensor.temporal_dark_noise_e, sensor.full_well_e
+    return replace(accuracy, best_effort=True).relative(*signal).tolerance
+
+
+def _contrast(scene: Scene) -> float:
+    """Return the contrast of a scene's edges, at most the last of CONTRASTS."""
+    if not isinstance(scene.source, Chart):
+        return PHOTOGRAPH
+    if not scene.source.primitives:
+        return CONTRASTS[0]
+    used = {scene.source.background, *(one.material for one in scene.source.primitives)}
+    light = scene.spectra[sorted(used)].sum(axis=1)
+    return float(light.max() / max(light.min(), light.max() / CONTRASTS[-1]))
+
+
+class _Survey:
+    """Line spreads of a lens, seen by a sensor."""
+
+    def __init__(
+        self,
+        lens: Prescription,
+        sensor: Sensor,
+        scene: Scene,
+        contrast: float,
+        progress: Progress | None,
+    ) -> None:
+        self.lens, self.sensor, self.contrast, self.progress = lens, sensor, contrast, progress
+        self.spectrum = scene.spectra[scene.spectra.sum(axis=1).argmax()]
+        self.corner_um = math.hypot(sensor.rows, sensor.cols) / 2 * sensor.pixel_pitch_um
+        self.first_deg = default_fields_deg(lens)
+        lines = even_lines_nm(STEPS[0])[list(FEW)]
+        both = np.sort(np.concatenate([self.first_deg, middles_deg(lens, self.first_deg)]))
+        self.few = cached_spreads(lens, lines, both, progress)
+        self.axis = _Axis(
+            lines,
+            self.few.solid_angle_sr[0],
+            self.few.transmission,
+            self.few.solid_angle_sr / self.few.solid_angle_sr[0],
+        )
+        self.size = self.few.spread.shape[-1]
+        self.seen: dict[float, np.ndarray] = {}
+        self.heights: dict[float, float] = {}
+        self._take(self.few)
+
+    def height_um(self, field_deg: float) -> float:
+        """Return the image height of a field that was traced."""
+        return self.heights[float(field_deg)]
+
+    def lines_error(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
+        fields = self.first_deg[list(LINES_AT)]
+        many = cached_spreads(self.lens, even_lines_nm(2), fields, self.progress)
+        few = replace(
+            many,
+            wavelengths_nm=many.wavelengths_nm[::2],
+            **{name: getattr(many, name)[:, ::2] for name in ("height_um", "solid_angle_sr")},
+            transmission=many.transmission[::2],
+            spread=many.spread[:, ::2],
+        )
+        true, made = (self._transfer(one, many.solid_angle_sr[0].mean()) for one in (many, few))
+        errors = [self._error(a - b, b) for a, b in zip(made, true, strict=True)]
+        return many.height_um[:, many.reference], np.array(errors)
+
+    def refined(self, allowed: float, most: int) -> tuple[np.ndarray, np.ndarray]:
+        """Halve intervals until none errs by more than is allowed, or there are too many fields.
+
+        Returns
+        -------
+        field_deg : ndarray (F,)
+        errors : ndarray (F - 1,)
+        """
+        fields = self.first_deg
+        for left in reversed(range(ROUNDS + 1)):
+            middles = middles_deg(self.lens, fields)
+            errors = self._between(fields, middles)
+            worst = np.argsort(-errors)
+            bad = [n for n in worst if errors[n] > allowed]
+            taken = bad[: max(most - len(fields), 0)]
+            if not taken or not left:
+                break
+            fields = np.sort(np.concatenate([fields, middles[taken]]))
+        return fields, errors
+
+    def _between(self, fields: np.ndarray, middles: np.ndarray) -> np.ndarray:
+        """Return what fields make of those half-way between them, as far as the sensor reaches."""
+        height = np.array([self.height_um(one) for one in fields])
+        used = np.flatnonzero(height[:-1] < self.corner_um)
+        missing = [one for one in middles[used] if float(one) not in self.seen]
+        if missing:
+            lines = self.few.wavelengths_nm
+            self._take(cached_spreads(self.lens, lines, np.array(missing), self.progress))
+        seen = np.stack([self.seen[float(one)] for one in fields])
+        # Beyond the axis lies the second field, turned by half a turn.
+        both = np.concatenate([seen[1:2].conj(), seen])
+        nodes = np.concatenate([-height[1:2], height])
+        errors = np.zeros(len(middles))
+        for number in used:
+            own = self.seen[float(middles[number])]
+            numbers, weights = lagrange(nodes, self.height_um(middles[number]))
+            errors[number] = self._error(np.tensordot(weights, both[numbers], axes=1) - own, own)
+        return errors
+
+    def _take(self, found: Spreads) -> None:
+        """Keep what a camera sees of fields that were traced."""
+        for one, height, seen in zip(
+            found.field_deg,
+            found.height_um[:, found.reference],
+            self._transfer(found, self.few.solid_angle_sr[0].mean()),
+            strict=True,
+        ):
+            self.heights[float(one)], self.seen[float(one)] = float(height), seen
+
+    def _transfer(self, found: Spreads, unit_sr: float) -> np.ndarray:
+        """Return the transfer functions (F, C, 2, n / 2 + 1) of the channels, along xi and eta.
+
+        Light included; lateral colour is as the engine has it, a streak (`gpusim.optics.kernels`).
+        """
+        n, lines = found.spread.shape[-1], found.wavelengths_nm
+        frequency = np.fft.rfftfreq(n, found.pitch_um)
+        ones = np.ones(len(lines))
+        axis = _Axis(lines, ones, found.transmission, found.solid_angle_sr / unit_sr)
+        weights = spectral_weights(axis, self.sensor, self._efficiency) * self.spectrum
+        weights /= weights.sum(axis=(-2, -1), keepdims=True)
+        shares = line_shares(lines, CUBIC, WAVELENGTHS_NM)
+        lateral = (found.height_um - found.height_um[:, found.reference, None]) @ shares
+        out = np.empty((len(found.field_deg), len(weights), 2, len(frequency)), complex)
+        # Sample n / 2 is the origin.
+        middle = (-1.0) ** np.arange(len(frequency))
+        pixel = [transfer_along(self.sensor.response_um, frequency, axis) for axis in (0, 1)]
+        for place in range(len(out)):
+            spectra = np.fft.rfft(found.spread[place], axis=-1) * middle
+            spectra *= axis.relative_illumination[place, :, None, None]
+            turn = np.exp(-2j * np.pi * np.outer(lateral[place], frequency))
+            out[place, :, 0] = np.einsum("clf,lf->cf", weights @ turn, spectra[:, 0])
+            out[place, :, 1] = np.einsum("cl,lf->cf", weights.sum(axis=-1), spectra[:, 1])
+            out[place] *= pixel
+        return out
+
+    @property
+    def _efficiency(self) -> np.ndarray:
+        """Quantum efficiency (C, 1, 61) on the axis."""
+        sensor = self.sensor
+        return np.stack([np.asarray(sensor.qe[channel]) for channel in sensor.channels])[:, None]
+
+    def _error(self, off: np.ndarray, own: np.ndarray) -> float:
+        """Return what an error of transfer functions (C, 2, n / 2 + 1) does to pixels: the RMS."""
+        even = off[..., :1].real / own[..., :1].real
+        if self.contrast == 1:
+            return float(np.sqrt(np.mean(even**2)))
+        pitch_um, dark = self.few.pitch_um, 1 / self.contrast
+        near = int(np.ceil(NEAR_PX * self.sensor.pixel_pitch_um / pitch_um))
+        middle = (-1.0) ** np.arange(off.shape[-1])
+        beside = slice(max(self.size // 2 - near, 0), self.size // 2 + near)
+        found = []
+        steps = [np.cumsum(np.fft.irfft(one * middle), axis=-1)[..., beside] for one in (off, own)]
+        whole = [one[..., :1].real for one in (off, own)]
+        for step in (steps, [a - b for a, b in zip(whole, steps, strict=True)]):
+            change, signal = (dark * a + (1 - dark) * b for a, b in zip(whole, step, strict=True))
+            found.append(change / signal)
+        return float(max(np.sqrt(np.mean(np.square(found))), np.sqrt(np.mean(even**2))))

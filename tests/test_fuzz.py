@@ -1,0 +1,277 @@
+"""Every reader, given damaged files: it reads them, or says one clear thing, soon and in bounds.
+
+Text files lose lines and gain words; structured ones gain values of other kinds; of binary files
+bytes change, vanish and double. The readers of lens designs have their own in
+``tests/lens/test_imports.py``.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import resource
+import time
+import warnings
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from lens.exports import write_isetcam, write_zemax
+from lens.test_ready import arrays
+from optics.made import bank as made_bank
+from sensor import isetcam_files, speos_files
+
+from gpusim.camera import load_camera
+from gpusim.errors import UserError
+from gpusim.lens.ready import load_ready
+from gpusim.metrics.frames import find_frames, measure
+from gpusim.scene import make_scene
+from gpusim.sensor.eqe_model import read_eqe
+from gpusim.sensor.isetcam import read_isetcam
+from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.sensor.speos import read_speos
+
+DATA = Path(__file__).resolve().parents[1] / "gpusim" / "data"
+SECONDS = 5.0  # of processor time for one file; whole ones take 0.05
+MEBIBYTES = 200  # that the process may grow by, over all files of a reader
+EXAMPLES = int(os.environ.get("GPUSIM_FUZZ", "25"))  # more of them by hand
+
+
+def sensor_files(at: Path) -> list[Path]:
+    """Write a sensor file with what may stand beside it."""
+    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text())
+    data |= {"rows": 24, "cols": 36, "masks": {"gain": "gain.npy", "offset_e": "offset.tif"}}
+    data |= {"defects": {"hot_fraction": 1e-3, "hot_e_per_s": 9.0, "pixels": []}}
+    data["defects"]["pixels"] = [{"row": 3, "col": 4, "kind": "stuck", "value": 5.0}]
+    data["sources"] = {key: data.get("sources", {}).get(key, "made up") for key in ("masks",)}
+    filters = [f"{nm},{0.9}" for nm in range(400, 701, 50)]
+    (at / "cut.csv").write_text("# nm, transmission\n" + "\n".join(filters))
+    data["filters"] = [{"name": "cut", "file": "cut.csv"}]
+    np.save(at / "gain.npy", np.ones((24, 36), np.float32))
+    tifffile.imwrite(at / "offset.tif", np.ones((24, 36), np.float32), compression="zlib")
+    (at / "sensor.yaml").write_text(yaml.safe_dump(data, sort_keys=False))
+    return [at / name for name in ("sensor.yaml", "cut.csv", "gain.npy", "offset.tif")]
+
+
+def eqe_file(at: Path) -> list[Path]:
+    """Write a small quantum efficiency by angle."""
+    cube = np.full((2, 3, 2), 0.4).tolist()
+    data = {
+        "wavelengths_nm": [400, 700],
+        "theta_deg": [0, 20, 40],
+        "phi_deg": [0, 180],
+        "channels": {"G": {"eqe": cube}},
+    }
+    (at / "eqe.json").write_text(json.dumps(data, indent=1))
+    return [at / "eqe.json"]
+
+
+def camera_file(at: Path) -> list[Path]:
+    """Write a camera file of a few pixels."""
+    (at / "camera.yaml").write_text(
+        "title: a camera\n"
+        "lens: {prescription: double-gauss, f_number: 4, max_field_deg: 3, focus_shift_um: 1.0}\n"
+        "sensor: {preset: imx477, rows: 96, cols: 128}\n"
+        "filters: [{name: cut, wavelengths_nm: [400, 700], transmission: [0.5, 0.9]}]\n"
+    )
+    return [at / "camera.yaml"]
+
+
+def npz_file(at: Path) -> list[Path]:
+    """Write a bank as arrays, and a text beside it."""
+    found = arrays(made_bank(size=16))
+    title = {name: found.pop(name) for name in ("title", "source")}
+    np.savez_compressed(at / "lens.npz", **found)
+    (at / "lens.yaml").write_text(yaml.safe_dump(title | {"exit_pupil_mm": 20.0}))
+    return [at / "lens.npz", at / "lens.yaml"]
+
+
+def saved_bank(at: Path) -> list[Path]:
+    """Write a bank as NetCDF."""
+    made_bank(size=16).save(at / "lens.nc")
+    return [at / "lens.nc"]
+
+
+def mtf_file(at: Path) -> list[Path]:
+    """Write a table of the MTF."""
+    data = yaml.safe_load((DATA / "mtf" / "diffraction-limited.yaml").read_text())
+    (at / "lens.yaml").write_text(yaml.safe_dump(data))
+    return [at / "lens.yaml"]
+
+
+def exr_files(at: Path) -> list[Path]:
+    """Write a photograph."""
+    rgb = np.random.default_rng(1).uniform(0, 2, (24, 20, 3)).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    more = {"chromaticities": (0.7, 0.29, 0.2, 0.8, 0.13, 0.05, 0.3127, 0.329)}
+    OpenEXR.File(header | more | {"whiteLuminance": 80.0}, {"RGB": rgb}).write(str(at / "a.exr"))
+    return [at / "a.exr"]
+
+
+def zemax_files(at: Path) -> list[Path]:
+    """Write Zemax's exports."""
+    write_zemax(at)
+    return [at / "lens.yaml", *sorted(at.glob("*.txt"))[:2]]
+
+
+def isetcam_folder(at: Path) -> list[Path]:
+    """Write the folder of ISETCam's macro."""
+    write_isetcam(at)
+    return sorted(at.glob("ISETPARMS.*")) + sorted(at.glob("*.dat"))[:3]
+
+
+def speos_folder(at: Path) -> list[Path]:
+    """Write a sensor of Speos and its spectrum."""
+    file = speos_files.written(at)
+    speos_files.spectrum(at / "qe.spectrum", {380: 40.0, 550: 60.0, 720: 30.0})
+    return [file, at / "qe.spectrum"]
+
+
+def frames_folder(at: Path) -> list[Path]:
+    """Write frames and their list."""
+    rng = np.random.default_rng(1)
+    frames = rng.integers(90, 110, (4, 16, 16)).astype(np.uint16)
+    names = ["0.npy", "1.npy", "2.tif", "3.tif"]
+    for name, frame in zip(names, frames, strict=True):
+        (np.save if name.endswith("npy") else tifffile.imwrite)(at / name, frame)
+    rows = [f"{name},0.01,{200 * (n > 1)},{550 if n > 1 else ''}" for n, name in enumerate(names)]
+    (at / "frames.csv").write_text(
+        "\n".join(["file,exposure_s,photons,wavelength_nm", *rows]) + "\n"
+    )
+    (at / "camera.json").write_text('{"name": "cam", "pattern": [["G"]], "pixel_pitch_um": 2.0}')
+    return [at / name for name in ("frames.csv", "camera.json", *names[::3])]
+
+
+READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]] = {
+    "sensor": (sensor_files, lambda at: load_sensor(at / "sensor.yaml")),
+    "quantum efficiency": (eqe_file, lambda at: read_eqe(at / "eqe.json")),
+    "camera": (camera_file, lambda at: load_camera(at / "camera.yaml")),
+    "npz": (npz_file, lambda at: load_ready(at / "lens.npz").bank()),
+    "bank": (saved_bank, lambda at: load_ready(at / "lens.nc").bank()),
+    "mtf": (mtf_file, lambda at: load_ready(at / "lens.yaml").bank()),
+    "zemax": (zemax_files, lambda at: load_ready(at / "lens.yaml").bank()),
+    "isetcam lens": (isetcam_folder, lambda at: load_ready(at).bank()),
+    "photograph": (exr_files, lambda at: make_scene(at / "a.exr")),
+    "speos": (speos_folder, lambda at: read_speos(at / "camera.yaml").sensor({})),
+    "isetcam": (
+        lambda at: [isetcam_files.written(at)],
+        lambda at: read_isetcam(at / "sensor.json").sensor({}),
+    ),
+    "isetcam mat": (
+        lambda at: [isetcam_files.written(at, kind=".mat")],
+        lambda at: read_isetcam(at / "sensor.mat").sensor({}),
+    ),
+    "frames": (frames_folder, lambda at: list(measure(find_frames(at)))),
+}
+
+ODD = st.sampled_from(
+    [
+        *(None, True, False, 0, 1, -1, 2, 4096, 1e308, -1e-308, 1e38, 10**18, "", "nan", ".inf"),
+        *("a", "\x1b[2J", "../..", "/dev/zero", "x" * 300, [], [[]], {}, {"a": 1}, [1, [2]], [0]),
+        *([1e300] * 3, ["a", None], {"file": "/dev/zero"}, "1e-3", [float("nan")]),
+    ]
+)
+WHERE = st.floats(0, 1, exclude_max=True)
+
+
+def places(data: object) -> list[tuple]:
+    """List where the values of a structure stand."""
+    found = []
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in items:
+        found.append((data, key))
+        if isinstance(value, dict | list):
+            found += places(value)
+    return found
+
+
+def with_other_values(text: str, edits: list, load: Callable, dump: Callable) -> str:
+    """Return a structured text after edits: a value becomes another, or is gone, or doubles."""
+    data = load(text)
+    for where, what, value in edits:
+        found = places(data)
+        if not found:
+            break
+        inside, key = found[int(where * len(found))]
+        if what == "drop":
+            del inside[key]
+        elif what == "rename" and isinstance(inside, dict):
+            inside[f"{key}s"] = inside.pop(key)
+        else:
+            inside[key] = copy.deepcopy(value)  # hypothesis hands out the same list again
+    return dump(data)
+
+
+def with_other_bytes(content: bytes, edits: list) -> bytes:
+    """Return a file after edits of its bytes."""
+    content = bytearray(content)
+    for where, what, value in edits:
+        at = int(where * len(content))
+        if what == "drop":
+            del content[at : at + 7]
+        elif what == "cut":
+            del content[at:]
+        elif what == "double":
+            content[at:at] = content[at : at + 40]
+        else:
+            content[at : at + 4] = zlib.crc32(repr(value).encode()).to_bytes(4, "little")
+    return bytes(content)
+
+
+EDITS = st.lists(
+    st.tuples(WHERE, st.sampled_from(["drop", "rename", "cut", "double", *5 * ["value"]]), ODD),
+    min_size=1,
+    max_size=4,
+)
+DUMPS = {".yaml": (yaml.safe_load, yaml.safe_dump), ".json": (json.loads, json.dumps)}
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_damaged_file_is_read_or_is_one_clear_error(tmp_path: Path, reader: str):
+    make, read = READERS[reader]
+    whole = {file: file.read_bytes() for file in make(tmp_path)}
+    read(tmp_path)  # as it is, it is read
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    outcomes = {"read": 0, "refused": 0}
+
+    @settings(
+        max_examples=EXAMPLES,
+        deadline=None,
+        derandomize=EXAMPLES == 25,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(which=WHERE, structured=st.booleans(), edits=EDITS)
+    def damage(which: float, structured: bool, edits: list) -> None:
+        for file, content in whole.items():
+            file.write_bytes(content)
+        file = list(whole)[int(which * len(whole))]
+        if structured and file.suffix in DUMPS:
+            file.write_text(with_other_values(whole[file].decode(), edits, *DUMPS[file.suffix]))
+        else:
+            file.write_bytes(with_other_bytes(whole[file], edits))
+        started = time.process_time()
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                read(tmp_path)
+            outcomes["read"] += 1
+        except UserError as error:
+            screen = error.screen()
+            assert len(screen.splitlines()) <= 8 and len(screen) < 10_000
+            assert all(sign.isprintable() or sign == "\n" for sign in screen)
+            outcomes["refused"] += 1
+        assert time.process_time() - started < SECONDS
+
+    damage()
+    assert outcomes["refused"] > 0
+    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown < MEBIBYTES << 10
