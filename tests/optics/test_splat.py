@@ -505,3 +505,55 @@ def test_every_highlight_within_reach_is_listed():
 def test_the_dispatch_is_as_the_header_says():
     assert Kernel("optics/splat").workgroup_size == (16, 16, 1)
     assert Kernel("optics/splat").params.members.keys() >= {"reach2", "site_channels"}
+
+
+def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Device, monkeypatch):
+    """Ctrl-C comes between two tables or two pieces: those that wait are never made."""
+    made = []
+    table = Tables.table
+    monkeypatch.setattr(Tables, "table", lambda *given: made.append(1) or table(*given))
+    stage = Splat(device, LENS, sensor(), many(), SPECTRA, 1e-4)
+    assert len(stage.used) > 60
+
+    def stop(done: int, total: int) -> None:
+        assert total >= len(stage.used)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stage.light([(0, 0, 96, 128)], stop)
+    assert len(made) < len(stage.used) / 2
+    in_use = device.pool.in_use
+    steps = []
+    stage.light([(0, 0, 96, 128)], lambda *step: steps.append(step))
+    assert [done for done, _ in steps] == list(range(1, steps[-1][1] + 1))
+    assert device.pool.in_use == in_use
+
+
+def test_sums_are_cut_into_pieces_that_take_a_moment(device: Device, monkeypatch):
+    """Whose sums are, bit for bit, those of the whole."""
+    camera = sensor()
+    stage = Splat(device, LENS, camera, many(), SPECTRA, 1e-3)
+    whole, *_ = stage.light([(0, 0, 96, 128)])
+    monkeypatch.setattr(module, "PIECE_S", 1e-4)
+    pieces = stage._pieces(stage._lists(stage.groups[0])[0], (0, 0, 48, 64))
+    assert len(pieces) > 6
+    assert_close(stage.light([(0, 0, 96, 128)])[0], whole.copy(), atol=0)
+
+
+def test_the_work_is_counted():
+    """Of one highlight: the tables of its fields and angles, and the pixels within its reach."""
+    one = Splat(
+        None, LENS, sensor(960, 1280), Highlights(PLACES[:1], 0.1, np.ones((1, 3))), SPECTRA, 1e-3
+    )
+    work = one.work()
+    assert work["tables"] == 8 * 3 * one.kernels.side**2
+    assert work["splat"] == pytest.approx(np.pi * (one.kernels.reach_um / PITCH) ** 2)
+    far = Splat(
+        None,
+        LENS,
+        sensor(),
+        Highlights(np.array([[1e6, 0.0]]), 0.1, np.ones((1, 3))),
+        SPECTRA,
+        1e-3,
+    )
+    assert far.work() == {"tables": 0.0, "splat": 0.0}

@@ -1,0 +1,88 @@
+"""The exact model of a halo's levels before photographs: lamps beside shadows, and borders."""
+
+import numpy as np
+import pytest
+from harness import assert_close
+from optics.made import BLUE, FLAT, RED, bank, sensor
+
+from gpusim.reference import wide
+from gpusim.reference.landing import landed
+from gpusim.reference.wide import Wide
+from gpusim.scene.raster import Raster
+from gpusim.scene.spectra import WAVELENGTHS_NM
+
+SPECTRA = np.stack([FLAT, RED, BLUE])
+# Samples of 0.5 um and Gaussians of 3 to 4 um: smooth, as levels are.
+LEVEL = bank(size=64, sigma_um=(3.0, 3.3, 3.6), coma_um=2.0, distortion=-0.03)
+CAMERA = sensor()
+HALF = tuple(n * CAMERA.pixel_pitch_um / 2 for n in (CAMERA.cols, CAMERA.rows))
+PIXELS = np.array([[30, 40], [47, 63], [70, 101], [12, 90]])
+
+
+def shadows(lamp: float) -> Raster:
+    """Return a dim, uneven scene with one lamp of one sample."""
+    rng = np.random.default_rng(3)
+    planes = rng.uniform(0.5, 1.5, (3, 380, 510)).astype(np.float32)
+    planes[:, 120, 170] = lamp, 0.5 * lamp, 2 * lamp
+    return Raster(planes)
+
+
+def by_samples(raster: Raster, pixels: np.ndarray) -> np.ndarray:
+    """Sum each sample of a raster, highlights and all, as a point."""
+    spread = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM).spread
+    pitch = raster.pitch_um(*HALF)
+    _, rows, cols = raster.planes.shape
+    x, y = np.meshgrid(
+        (np.arange(cols) - cols / 2 + 0.5) * pitch, (np.arange(rows) - rows / 2 + 0.5) * pitch
+    )
+    real, stretch = landed(LEVEL_FIELDS, np.stack([x.ravel(), y.ravel()], axis=1))
+    light = raster.planes.reshape(3, -1).T * (stretch * pitch**2)[:, None]
+    found = []
+    for row, col in pixels:
+        middle = np.array([col + 0.5 - CAMERA.cols / 2, row + 0.5 - CAMERA.rows / 2])
+        t = middle * CAMERA.pixel_pitch_um - real
+        near = np.hypot(*t.T) < 16.0
+        name = CAMERA.cfa.pattern[row % 2][col % 2]
+        h = spread.at(CAMERA.channels.index(name), light[near], t[near], real[near])
+        found.append(h.sum() * CAMERA.pixel_pitch_um**2 * CAMERA.fill_factor)
+    return np.array(found)
+
+
+LEVEL_FIELDS = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM).fields
+
+
+@pytest.mark.parametrize("lamp", [1.0, 100.0, 1e6], ids=["none", "below the limit", "highlight"])
+def test_lamps_count_where_they_stand(lamp: float):
+    """Whether they are highlights or samples like others, and whatever the cells."""
+    raster = shadows(lamp)
+    placed = raster.placed(*HALF, 0.0)
+    assert len(placed.highlights) == (lamp == 1e6)
+    found = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM).at(placed, PIXELS)
+    expected = by_samples(raster, PIXELS)
+    assert lamp < 10 or expected.max() > 1.5 * expected.min()
+    # Cells of 0.75 um, which change by (0.75 / 3.3)^2 / 24 from their middles: 2e-3 of them.
+    assert_close(found, expected, rtol=3e-3)
+
+
+def test_cells_of_many_samples_are_taken_where_their_light_is(monkeypatch):
+    """A lamp below the limit in cells of 3 um: their middles would be 30 % off."""
+    raster = shadows(300.0)
+    placed = raster.placed(*HALF, 0.0)
+    monkeypatch.setattr(wide, "SAMPLED", 6.0)
+    monkeypatch.setattr(wide, "SMOOTH", (6.0, 3))
+    monkeypatch.setattr(wide, "STRUCTURED", (6.0, 3))
+    near = np.array([[30, 42], [33, 45], [27, 38]])
+    expected = by_samples(raster, near)
+    one = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM)
+    assert_close(one.at(placed, near), expected, rtol=0.02)
+    monkeypatch.setattr(wide, "FEW_SAMPLES", np.inf)
+    assert np.abs(one.at(placed, near) / expected - 1).max() > 0.03
+
+
+def test_beyond_its_border_a_photograph_goes_on_as_there():
+    """Pixels at the corner of an even one have as much light as where nothing is beyond."""
+    even = Raster(np.ones((3, 190, 254), np.float32)).placed(*HALF, 0.0)
+    flat = bank(size=64, sigma_um=(3.0, 3.3, 3.6), coma_um=0.0, distortion=0.0, falloff=0.0)
+    one = Wide(flat, CAMERA, SPECTRA, WAVELENGTHS_NM)
+    corner, middle = one.at(even, np.array([[0, 0], [48, 64]]))
+    assert corner == pytest.approx(middle, rel=1e-6)
