@@ -35,6 +35,7 @@ from gpusim.gpu import (
     default_device,
 )
 from gpusim.gpu.pool import mebibytes
+from gpusim.heap import trim_heap
 from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
@@ -310,6 +311,7 @@ class Renderer:
             self.halo.release()
         if self.resident_glare is not None:
             self.resident_glare.destroy()
+        trim_heap()
 
     def _spent(self, what: str, started: float) -> float:
         now = time.perf_counter()
