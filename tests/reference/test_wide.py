@@ -29,7 +29,7 @@ def shadows(lamp: float) -> Raster:
 
 def by_samples(raster: Raster, pixels: np.ndarray) -> np.ndarray:
     """Sum each sample of a raster, highlights and all, as a point."""
-    spread = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM).spread
+    ((_, spread),) = Wide(LEVEL, CAMERA, SPECTRA, WAVELENGTHS_NM).spreads
     pitch = raster.pitch_um(*HALF)
     _, rows, cols = raster.planes.shape
     x, y = np.meshgrid(
