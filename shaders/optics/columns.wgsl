@@ -81,27 +81,29 @@ fn turn(k: u32) -> vec2f {
 // Row spectra of one sample of column kx: (A_0, A_1) for the left and the right node.
 fn sides(j: u32, kx: u32, y: u32) -> vec4f {
     let line = (j * params.height + y) * length_of_lines();
-    if (NODES == 1u) {
-        return vec4f(spectra[line + kx], 0.0, 0.0);
+    let left = spectra[line + kx];
+    var result = vec4f(left, 0.0, 0.0);
+    if (NODES != 1u) {
+        let z = 0.5 * left;
+        let mirror = 0.5 * conj(spectra[line + ((length_of_lines() - kx) & (length_of_lines() - 1u))]);
+        result = vec4f(z + mirror, -times_i(z - mirror));
     }
-    let z = 0.5 * spectra[line + kx];
-    let mirror = 0.5 * conj(spectra[line + ((length_of_lines() - kx) & (length_of_lines() - 1u))]);
-    return vec4f(z + mirror, -times_i(z - mirror));
+    return result;
 }
 
 // Of a row turned by w.
 fn weighted(j: u32, kx: u32, y: u32, w: vec2f) -> Weighted {
-    if (y >= params.height) {
-        return Weighted();
+    var a = vec4f(0.0);
+    if (y < params.height) {
+        a = sides(j, kx, y);
     }
-    var a = sides(j, kx, y);
     if (TIMES > 1u) {
         a = pair_mul(a, w);
     }
-    if (NODES != 4u) {
-        return Weighted(a, vec4f(0.0));
+    var lower = vec4f(0.0);
+    if (NODES == 4u) {
+        lower = a * (params.first_s + f32(y) * params.step_s);
     }
-    let lower = a * (params.first_s + f32(y) * params.step_s);
     return Weighted(a - lower, lower);
 }
 
