@@ -27,7 +27,7 @@ override T: u32 = 512u;           // transform length, samples
 override E: u32 = 2u;             // T/256: 1, 2 or 4
 override BY: u32 = 336u;          // block height, samples
 override C: u32 = 3u;             // channels in the kernels
-override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4 or 8
+override D: u32 = 4u;             // samples from a photosite to the next of the same site: 1, 2, 4, 8 or 16
 override M: u32 = 128u;           // T/D
 override PERIOD: u32 = 2u;        // CFA period: sites = PERIOD^2, site = PERIOD row + column
 override STEP: u32 = 2u;          // samples from a site to the next; 0 where every site has kernels of its own
@@ -194,6 +194,8 @@ fn rows_of(low: ptr<function, Sixteen>, high: ptr<function, Sixteen>, r: u32, ev
     if (D > 2u && o_y == 3u) { x = (*low)[r + 3u]; y = (*high)[r + 3u]; }
     if (D > 4u && o_y == 4u) { x = (*low)[r + 4u]; y = (*high)[r + 4u]; }
     if (D > 4u && o_y == 6u) { x = (*low)[r + 6u]; y = (*high)[r + 6u]; }
+    if (D > 8u && o_y == 8u) { x = (*low)[r + 8u]; y = (*high)[r + 8u]; }
+    if (D > 8u && o_y == 12u) { x = (*low)[r + 12u]; y = (*high)[r + 12u]; }
     var result = vec4f(x.xy, x.xy);
     if (C > 1u && even == 1u) { result.x = x.z; result.y = x.w; }
     if (C > 2u && even == 2u) { result.x = y.x; result.y = y.y; }
