@@ -30,7 +30,7 @@
 override PHASE: u32 = 0u;
 override TIMES: u32 = 2u;         // E = T/256, 1, 2 or 4: for PHASE 0 and 2; a param too, whose loops stay loops
 override C: u32 = 3u;             // channels of a dispatch, at most 4: for PHASE 1
-override D: u32 = 4u;             // samples from a photosite to the next of the same site, 1, 2, 4 or 8: for PHASE 1 and 2
+override D: u32 = 4u;             // samples from a photosite to the next of the same site, 1, 2, 4, 8 or 16: for PHASE 1 and 2
 override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes: for PHASE 0 and 1
 
 struct Params {
@@ -225,6 +225,8 @@ fn rows_of(low: ptr<function, Sixteen>, high: ptr<function, Sixteen>, r: u32, ev
     if (D > 2u && o_y == 3u) { x = (*low)[r + 3u]; y = (*high)[r + 3u]; }
     if (D > 4u && o_y == 4u) { x = (*low)[r + 4u]; y = (*high)[r + 4u]; }
     if (D > 4u && o_y == 6u) { x = (*low)[r + 6u]; y = (*high)[r + 6u]; }
+    if (D > 8u && o_y == 8u) { x = (*low)[r + 8u]; y = (*high)[r + 8u]; }
+    if (D > 8u && o_y == 12u) { x = (*low)[r + 12u]; y = (*high)[r + 12u]; }
     var result = vec4f(x.xy, x.xy);
     if (C > 1u && even == 1u) { result.x = x.z; result.y = x.w; }
     if (C > 2u && even == 2u) { result.x = y.x; result.y = y.y; }
