@@ -123,20 +123,6 @@ class Density:
         )
 
     @property
-    def sampling(self) -> dict[str, np.ndarray]:
-        """What `gpusim.camera.Camera.bank` takes."""
-        return {"wavelengths_nm": self.wavelengths_nm, "field_deg": self.field_deg}
-
-    @property
-    def why(self) -> str:
-        """Why it cannot be less."""
-        fields, lines = len(self.field_deg), len(self.wavelengths_nm)
-        return (
-            f"between {fields} fields and {lines} wavelengths the lens's PSFs are interpolated, "
-            f"which errs by {self.worst:.1e}, and more of them would not fit in half a GiB"
-        )
-
-    @property
     def text(self) -> str:
         """What was chosen, in words."""
         fields, lines = len(self.field_deg), len(self.wavelengths_nm)
@@ -413,6 +399,8 @@ class _Survey:
         pixel = [transfer_along(self.sensor.response_um, frequency, axis) for axis in (0, 1)]
         for place in range(len(out)):
             spectra = np.fft.rfft(found.spread[place], axis=-1) * middle
+            # What lands beyond the core lies wide and even: the sum is that of all light.
+            spectra[..., 0] = 1.0
             spectra *= axis.relative_illumination[place, :, None, None]
             turn = np.exp(-2j * np.pi * np.outer(lateral[place], frequency))
             out[place, :, 0] = np.einsum("clf,lf->cf", weights @ turn, spectra[:, 0])
