@@ -45,6 +45,9 @@ FINE_PITCH_UM = 0.5  # of banks; of coarser ones the zones are wider, by as much
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
 MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
 HIGHLIGHT_ORDER = 4  # nodes across an aperture, and across a square as large
+# The same across squares farther than so many um, of a bank with samples of FINE_PITCH_UM, where
+# only the PSF's rings are: the aperture's nodes lie between these.
+FAR_ORDER, FAR_UM = 2, 12.0
 
 
 class Truth:
@@ -94,7 +97,7 @@ class Truth:
         self.divided: dict[int, list[Zone]] = {}
         self.zones = self._zones(1)
         self.bounds: np.ndarray | None = None
-        self.squares: tuple[Any, np.ndarray, np.ndarray] | None = None
+        self.squares: dict[int, tuple[Any, np.ndarray, np.ndarray]] = {}
 
     def _zones(self, divide: int) -> list[Zone]:
         """Return that of the change and the zones outwards, of cells divided so often each way."""
@@ -364,24 +367,30 @@ class Truth:
         line, share = np.polynomial.legendre.leggauss(HIGHLIGHT_ORDER)
         nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
         shares = np.outer(share, share).ravel() / 4
-        sources, weights = self._squares(highlights, nodes, shares)
+        squares = [self._squares(highlights, order) for order in (HIGHLIGHT_ORDER, FAR_ORDER)]
+        middles = squares[0][0].mean(axis=1)
+        far_um = highlights.size_um + FAR_UM * max(1.0, self.bank.pitch_um / FINE_PITCH_UM)
         seen, of_seen = self._seen(nodes, shares)
         # To the corners of the PSFs' window, and as far as lateral colour.
         reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + 4.0
         for number, (row, col) in enumerate(pixels):
             centre = self._position(row, col)
-            near = np.hypot(*np.moveaxis(sources - centre, -1, 0)) < reach + 2 * self.half_um.max()
-            if not near.any():
-                continue
-            owners, source, weight = np.nonzero(near)[0], sources[near], weights[near]
-            excess, channel = highlights.excess[owners], self._channel(row, col)
-            for sign, spread in self.spreads:
-                light = np.zeros(len(source))
-                for place, share in zip(seen, of_seen, strict=True):
-                    t = centre + place - source
-                    light += share * spread.at(channel, excess, t, source)
-                each = np.bincount(owners, light * weight)
-                out[number] += sign * np.maximum(each, 0.0).sum() * self.side_um**2
+            far = np.hypot(*(middles - centre).T) > far_um
+            for (sources, weights), chosen in zip(squares, (~far, far), strict=True):
+                own = np.flatnonzero(chosen)
+                at = sources[own] - centre
+                near = np.hypot(at[..., 0], at[..., 1]) < reach + 2 * self.half_um.max()
+                if not near.any():
+                    continue
+                owners, source, weight = own[np.nonzero(near)[0]], centre + at[near], weights[own]
+                excess, channel = highlights.excess[owners], self._channel(row, col)
+                for sign, spread in self.spreads:
+                    light = np.zeros(len(source))
+                    for place, share in zip(seen, of_seen, strict=True):
+                        t = centre + place - source
+                        light += share * spread.at(channel, excess, t, source)
+                    each = np.bincount(owners, light * weight[near])
+                    out[number] += sign * np.maximum(each, 0.0).sum() * self.side_um**2
         return out
 
     def _boxes(self) -> list[tuple[float, float, float, float, float]]:
@@ -429,11 +438,13 @@ class Truth:
             parts.append(shares * one * size.prod() / self.side_um**2)
         return np.concatenate(places), np.concatenate(parts)
 
-    def _squares(
-        self, highlights: Any, nodes: np.ndarray, shares: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _squares(self, highlights: Any, order: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points of squares on the real plane (N, I, 2), with their areas (N, I)."""
-        if self.squares is None or self.squares[0] is not highlights:
+        found = self.squares.get(order)
+        if found is None or found[0] is not highlights:
+            line, share = np.polynomial.legendre.leggauss(order)
+            nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
+            shares = np.outer(share, share).ravel() / 4
             # A square may be larger than the PSF: it has the nodes for each part.
             cuts = int(np.ceil(highlights.size_um / self.side_um))
             cell = highlights.size_um / cuts
@@ -443,8 +454,8 @@ class Truth:
             ideal = highlights.centre_um[:, None] + inner
             real, stretch = landed(self.fields, ideal.reshape(-1, 2))
             areas = np.tile(shares, len(corners)) * cell**2 * stretch.reshape(ideal.shape[:2])
-            self.squares = (highlights, real.reshape(ideal.shape), areas)
-        return self.squares[1:]
+            found = self.squares[order] = (highlights, real.reshape(ideal.shape), areas)
+        return found[1:]
 
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um
