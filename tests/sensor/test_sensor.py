@@ -205,7 +205,7 @@ GREEN_AT_415_NM = ("quantum_efficiency", "channels", "G", 3)
         ),
         (("gain",), 3, "gain", "system_gain_dn_per_e"),
         (("cfa", "phase"), 3, "cfa.phase", "pattern"),
-        (("cfa",), "RGGB", "cfa", None),
+        (("cfa",), 7, "cfa", None),
         (("sources", "gain"), "me", "sources", "fields of this file"),
     ],
 )
