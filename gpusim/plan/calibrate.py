@@ -273,7 +273,8 @@ def _splat(device: Device) -> dict[str | int, float]:
     groups = (cells // SQUARE, cells // SQUARE, 4)
     whole = {"first": (0, 0), "origin": (0, 0), "size": (cells, cells)}
     sites = {"across": groups[0], "reach2": 30.0**2, "site_channels": (0, 0, 0, 0)}
-    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, FOURS=1, N=64, MIXED=8)
+    sites |= {"fours": 1, "mixed": 8}
+    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, N=64)
     kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
     return {
         "tables": 1e9 * boxes_s / BOXES / (lines * side**2),
