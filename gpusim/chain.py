@@ -35,6 +35,7 @@ from gpusim.gpu import (
     default_device,
 )
 from gpusim.gpu.pool import mebibytes
+from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, optics_of
 from gpusim.lens.field_bank import FieldBank, seen_as
 from gpusim.optics.chief_ray import chief_ray_map
@@ -330,6 +331,7 @@ class Renderer:
             self.halo.release()
         if self.resident_glare is not None:
             self.resident_glare.destroy()
+        trim_heap()
 
     def drop_light(self) -> None:
         """Forget the light of the last frame: the next one is convolved anew, with what is held."""

@@ -151,9 +151,9 @@ def test_an_image_circle_that_misses_the_corners_is_taken_and_flagged(tmp_path):
     made_bank(circle_um=100.0).save(tmp_path / "a.nc")
     one = load_camera(camera(tmp_path, "{bank: a.nc}"))
     plan = plan_optics(one.bank(), one.sensor, make_scene("grey"), Accuracy(1e-2))
-    # 96 x 128 pixels of 1.55 um.
+    # 96 x 128 pixels of 1.55 um; the lens's barrel brings the rim in by 2 %.
     row, col = np.indices((96, 128))
-    black = np.mean(np.hypot(row - 47.5, col - 63.5) * 1.55 > 100.0)
+    black = np.mean(np.hypot(row - 47.5, col - 63.5) * 1.55 > 98.0)
     assert 0.05 < black < 0.3
     (stage,) = [stage for stage in plan.stages if stage.name == "image circle"]
     assert stage.runs and stage.reason == (

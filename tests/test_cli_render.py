@@ -337,11 +337,11 @@ def test_a_best_effort_is_shown_on_the_screen_and_in_the_report(
 def test_a_tolerance_that_cannot_be_met_is_refused_before_the_render(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """At f/2.8 before pixels of 5.86 um, of which four samples are 1.5 um apart: edges alias."""
+    """At f/2.8 before filters of 7.8 um, of which eight samples are 1 um apart: edges alias."""
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
     monkeypatch.setattr(chain, "adapter_costs", lambda device, **more: LAVAPIPE)
     file = tmp_path / "camera.yaml"
-    large = "imx249-mono, rows: 32, cols: 48"
+    large = "kodak-vga, rows: 32, cols: 48"
     file.write_text(CAMERA.replace("imx477, rows: 96, cols: 128", large))
     given = ("render", file, "slanted-edge", "--out", tmp_path / "out", "--certify", 8)
     refused = gpusim(*given, "--tolerance", 1e-4)

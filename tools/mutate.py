@@ -372,6 +372,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--jobs", type=int, default=1, help="children at a time")
     parser.add_argument("--list", action="store_true", help="list the mutants, run nothing")
+    parser.add_argument(
+        "--planted",
+        nargs="?",
+        const="",
+        metavar="WORDS",
+        help="instead, the defects of tools/planted.py, those whose description has the words",
+    )
     return parser.parse_args()
 
 
@@ -394,6 +401,11 @@ def chosen(names: list[str] | None) -> dict[str, str]:
 def main() -> int:
     """Run the mutants; return 1 when one survived."""
     options = arguments()
+    if options.planted is not None:
+        sys.path.insert(0, str(Path(__file__).parent))
+        from planted import survivors
+
+        return int(bool(survivors(options.planted)))
     console = Console()
     texts = chosen(options.shader)
     found = [one for name, text in texts.items() for one in mutants(name, text)]

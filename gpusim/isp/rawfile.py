@@ -19,7 +19,7 @@ class RawFile:
     Attributes
     ----------
     signal_dn : ndarray (rows, cols), float32
-        Of the lit pixels: linear, less the black level.
+        Of the lit pixels: linear, less the black level and the mean of the masked pixels.
     span_dn : float
         The same of a saturated pixel.
     pattern : tuple of str
@@ -77,7 +77,7 @@ def _read(path: Path, tags: dict, exif: dict, kind: int) -> RawFile:
     if codes.size != rows * cols:
         raise ValueError(f"a damaged raw file: {codes.size} of {rows * cols} pixels")
     top, left, bottom, right = whole(TAGS["ActiveArea"])
-    codes = codes.reshape(rows, cols)[top:bottom, left:right]
+    codes = codes.reshape(rows, cols)
     if TAGS["LinearizationTable"] in tags:
         codes = np.array(tags[TAGS["LinearizationTable"]][1], np.uint16)[codes]
     black = tiff.numbers(tags[TAGS["BlackLevel"]])
@@ -87,11 +87,15 @@ def _read(path: Path, tags: dict, exif: dict, kind: int) -> RawFile:
         width = whole(TAGS["CFARepeatPatternDim"])[1]
         sites = "".join(CFA_LETTERS[code] for code in whole(TAGS["CFAPattern"]))
         pattern = tuple(sites[at : at + width] for at in range(0, len(sites), width))
+    # The pattern of black levels begins at the first lit pixel.
+    row, col = (
+        (np.arange(n) - first) % period
+        for n, first, period in zip(codes.shape, (top, left), black.shape, strict=True)
+    )
+    signal = codes - black[np.ix_(row, col)]
     span = whole(TAGS["WhiteLevel"])[0] - float(black.mean())
-    return RawFile(codes - tiled(black, codes.shape), span, pattern, tags, exif)
-
-
-def tiled(pattern: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Return a pattern repeated over a frame: (rows, cols)."""
-    rows, cols = (np.arange(n) % period for n, period in zip(shape, pattern.shape, strict=True))
-    return pattern[np.ix_(rows, cols)]
+    if TAGS["MaskedAreas"] in tags:  # what shielded pixels collected, lit ones did as well
+        areas = np.reshape(whole(TAGS["MaskedAreas"]), (-1, 4))
+        dark = np.concatenate([signal[r0:r1, c0:c1].ravel() for r0, c0, r1, c1 in areas]).mean()
+        signal, span = signal - dark, span - float(dark)
+    return RawFile(signal[top:bottom, left:right], span, pattern, tags, exif)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gpusim.gpu import default_device
 from gpusim.lens.bank import (
@@ -26,6 +27,7 @@ from gpusim.lens.halo import distances_um, fall
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.sampling import window
 from gpusim.lens.system import build, first_order, transmission
+from gpusim.lens.traced import field_of as traced_field
 
 Progress = Callable[[int, int], None]
 # Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of
@@ -141,27 +143,70 @@ def spreads(
     system = build(prescription)
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
-    within = fall(distances_um(size, pitch_um), size / 2 * pitch_um)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
     generator = Generator(default_device(), system, lines, angles, **given)
-    found = np.empty((len(angles), len(lines), 2, size), np.float32)
-    solid_angle = np.empty(found.shape[:2])
     try:
-        for field in range(len(angles)):
-            spread = generator.spread(field)
-            found[field, :, 0] = np.einsum("lyx,yx->lx", spread.psf, within)
-            found[field, :, 1] = np.einsum("lyx,yx->ly", spread.psf, within)
-            solid_angle[field] = spread.projected_solid_angle_sr
-        height = 1e3 * generator.chief_y_mm
+        found = [generator.spread(field) for field in range(len(angles))]
+        return _of(
+            prescription,
+            lines,
+            angles,
+            pitch_um,
+            1e3 * generator.chief_y_mm,
+            [_sums(one.psf, pitch_um) for one in found],
+            [one.projected_solid_angle_sr for one in found],
+        )
     finally:
         generator.release()
+
+
+def traced_spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    *,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Return what `spreads` does, in float64 on the host: see `gpusim.lens.traced`."""
+    system = build(prescription)
+    lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
+    size, pitch_um = window(system, lines)
+    found = [traced_field(system, lines, theta, size, pitch_um) for theta in angles]
+    return _of(
+        prescription,
+        lines,
+        angles,
+        pitch_um,
+        [one["real_height_um"] for one in found],
+        [_sums(one["psf"], pitch_um) for one in found],
+        [one["solid_angle"] for one in found],
+    )
+
+
+def _sums(psf: np.ndarray, pitch_um: float) -> np.ndarray:
+    """Return the sums (L, 2, n) of PSFs (L, n, n) along eta and along xi, as far as cores go."""
+    size = psf.shape[-1]
+    core = psf * fall(distances_um(size, pitch_um), size / 2 * pitch_um)
+    return np.stack([core.sum(axis=1), core.sum(axis=2)], axis=1)
+
+
+def _of(
+    prescription: Prescription,
+    lines: np.ndarray,
+    angles: np.ndarray,
+    pitch_um: float,
+    height_um: ArrayLike,
+    spread: ArrayLike,
+    solid_angle_sr: ArrayLike,
+) -> Spreads:
+    """Return what was found, fields first."""
     return Spreads(
         field_deg=angles,
         wavelengths_nm=lines,
-        height_um=height,
-        solid_angle_sr=solid_angle,
+        height_um=np.array(height_um),
+        solid_angle_sr=np.array(solid_angle_sr),
         transmission=transmission(prescription, lines),
-        spread=found,
+        spread=np.array(spread, np.float32),
         pitch_um=float(pitch_um),
         efl_mm=first_order(prescription, REFERENCE_NM).efl_mm,
         provenance={"title": prescription.title, "holds": "line spreads of PSFs"},
@@ -173,7 +218,10 @@ def cached_spreads(
     wavelengths_nm: np.ndarray,
     field_deg: np.ndarray,
     progress: Progress | None = None,
+    *,
+    traced: bool = False,
 ) -> Spreads:
-    """Return the same from the disk cache, or trace and store it."""
+    """Return `spreads`, or `traced_spreads`, from the disk cache, or store them there."""
     settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "progress": progress}
-    return from_cache(Spreads, spreads, prescription, settings)
+    compute, name = (traced_spreads, "traced") if traced else (spreads, "")
+    return from_cache(Spreads, compute, prescription, settings, name)

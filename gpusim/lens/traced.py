@@ -63,7 +63,8 @@ def traced_bank(
     # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
     rows = []
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for row in pool.map(lambda theta: _field(system, lines, theta, size, pitch_um), field_deg):
+        found = pool.map(lambda theta: field_of(system, lines, theta, size, pitch_um), field_deg)
+        for row in found:
             rows.append(row)
             if progress is not None:
                 progress(len(rows), len(field_deg))
@@ -95,10 +96,10 @@ def cached_traced_bank(prescription: Prescription, **settings: object) -> Bank:
     return from_cache(Bank, traced_bank, prescription, settings, "traced")
 
 
-def _field(
+def field_of(
     system: System, lines: np.ndarray, theta_deg: float, size: int, pitch_um: float
 ) -> dict[str, object]:
-    """All wavelengths of one field, by the names of the bank's variables."""
+    """Return all wavelengths of one field, by the names of the bank's variables."""
     samples = sample_field(system, system.index(lines), np.radians(theta_deg))
     grids = pupils(samples, lines, size * pitch_um, NODES)
     inside = distances_um(size, pitch_um) < size / 2 * pitch_um

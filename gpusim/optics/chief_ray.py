@@ -59,7 +59,7 @@ class RadialMap:
 
     def terms(self, sim_pitch_um: float) -> np.ndarray:
         """Return the shaders' `terms`: the pieces one after the other, of any pitch."""
-        return self.pieces.reshape(-1, 2).astype(np.float32)
+        return self.pieces.astype(np.float32)
 
     def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
         """Return ideal points (..., 2) of real ones; beyond the image circle d is that of the rim.
@@ -141,7 +141,8 @@ class GeneralMap:
 
     def terms(self, sim_pitch_um: float) -> np.ndarray:
         """Return the shaders' `terms` in sim samples: see shaders/common/chief_ray."""
-        return (self.plane.net / sim_pitch_um).reshape(-1, 2).astype(np.float32)
+        net = (self.plane.net / sim_pitch_um).reshape(-1, 2)
+        return np.pad(net, ((0, 0), (0, 2))).astype(np.float32)
 
     def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
         """Return ideal points (..., 2) of real ones; beyond the image circle those of the rim."""

@@ -20,7 +20,7 @@ from gpusim.optics.nodes import NodeStore, Outputs, Scale, folds_of, outputs_of
 from gpusim.sensor.aperture import Response
 
 # Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
-FIRST_RADIX = {32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
+FIRST_RADIX = {16: 2, 32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
 
 
 class Scratch:

@@ -22,7 +22,7 @@ class SimGrid:
     rows, cols : int
         Pixels of the frame.
     stride : int
-        Sim samples D from a photosite to the next of the same CFA site: 1, 2, 4 or 8.
+        Sim samples D from a photosite to the next of the same CFA site: 1, 2, 4, 8 or 16.
     period : int
         Rows and columns P of the CFA pattern: 1, 2 or 4.
     length : int

@@ -16,10 +16,9 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
-from gpusim.plan.optics import ALIAS_TO_RMS, WORST_TO_RMS
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
-from gpusim.plan.predict import alias_error, cut_error
-from gpusim.scene.chart import Chart
+from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of
+from gpusim.plan.predict import cut_error
 
 TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 NODE_FACTORS = (0.25, 0.5, 0.7, 1.4, 2.0)  # of the chosen cells along each axis
@@ -76,7 +75,7 @@ def variants(accuracy: Accuracy, sensor_period: int) -> Iterator[Variant]:
     for factor in NODE_FACTORS:
         yield Variant("PSF nodes", f"{factor:g} x the nodes", accuracy, _nodes(factor))
     for oversampling in OVERSAMPLINGS:
-        if oversampling * sensor_period <= 8:
+        if oversampling * sensor_period <= LARGEST_STRIDE:
             name = f"{oversampling} samples a pixel"
             yield Variant("oversampling", name, accuracy, _oversampling(oversampling))
     for cut_um in CUTS_UM:
@@ -128,25 +127,26 @@ def _nodes(factor: float) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]
 
 
 def _oversampling(oversampling: int) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:
-    """Return what puts the finest scale on another sim grid, with the chosen nodes."""
+    """Return what puts the finest scale on another sim grid."""
 
     def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
-        plan, sensor = renderer.plan, renderer.camera.sensor
-        first = plan.scales[0]
-        reach_um = (first.grid.half_size - GUARD) * first.pitch_um
-        cut_um = None
-        if len(plan.scales) > 1:  # the core must go on matching the tail
-            cut_um = reach_um = max(cut for cut in PLANNED_CUTS_UM if cut <= reach_um)
-        part = _core(renderer, cut_um)
-        fine = _fine(renderer, oversampling, reach_um, part, first.name)
-        alias = (
-            ALIAS_TO_RMS * alias_error(renderer.core, oversampling, sensor, first.sigma)
-            if isinstance(renderer.scene.source, Chart)
-            else 0.0
-        )
-        return replace(plan, scales=(fine, *plan.scales[1:])), {"alias": alias}
+        given = renderer.bank, renderer.camera.sensor, renderer.scene, renderer.accuracy
+        alias = alias_of(*given).error(oversampling)
+        return oversampled(renderer, oversampling), {"alias": alias}
 
     return change
+
+
+def oversampled(renderer: Renderer, oversampling: int) -> Plan:
+    """Return a renderer's plan with its finest scale on another sim grid, and the same nodes."""
+    plan = renderer.plan
+    first = plan.scales[0]
+    reach_um = (first.grid.half_size - GUARD) * first.pitch_um
+    cut_um = None
+    if len(plan.scales) > 1:  # the core must go on matching the tail
+        cut_um = reach_um = max(cut for cut in PLANNED_CUTS_UM if cut <= reach_um)
+    fine = _fine(renderer, oversampling, reach_um, _core(renderer, cut_um), first.name)
+    return replace(plan, scales=(fine, *plan.scales[1:]))
 
 
 def _cut(cut_um: float | None) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,7 @@ from gpusim.optics.methods import METHODS
 from gpusim.optics.modes import Decomposition, mode_decomposition
 from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
+from gpusim.plan.alias import Alias
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
@@ -43,7 +44,7 @@ from gpusim.plan.layout import (
     planes_at_nodes,
     planes_at_points,
 )
-from gpusim.plan.predict import alias_error, cells_within, cut_error
+from gpusim.plan.predict import cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
@@ -69,13 +70,12 @@ TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
 # side.
 CONTRAST = 20.0
-# Of an edge's height, and both sides: the dark side feels it more. Measured: certified RMS of
-# edges of 16:1 with more nodes than matter, 3.4e-4 where the edge response errs by 1.5e-4.
-ALIAS_TO_RMS = 2.3
+ALIAS_SHARE = 0.7  # of the tolerance; with that of the nodes in the squares, all of it
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
 CUTS_TRIED = 3  # the smallest that meet the tolerance: a larger core only costs more
-OVERSAMPLINGS = (2, 4)
+OVERSAMPLINGS = (1, 2, 4, 8, 16)
+LARGEST_STRIDE = 16  # samples from a photosite to the next of its site: shaders/optics/columns
 MODES_SHARE = 0.5  # of the tolerance; with that of the nodes in the squares, 0.94 of it
 # What is looked at to guess how many modes there are: the PSFs as far, sim samples, and at so many
 # nodes.
@@ -83,6 +83,7 @@ MODES_REACH = 32
 MODES_CELLS = (6, 4)
 MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
 LATERAL = "lateral"  # the stage of lateral colour
+DIRECT_STRIDE = 8  # sim samples from a site to the next, at most: shaders/optics/direct
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
 
@@ -165,6 +166,8 @@ def plans_optics(
     )
     relative = accuracy.relative(*signal)
 
+    aliases: dict[tuple[int, int], float] = {}
+
     def attempt(tolerance: float) -> _Attempt:
         basis = camera_basis(
             bank,
@@ -177,7 +180,7 @@ def plans_optics(
         asked = replace(relative, tolerance=tolerance)
         if lens is not None:
             asked = replace(asked, tolerance=lens.left_of(tolerance))
-        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, tolerance)
+        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, aliases)
         candidates = problem.candidates(methods, "tail" in force)
         return _Attempt(problem, candidates, choose(candidates)[0], lens, tolerance)
 
@@ -190,6 +193,14 @@ def plans_optics(
         _plan(problem, one, runners_up if one is found.chosen else (), noise, shortfall, lens)
         for one in taken
     ]
+
+
+def alias_of(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Alias:
+    """Return what predicts the errors of sim grids, as the planner makes it for a tolerance."""
+    core, allowed = bank.levels[0], WORST_TO_RMS * accuracy.tolerance
+    order = _commonest_first(scene)
+    basis = camera_basis(core, sensor, scene.spectra, allowed, order, ANGLE_SHARE * allowed)
+    return _Problem(core, sensor, scene, accuracy, LAVAPIPE, basis, (), bank.levels).alias
 
 
 def _plan(
@@ -268,7 +279,7 @@ class _Attempt:
         if chosen.worst == "alias":
             return (
                 f"the alias of edges on the sim grid cannot be less: {chosen.oversampling} samples "
-                "a pixel are the most, and the lens's PSFs hold finer detail than these carry"
+                "a pixel are the most, and scene and PSFs hold finer detail than these carry"
             )
         error, limit = chosen.errors[chosen.worst], chosen.limits[chosen.worst]
         return f"the error of its {chosen.worst} is {error:.1e} at least, above {limit:.1e}"
@@ -289,8 +300,7 @@ class _Attempt:
 class _Problem:
     """What is to be convolved, and how well.
 
-    `accuracy` is what the bank leaves to the engine of the `whole` tolerance. The sim grid, which
-    can be chosen in two steps alone, is held to the whole.
+    `accuracy` is what the bank leaves of the tolerance to the engine.
     """
 
     bank: FieldBank
@@ -301,34 +311,56 @@ class _Problem:
     basis: Basis
     force: Collection[str]
     levels: tuple[FieldBank, ...]
-    whole: float
+    # What sim grids cost, by samples a pixel and planes: the same at every tolerance.
+    aliases: dict[tuple[int, int], float] = field(default_factory=dict)
 
     def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
         """Return the ways to convolve, worked out as far as they may be chosen.
 
         `cut`: of those that the tolerance allows, only those that cut the PSFs.
         """
-        period = self.planes.period
-        allowed = [n for n in OVERSAMPLINGS if n * period <= 8]
+        limit = ALIAS_SHARE * self.accuracy.tolerance
+        allowed = self._oversamplings
         found: list[Candidate] = []
+        alias, tried = 0.0, 0
         for oversampling in allowed:
-            alias = self._alias(oversampling)
-            # A finer grid than is needed only costs more.
-            enough = any(one.parts and one.excess <= 1 for one in found)
-            if enough or (alias > self.whole and oversampling != allowed[-1]):
-                name = f"{oversampling} samples a pixel"
-                errors, limits = {"alias": alias}, {"alias": self.whole}
+            # A finer grid than is needed only costs more, and errs less. Where something else
+            # exceeds its limit, the next finer one is tried where it costs least.
+            enough = tried == 2 or any(one.parts and one.excess <= 1 for one in found)
+            alias = alias if tried else self._alias(oversampling)
+            if enough or (alias > limit and oversampling != allowed[-1]):
+                name = f"{_samples(oversampling)} a pixel"
+                errors, limits = {"alias": alias}, {"alias": limit}
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
                 continue
-            # After one that exceeds its limits: a finer grid is tried where it costs least.
-            first = not any(one.parts for one in found)
+            first, tried = tried == 0, tried + 1
             cuts = list(self._tails)[: CUTS_TRIED if first else 1]
+            # Of a sensor without filters a tail's grid has a sample a pixel.
+            if self.sensor.pixel_pitch_um / oversampling >= self.coarse_pitch_um:
+                cuts = []
             whole = [] if cut and cuts else [None]
             for radius in (*whole, *cuts):
                 found += self._candidates(
                     methods if first else methods[:1], oversampling, alias, radius
                 )
         return found
+
+    def _alias(self, oversampling: int) -> float:
+        """Return what the sim grid costs; where all is of one tone, nothing."""
+        if not self.has_edges:
+            return 0.0
+        key = oversampling, self.basis.coefficients.shape[1]
+        if key not in self.aliases:
+            self.aliases[key] = self.alias.error(oversampling)
+        return self.aliases[key]
+
+    @property
+    def _oversamplings(self) -> list[int]:
+        """Samples a pixel that may be chosen: no fewer than a photograph has, but for two."""
+        stride = self.planes.period
+        pitch_um = self.sensor.pixel_pitch_um
+        fine = not self.is_chart and self._placed.pitch_um < pitch_um * (1 - 1e-9)
+        return [n for n in OVERSAMPLINGS if n * stride <= LARGEST_STRIDE and not (fine and n == 1)]
 
     def left_out(self) -> tuple[PlanStage, ...]:
         """Describe what this lens may not need: distortion and lateral colour."""
@@ -409,7 +441,8 @@ class _Problem:
             self.has_edges,
         )
         errors = {"alias": alias, "nodes": nodes}
-        limits = {"alias": self.whole, "nodes": tolerance, "modes": tolerance}
+        limits = {knob: tolerance for knob in ("nodes", "modes")}
+        limits["alias"] = ALIAS_SHARE * tolerance
         limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
         tail = None
         if cut_um is not None:
@@ -421,7 +454,7 @@ class _Problem:
         )
         found = []
         for method in methods:
-            name = f"{method}, {oversampling} samples a pixel, {how}"
+            name = f"{method}, {_samples(oversampling)} a pixel, {how}"
             own, parts, obstacle = {}, (), None
             try:
                 core, own = self._part(
@@ -509,12 +542,12 @@ class _Problem:
             options = {"map_cells": cells, "rank_error": allowed}
             cells = (1, 1)
         elif method == "direct":
-            if reach > DIRECT_REACH:
+            if reach > DIRECT_REACH or stride > DIRECT_STRIDE:
                 raise UserError(
                     "The direct sum is for small supports.",
                     field="method",
-                    value=f"PSFs of {2 * reach:.0f} sim samples",
-                    allowed=f"{2 * DIRECT_REACH} samples",
+                    value=f"PSFs of {2 * reach:.0f} sim samples, sites {stride} apart",
+                    allowed=f"{2 * DIRECT_REACH} samples, {DIRECT_STRIDE}",
                 )
             limit = self.accuracy.tolerance / CONTRAST
             support, errors["support"] = self._support(pitch_um, reach_um, weight, limit)
@@ -737,6 +770,21 @@ class _Problem:
     def reach_um(self) -> float:
         return self.bank.psf.shape[-1] / 2 * self.bank.pitch_um + self.bank.lateral_um
 
+    @cached_property
+    def alias(self) -> Alias:
+        """What sim grids cost."""
+        return Alias(
+            self.images,
+            self.places,
+            self.bank.pitch_um,
+            self.sensor,
+            self._placed,
+            self.basis.coefficients,
+            self._chief_ray,
+            self.sigma,
+            math.lcm(*self.sensor.period),
+        )
+
     @property
     def coarse_stride(self) -> int:
         # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
@@ -761,12 +809,6 @@ class _Problem:
         limit = self.accuracy.tolerance / CONTRAST
         fit = [cut for cut, lost in self._lost.items() if lost <= limit]
         return {cut: self._tail_nodes(cut) for cut in fit[:CUTS_TRIED]}
-
-    def _alias(self, oversampling: int) -> float:
-        """Return what the sim grid costs; a photograph is smooth on it, and so is one tone."""
-        if not (self.is_chart and self.has_edges):
-            return 0.0
-        return ALIAS_TO_RMS * alias_error(self.bank, oversampling, self.sensor, self.sigma)
 
     def _parts(self, cut_um: float | None) -> list[np.ndarray]:
         """Return the weights of the samples of the PSFs in each scale."""
@@ -808,6 +850,10 @@ class _Problem:
             self.reach_um,
         )
         return lag * share, few
+
+
+def _samples(oversampling: int) -> str:
+    return f"{oversampling} sample{'s' * (oversampling > 1)}"
 
 
 def _commonest_first(scene: Scene) -> np.ndarray:

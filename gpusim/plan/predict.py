@@ -6,13 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.kernels import (
     BAND_EDGE,
     FieldKernels,
     core_window,
     distances_um,
-    low_pass,
     sampled_kernels,
 )
 from gpusim.sensor.aperture import transfer_along
@@ -27,46 +25,6 @@ SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.p
 def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:
     """Bound an edge response by its transfer function: 2 int |H(f)| / (2 pi f) df."""
     return float(2 * np.trapezoid(np.abs(spectrum) / (2 * np.pi * frequency), frequency))
-
-
-def alias_error(bank: FieldBank, oversampling: float, sensor: Sensor, sigma: float) -> float:
-    """Predict the error of an edge response that the sim grid causes.
-
-    At the axis and the reference wavelength, of x and y the worse: what the grid folds into the
-    band, and what lies above it. Frequencies in cycles per sim sample.
-    """
-    middle = bank.field(bank.probes[0]).psf[bank.reference]
-    middle = middle / middle.sum(dtype=np.float64)
-    return max(
-        _alias(bank, middle.sum(axis=axis, dtype=np.float64), oversampling, sensor, sigma, axis)
-        for axis in (0, 1)
-    )
-
-
-def _alias(
-    bank: FieldBank,
-    psf: np.ndarray,
-    oversampling: float,
-    sensor: Sensor,
-    sigma: float,
-    axis: int,
-) -> float:
-    """Predict the same of one line-spread function (n,) on the bank's grid, along x or y."""
-    pitch_um = sensor.pixel_pitch_um / oversampling
-    positions_um = (np.arange(len(psf)) - len(psf) // 2) * bank.pitch_um
-    f = np.linspace(0.5, 1.0, 100)
-
-    def transfer(frequency: np.ndarray) -> np.ndarray:
-        mtf = np.abs(np.exp(-2j * np.pi * np.outer(frequency / pitch_um, positions_um)) @ psf)
-        # Beyond the bank's own Nyquist frequency the sum only repeats; the bank's PSFs end below
-        # it.
-        mtf[frequency / pitch_um > 0.5 / bank.pitch_um] = 0.0
-        return mtf * transfer_along(sensor.response_um, frequency / pitch_um, axis)
-
-    folded = np.exp(-2 * np.pi**2 * sigma**2 * (f**2 - (1 - f) ** 2)) * low_pass(
-        (1 - f) / pitch_um, pitch_um
-    )
-    return edge_integral(f, transfer(f)) + edge_integral(f, folded * transfer(1 - f))
 
 
 def cut_error(

@@ -80,6 +80,7 @@ class Truth:
         self.sensor = sensor
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
+        self.spread = self.spreads[0][1]
         self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         self.boxes = self._boxes()
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))

@@ -345,8 +345,8 @@ def sigma_below_float32() -> tuple:
 
 
 def alias_floor() -> tuple:
-    """Take a PSF of 0.2 um at a tolerance of 1e-4: the finest sim grid folds more back."""
-    bank = gaussian_bank((0.2, 0.2), pitch_um=0.1)
+    """Take a PSF of 0.05 um at a tolerance of 1e-4: the finest sim grid folds more back."""
+    bank = gaussian_bank((0.05, 0.05), pitch_um=0.025)
     rate_of(camera_of(bank, mono(24, 24)), edge_scene(0.1), 1e-4)
     return "refused: alias", "accepted", False
 

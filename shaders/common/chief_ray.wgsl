@@ -6,7 +6,7 @@
 // centre c and radius R; i, j their whole parts; w the B-spline's weights of common/b_spline. Beyond the square it goes on as
 // at its sides.
 // Made on the host in float64.
-// Depends on the globals: `DISTORTION`, `AXIS`: bool; `terms`: array<vec2f>; `params.circle` (c), `.inverse_radius2`, `.pieces` (n).
+// Depends on the globals: `DISTORTION`, `AXIS`: bool; `terms`: array<vec4f>; `params.circle` (c), `.inverse_radius2`, `.pieces` (n).
 #include "b_spline"
 #include "distortion"
 
@@ -30,10 +30,10 @@ fn chief_ray(x: vec2f) -> IdealPoint {
     var along_y = vec2f(0.0);
     for (var a = 0u; a < 4u; a++) {
         let k = (u32(cell.x) + a) * side + u32(cell.y);
-        let c0 = terms[k];
-        let c1 = terms[k + 1u];
-        let c2 = terms[k + 2u];
-        let c3 = terms[k + 3u];
+        let c0 = terms[k].xy;
+        let c1 = terms[k + 1u].xy;
+        let c2 = terms[k + 2u].xy;
+        let c3 = terms[k + 3u].xy;
         let column = down.x * c0 + down.y * c1 + down.z * c2 + down.w * c3;
         shift += across[a] * column;
         along_x += across_slopes[a] * column;

@@ -2,9 +2,9 @@
 // ideal one.
 //
 // u = x + x d(s), s = n |x|^2 / R^2 with the image circle's radius R: d is a cubic spline in |x|^2 of n even pieces, one after
-// the other in `terms`: d0 + t (d1 + t (d2 + t d3)), t = s - k in piece k, two pairs a piece. Beyond the circle d stays.
+// the other in `terms`: d0 + t (d1 + t (d2 + t d3)), t = s - k in piece k. Beyond the circle d stays.
 // Only what the lens distorts is multiplied and rounded, and x is added as it is. x and u in sim samples from the optical axis.
-// Depends on the global `terms`: array<vec2f>.
+// Depends on the global `terms`: array<vec4f>.
 
 struct IdealPoint {
     u: vec2f,
@@ -13,12 +13,11 @@ struct IdealPoint {
 
 fn ideal_point(x: vec2f, inverse_radius2: f32, pieces: f32) -> IdealPoint {
     let s = min(dot(x, x) * inverse_radius2, 1.0) * pieces;
-    let piece = min(floor(s), pieces - 1.0);
-    let t = s - piece;
-    let low = terms[2u * u32(piece)];
-    let high = terms[2u * u32(piece) + 1u];
-    let d = low.x + t * (low.y + t * (high.x + t * high.y));
-    let slope = low.y + t * (2.0 * high.x + t * 3.0 * high.y);
+    let piece = min(u32(s), u32(pieces) - 1u);
+    let t = s - f32(piece);
+    let own = terms[piece];
+    let d = own.x + t * (own.y + t * (own.z + t * own.w));
+    let slope = own.y + t * (2.0 * own.z + t * 3.0 * own.w);
     let dd = 2.0 * slope * pieces * inverse_radius2;   // du/dx = (1 + d) I + dd x x^T
     let g = 1.0 + d;
     return IdealPoint(x + d * x, mat2x2f(g + dd * x.x * x.x, dd * x.x * x.y, dd * x.x * x.y, g + dd * x.y * x.y));

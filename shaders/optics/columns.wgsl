@@ -30,7 +30,7 @@
 override PHASE: u32 = 0u;
 override TIMES: u32 = 2u;         // E = T/256, 1, 2 or 4: for PHASE 0 and 2; a param too, whose loops stay loops
 override C: u32 = 3u;             // channels of a dispatch, at most 4: for PHASE 1
-override D: u32 = 4u;             // samples from a photosite to the next of the same site, 1, 2, 4 or 8: for PHASE 1 and 2
+override D: u32 = 4u;             // samples from a photosite to the next of the same site, 1, 2, 4, 8 or 16: for PHASE 1 and 2
 override NODES: u32 = 4u;         // 4, or 2 or 1 lines of modes: for PHASE 0 and 1
 
 struct Params {
@@ -81,27 +81,29 @@ fn turn(k: u32) -> vec2f {
 // Row spectra of one sample of column kx: (A_0, A_1) for the left and the right node.
 fn sides(j: u32, kx: u32, y: u32) -> vec4f {
     let line = (j * params.height + y) * length_of_lines();
-    if (NODES == 1u) {
-        return vec4f(spectra[line + kx], 0.0, 0.0);
+    let left = spectra[line + kx];
+    var result = vec4f(left, 0.0, 0.0);
+    if (NODES != 1u) {
+        let z = 0.5 * left;
+        let mirror = 0.5 * conj(spectra[line + ((length_of_lines() - kx) & (length_of_lines() - 1u))]);
+        result = vec4f(z + mirror, -times_i(z - mirror));
     }
-    let z = 0.5 * spectra[line + kx];
-    let mirror = 0.5 * conj(spectra[line + ((length_of_lines() - kx) & (length_of_lines() - 1u))]);
-    return vec4f(z + mirror, -times_i(z - mirror));
+    return result;
 }
 
 // Of a row turned by w.
 fn weighted(j: u32, kx: u32, y: u32, w: vec2f) -> Weighted {
-    if (y >= params.height) {
-        return Weighted();
+    var a = vec4f(0.0);
+    if (y < params.height) {
+        a = sides(j, kx, y);
     }
-    var a = sides(j, kx, y);
     if (TIMES > 1u) {
         a = pair_mul(a, w);
     }
-    if (NODES != 4u) {
-        return Weighted(a, vec4f(0.0));
+    var lower = vec4f(0.0);
+    if (NODES == 4u) {
+        lower = a * (params.first_s + f32(y) * params.step_s);
     }
-    let lower = a * (params.first_s + f32(y) * params.step_s);
     return Weighted(a - lower, lower);
 }
 
@@ -223,6 +225,8 @@ fn rows_of(low: ptr<function, Sixteen>, high: ptr<function, Sixteen>, r: u32, ev
     if (D > 2u && o_y == 3u) { x = (*low)[r + 3u]; y = (*high)[r + 3u]; }
     if (D > 4u && o_y == 4u) { x = (*low)[r + 4u]; y = (*high)[r + 4u]; }
     if (D > 4u && o_y == 6u) { x = (*low)[r + 6u]; y = (*high)[r + 6u]; }
+    if (D > 8u && o_y == 8u) { x = (*low)[r + 8u]; y = (*high)[r + 8u]; }
+    if (D > 8u && o_y == 12u) { x = (*low)[r + 12u]; y = (*high)[r + 12u]; }
     var result = vec4f(x.xy, x.xy);
     if (C > 1u && even == 1u) { result.x = x.z; result.y = x.w; }
     if (C > 2u && even == 2u) { result.x = y.x; result.y = y.y; }

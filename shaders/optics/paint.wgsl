@@ -57,7 +57,7 @@ struct Tile {
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
 @group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two a row: up to 8 coefficients; then steps
 @group(0) @binding(4) var<storage, read> tiles: array<Tile>;
-@group(0) @binding(5) var<storage, read> terms: array<vec2f>;       // of the chief-ray map, see common/chief_ray
+@group(0) @binding(5) var<storage, read> terms: array<vec4f>;       // of the chief-ray map, see common/chief_ray
 @group(0) @binding(6) var<storage, read_write> planes: array<f32>;
 
 // sigma along the unit vector e of the ideal plane: sigma |M^T e|

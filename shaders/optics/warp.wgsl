@@ -46,7 +46,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> coefficients: array<f32>;
 @group(0) @binding(2) var<storage, read> coefficients_1: array<f32>;
 @group(0) @binding(3) var<storage, read> coefficients_2: array<f32>;
-@group(0) @binding(4) var<storage, read> terms: array<vec2f>;        // of the chief-ray map, see common/chief_ray
+@group(0) @binding(4) var<storage, read> terms: array<vec4f>;        // of the chief-ray map, see common/chief_ray
 @group(0) @binding(5) var<storage, read> weights: array<f32>;        // (2 reach + 2), sum 1, the last 0
 @group(0) @binding(6) var<storage, read_write> planes: array<f32>;
 

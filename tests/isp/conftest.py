@@ -45,16 +45,21 @@ def sixteen_bits(pattern: list[list[str]] | None = None) -> Sensor:
 def shoot():
     """Return a function that takes the ColorChecker under an illuminant."""
 
-    def take(illuminant: str, sensor: Sensor | None = None, white_share: float = 0.6) -> Shot:
-        sensor = sensor or sixteen_bits()
+    def take(
+        illuminant: str,
+        pattern: list[list[str]] | None = None,
+        white_share: float = 0.6,
+        patch_px: int = PATCH,
+    ) -> Shot:
+        sensor = sixteen_bits(pattern)
         curves = response(sensor.qe)
         white = white_radiance(illuminant, 1.0)
         span_dn = 65535 - sensor.black_level_dn
         scale = white_share * span_dn / sensor.system_gain_dn_per_e / (curves @ white).max()
         patches = scale * (np.stack(list(colorchecker().values())) * white) @ curves.T
         site = np.array([[CHANNELS.index(c) for c in row] for row in sensor.cfa.pattern])
-        site = np.tile(site, (2 * PATCH, 3 * PATCH))
-        number = np.kron(np.arange(24).reshape(4, 6), np.ones((PATCH, PATCH), int))
+        site = np.tile(site, (2 * patch_px, 3 * patch_px))[: 4 * patch_px, : 6 * patch_px]
+        number = np.kron(np.arange(24).reshape(4, 6), np.ones((patch_px, patch_px), int))
         raw = sensor.black_level_dn + sensor.system_gain_dn_per_e * patches[number, site]
         white_e = dict(zip(CHANNELS, scale * curves @ white, strict=True))
         return Shot(sensor, np.round(raw).astype(np.uint16), white_e, patches)

@@ -620,20 +620,20 @@ def test_a_noise_of_two_numbers_is_in_the_noise_profile():
 
 def test_two_merged_reads_have_the_noise_of_the_one_that_counts():
     dual = DualGain(
-        system_gain_dn_per_e=0.047, temporal_dark_noise_e=12.0, black_level_dn=200, switch_dn=3800
+        system_gain_dn_per_e=0.047, temporal_dark_noise_e=120.0, black_level_dn=200, switch_dn=3800
     )
     camera = sensor(dual_gain=dual, full_well_e=80_000.0)
     scale, offset = noise_profile(camera)
     span = saturation_dn(camera) - 256
     rng, n = np.random.default_rng(9), 400_000
-    for mean_e, gain, noise_e in ((0, 0.47, 3.0), (3000, 0.47, 3.0), (79_000, 0.047, 12.0)):
+    for mean_e, gain, noise_e in ((0, 0.47, 3.0), (3000, 0.47, 3.0), (79_000, 0.047, 120.0)):
         electrons = rng.poisson(mean_e, n) + rng.normal(0, noise_e, n)
         x = 0.47 / gain * np.round(gain * electrons) / span
-        expected = scale * 0.47 * mean_e / span + offset
-        # The variance of n samples to 5 sigma; where the first read counts, the line is above it by
-        # what the second's noise is more, 182 e-^2, times the signal's share of the span, 4 %.
-        more = 182 * mean_e / 80_000 / (mean_e + 9) if gain == 0.47 else 1e-3
-        assert x.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / n) + more + 1e-4)
+        found = scale * 0.47 * mean_e / span + offset
+        # The variance of n samples to 5 sigma. Between the ends the line lies above, by the
+        # signal's share of the span times the 120^2 e-^2 that the second read has more.
+        more = 120**2 * mean_e / 80_000 / (mean_e + 9) if gain == 0.47 else 0.02 * 120**2 / 79_000
+        assert x.var() == pytest.approx(found, rel=5 * np.sqrt(2 / n) + more + 1e-4)
 
 
 def opcode_list(data: bytes) -> dict[int, tuple[int, bytes]]:

@@ -170,6 +170,26 @@ def test_levels_and_table_are_in_the_bayer_frame(tmp_path):
         assert_close(share, np.full(share.shape, 4000 / full), rtol=2e-3)
 
 
+@pytest.mark.parametrize("pattern", [QUAD, ("W",)])
+def test_the_border_is_cropped_and_its_dark_current_taken(tmp_path, pattern):
+    """The pattern, of filters and of black levels, begins at the first lit pixel."""
+    levels = {"R": 250.0, "B": 262.0} if pattern == QUAD else {}
+    camera = camera_of(pattern, channel_black_level_dn=levels or None)
+    sites = sites_of(shifted(pattern, (6, 3)), (46, 51))
+    light = 0.2 + 0.005 * np.mgrid[0:40, 0:48][1]
+    signal = np.round(3000 * np.vectorize(NEUTRAL.get)(sites[6:, 3:]) * light)
+    raw = np.vectorize(lambda site: levels.get(site, BLACK))(sites) + 9  # of dark current
+    raw[6:, 3:] += signal.astype(int)
+    areas = {"active_area": (6, 3, 40, 48), "masked_areas": [(0, 0, 6, 51), (6, 0, 40, 3)]}
+    white = {one: 6000 * NEUTRAL[one] for one in camera.channels}
+    write_dng(tmp_path / "a.dng", raw, camera, white_e=white, exposure_s=0.01, **areas)
+    found = read_raw(tmp_path / "a.dng")
+    assert_close(found.signal_dn, signal, atol=1e-3)
+    assert found.pattern == tuple(pattern)
+    assert found.span_dn == pytest.approx(4095 - np.mean([*levels.values(), 256, 256][:4]) - 9)
+    assert develop(tmp_path / "a.dng").shape == (40, 48, 3)
+
+
 # --- other filter arrays, and small frames ---
 
 

@@ -366,7 +366,8 @@ def bent(seed: int, cells: int, radius: float, bend: float = 0.1) -> np.ndarray:
 
 def shader_terms(distortion: np.ndarray) -> np.ndarray:
     """Return a map's numbers in the order of shaders/common/chief_ray."""
-    return distortion.reshape(-1, 2).astype(np.float32)
+    rows = distortion.reshape(-1, distortion.shape[-1])
+    return np.pad(rows, ((0, 0), (0, 4 - rows.shape[1]))).astype(np.float32)
 
 
 def twiddles(length: int) -> np.ndarray:

@@ -32,6 +32,9 @@ CASES = {
     "one site": (SimGrid(30, 35, 2, 1, 256, 32, (1, 2)), 0.8),
     "sixteen sites": (SimGrid(29, 31, 8, 4, 512, 32, (2, 2)), 0.0),
     # On coarse grids kernels are band-limited: the tails of a PSF, as the planner has it.
+    "sixteen samples a pixel": (SimGrid(13, 11, 16, 1, 256, 64, (1, 1)), 0.8),
+    "eight samples a pixel": (SimGrid(14, 18, 16, 2, 256, 64, (2, 1)), 0.8),
+    "sixteen sites, four samples a pixel": (SimGrid(12, 10, 16, 4, 256, 64, (1, 1)), 0.8),
     "sixteen sites, a sample a pixel": (SimGrid(29, 31, 4, 4, 256, 16, (2, 1)), 0.8),
     "a plane for each of three channels": (SimGrid(30, 35, 2, 1, 256, 32, (1, 2), 3), 0.8),
     "of six channels, a sample a pixel": (SimGrid(30, 35, 1, 1, 256, 16, (1, 1), 6), 0.8),
@@ -131,7 +134,19 @@ def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device, lens: Bank)
 
 
 # Samples per pixel and CFA period: the core's sim grids, and the coarse ones of the tails.
-PLANNED = [(2, 1), (2, 2), (2, 4), (4, 1), (4, 2), (1, 1), (0.5, 2), (1, 4)]
+PLANNED = [
+    (16, 1),
+    (8, 2),
+    (4, 4),
+    (2, 1),
+    (2, 2),
+    (2, 4),
+    (4, 1),
+    (4, 2),
+    (1, 1),
+    (0.5, 2),
+    (1, 4),
+]
 
 
 @pytest.mark.parametrize("length", TRANSFORMS)

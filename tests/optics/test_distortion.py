@@ -31,8 +31,8 @@ def evaluated(table: np.ndarray, member: str, returns: str) -> np.ndarray:
         "x": ("vec2f", X),
         "inverse": ("f32", np.full(len(X), RADIUS**-2)),
     }
-    numbers = ", ".join(f"vec2f({float(a)!r}, {float(b)!r})" for a, b in table.reshape(-1, 2))
-    terms = f"var<private> terms: array<vec2f, {2 * len(table)}> = array({numbers});"
+    numbers = ", ".join(f"vec4f({', '.join(repr(float(one)) for one in row)})" for row in table)
+    terms = f"var<private> terms: array<vec4f, {len(table)}> = array({numbers});"
     expression = f"ideal_point(x, inverse, {float(len(table))}).{member}"
     return wgsl_eval("distortion", expression, inputs, returns=returns, declarations=terms)
 

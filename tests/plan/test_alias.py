@@ -1,0 +1,107 @@
+"""The sim grid's error as it is predicted, against renders and the exact model.
+
+Two figures of one error, both root mean squares over probes: of the planner's patches and of a
+certificate's. They sample other pixels, so that they agree within a factor of two, as the page of
+tools/alias_table.py has it for real lenses.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from optics.made import FLAT, bank, monochrome
+
+from gpusim.certify import certify
+from gpusim.chain import Renderer
+from gpusim.gpu import Device
+from gpusim.pareto.knobs import oversampled
+from gpusim.plan import Accuracy
+from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.optics import alias_of
+from gpusim.scene.chart import Chart, Rect
+from gpusim.scene.raster import Raster
+from gpusim.scene.scene import Scene
+
+ROWS, COLS = 48, 64
+TIGHT = Accuracy(1e-4, probes=0, best_effort=True)
+
+
+def camera(sigma_um: float) -> SimpleNamespace:
+    """Return a lens that is alike all over its field: nodes err by nothing."""
+    still = {"coma_um": 0.0, "falloff": 0.0, "distortion": 0.0, "lateral": (0.0, 0.0, 0.0)}
+    lens = bank(sigma_um=(sigma_um,) * 3, **still)
+    sensor = monochrome().roi(ROWS, COLS)
+    return SimpleNamespace(sensor=sensor, bank=lambda *_, **__: lens)
+
+
+def edge(angle_deg: float) -> Scene:
+    """Return dark squares on white, 16:1, wherever a certificate looks."""
+    angle = math.radians(angle_deg)
+    squares = tuple(
+        Rect(0.42 * x + 0.013, 0.42 * y - 0.007, 0.12, 0.12, angle, 1)
+        for x in range(-3, 4)
+        for y in range(-2, 3)
+    )
+    return Scene("edge", np.stack([FLAT, FLAT / 16]), Chart(("a", "b"), 0, squares), "E", FLAT)
+
+
+def photograph(values: np.ndarray) -> Scene:
+    """Return a photograph of one spectrum."""
+    return Scene("p", FLAT[None], Raster(values[None].astype(np.float32)), "E", FLAT)
+
+
+def waves(cycles: float) -> Scene:
+    """Return a photograph of a sinusoid, a sample a pixel."""
+    row, col = np.indices((ROWS, COLS))
+    return photograph(0.4 + 0.36 * np.cos(2 * np.pi * cycles * (col + 0.1 * row)))
+
+
+def noise(fine: int) -> Scene:
+    """Return a photograph of white noise, 4:1: the few darkest pixels do not make up the mean."""
+    values = np.random.default_rng(7).uniform(0.2, 0.8, (fine * ROWS, fine * COLS))
+    return photograph(values)
+
+
+CASES = {
+    "edge of 5 degrees": (edge(5.0), 0.95, 1),
+    "edge of 5 degrees, two samples": (edge(5.0), 0.4, 2),
+    "edge of 45 degrees": (edge(45.0), 0.7, 1),
+    "1/3 cycles a pixel": (waves(1 / 3), 0.4, 2),
+    "white noise, finer than the grid": (noise(4), 0.4, 2),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_predicted_is_found(device: Device, name: str):
+    scene, sigma_um, samples = CASES[name]
+    stub = camera(sigma_um)
+    first = Renderer(stub, scene, TIGHT, device, costs=LAVAPIPE, noise=False, method="fft")
+    plan = oversampled(first, samples)
+    first.release()
+    one = Renderer(stub, scene, TIGHT, device, plan=plan, costs=LAVAPIPE, noise=False)
+    rate = one.capture(1 / 60, keep=("rate",)).rate
+    given = one.bank, stub.sensor, scene, one.placed, rate, one.glare, 1 / 60
+    found = certify(*given, Accuracy(1e-4, 48)).engine_rms
+    one.release()
+    predicted = alias_of(stub.bank(), stub.sensor, scene, TIGHT).error(samples)
+    assert found > 1e-4  # far above float32's rounding
+    assert 0.5 * found < predicted < 2 * found
+
+
+def test_finer_grids_err_less_and_none_where_all_is_even():
+    stub = camera(0.4)
+    for scene in (edge(5.0), noise(1)):
+        alias = alias_of(stub.bank(), stub.sensor, scene, TIGHT)
+        errors = [alias.error(samples) for samples in (1, 2, 4, 8)]
+        assert errors == sorted(errors, reverse=True) and errors[-1] < 1e-3 * errors[0]
+    even = photograph(np.full((6, 8), 0.3))
+    assert alias_of(stub.bank(), stub.sensor, even, TIGHT).error(1) < 1e-12
+
+
+def test_a_chart_of_nothing_has_no_alias():
+    stub = camera(0.4)
+    scene = Scene("grey", FLAT[None], Chart(("a",), 0), "E", FLAT)
+    assert alias_of(stub.bank(), stub.sensor, scene, TIGHT).error(1) == 0.0

@@ -1,0 +1,137 @@
+"""How densely a bank is sampled: where the lens asks for it, and what is known of its error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from optics.made import FLAT, monochrome, scene
+
+from gpusim.errors import UserError
+from gpusim.lens.bank import compute_bank, default_fields_deg
+from gpusim.lens.prescription import load_prescription
+from gpusim.lens.spreads import even_lines_nm, middles_deg
+from gpusim.plan import Accuracy
+from gpusim.plan.density import LINES_SHARE, Density, LensShare, bank_density
+from gpusim.scene.chart import Rect
+
+SENSOR = monochrome(1520, 2028)
+GREY = scene((), FLAT[None])
+EDGE = scene((Rect(0.0, 0.0, 0.5, 0.5, 0.08, 1),), np.stack([FLAT, FLAT / 16]))
+
+
+@pytest.fixture(scope="module")
+def lens():
+    return load_prescription("double-gauss").scaled(8.3).stopped(2.8).limited(14.3)
+
+
+@pytest.fixture(scope="module")
+def loose(lens):
+    return bank_density(lens, SENSOR, EDGE, Accuracy(1e-2))
+
+
+@pytest.fixture(scope="module")
+def tight(lens):
+    return bank_density(lens, SENSOR, EDGE, Accuracy(3e-4, best_effort=True))
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_lines_are_even_in_the_inverse_wavelength_and_550_nm_is_one(steps):
+    lines = even_lines_nm(steps)
+    assert 550.0 in lines and lines[0] == 400.0 and lines[-1] == 700.0
+    # To the picometre that they are rounded to.
+    np.testing.assert_allclose(np.diff(1 / lines), np.diff(1 / lines)[0], rtol=1e-5)
+
+
+def test_a_loose_tolerance_takes_the_thinnest_bank(lens, loose):
+    assert len(loose.wavelengths_nm) == 12
+    np.testing.assert_array_equal(loose.field_deg, default_fields_deg(lens))
+
+
+def test_a_tight_one_takes_more_fields_and_errs_by_less(loose, tight):
+    assert set(loose.field_deg) < set(tight.field_deg)
+    assert tight.fields_error.max() < loose.fields_error.max() / 2
+    assert tight.lines_error.max() <= LINES_SHARE * 3e-4
+
+
+def test_lines_are_as_many_as_the_tolerance_asks(lens, loose, monkeypatch):
+    monkeypatch.setattr("gpusim.plan.density.ROUNDS", 0)
+    found = bank_density(lens, SENSOR, EDGE, Accuracy(3e-5, best_effort=True))
+    steps = (len(found.wavelengths_nm) - 1) / 11
+    assert steps > 1 and found.lines_error.max() <= LINES_SHARE * 3e-5
+    np.testing.assert_allclose(found.lines_error, loose.lines_error / steps**4)
+    assert loose.lines_error.max() / (steps - 1) ** 4 > LINES_SHARE * 3e-5
+
+
+def test_a_grey_needs_no_more_than_its_illumination(lens, tight):
+    grey = bank_density(lens, SENSOR, GREY, Accuracy(3e-4, best_effort=True))
+    assert grey.contrast == 1
+    assert len(grey.field_deg) < len(tight.field_deg) and grey.worst < tight.worst
+
+
+def test_the_error_between_fields_is_that_of_a_bank_there(lens, loose):
+    """The bank's PSFs, resampled at the middles, against those traced there: edge responses."""
+    middles = middles_deg(lens, loose.field_deg)[[7, 10]]
+    lines = np.array([450.0, 550.0, 650.0])
+    fields = np.sort(np.concatenate([loose.field_deg, middles]))
+    bank = compute_bank(lens, lines, fields, size=96)
+    numbers = np.searchsorted(fields, middles)
+    kept = np.setdiff1d(np.arange(len(fields)), numbers)
+    rows = {
+        name: getattr(bank, name)[kept]
+        for name in (
+            "field_deg", "ideal_height_um", "real_height_um", "psf", "relative_illumination",
+            "outside_energy", "folded_energy", "fit_residual_waves", "failed_rays", "chief", "cone",
+        )
+    }  # fmt: skip
+    thin = replace(bank, **rows, halo=None, halo_pitch_um=None)
+    made = thin.resampled(field_deg=np.sort(np.concatenate([[0.0], middles]))).psf[1:]
+    off = (made - bank.psf[numbers]).sum(axis=1, dtype=float) / len(lines)
+    for place, change in zip((7, 10), off, strict=True):
+        steps = [np.cumsum(change.sum(axis=axis)) for axis in (0, 1)]
+        # A step beside a black pixel, some tenths of the white: relative to it, two to ten times.
+        worst = np.abs(steps).max()
+        assert 0.5 * worst < loose.fields_error[place] < 20 * worst
+
+
+def given(error: float) -> Density:
+    line = np.array([0.0, 100.0])
+    return Density(
+        field_deg=line,
+        wavelengths_nm=np.array([550.0]),
+        height_um=line,
+        fields_error=np.array([error]),
+        lines_um=line,
+        lines_error=np.zeros(2),
+        pupil_error=0.0,
+        contrast=5.0,
+        ratio=4.0,
+    )
+
+
+def test_the_engine_gets_what_the_bank_leaves():
+    class Beyond:
+        beyond_energy = np.full((2, 1), 2e-5)
+
+    share = LensShare(given(6e-4), Beyond())
+    # Half white, half black at a quarter: a mean of 5/8 over signals 1 and 1/4, squares averaged.
+    window = 2e-5 * 0.625 * np.sqrt((1 + 16) / 2)
+    assert share.window == pytest.approx(window)
+    expected = np.sqrt((1e-3 - window) ** 2 - 6e-4**2) / 0.78
+    assert share.left_of(1e-3) == pytest.approx(expected) and expected < 1e-3
+    assert share.left_of(1e-2) == 1e-2
+    assert share.excess(1e-3) == pytest.approx((6e-4 + window) / 8.5e-4)
+
+
+def test_a_lens_without_a_prescription_is_not_asked():
+    assert bank_density(object(), SENSOR, EDGE, Accuracy(1e-3)) is None
+
+
+def test_what_cannot_be_met_is_refused_with_the_nearest_that_can(lens, monkeypatch):
+    monkeypatch.setattr("gpusim.plan.density.ROUNDS", 0)
+    monkeypatch.setattr("gpusim.plan.density.STEPS", (1,))
+    with pytest.raises(UserError, match="fields and 12 wavelengths") as refused:
+        bank_density(lens, SENSOR, EDGE, Accuracy(1e-4))
+    nearest = float(refused.value.allowed.split()[0])
+    assert bank_density(lens, SENSOR, EDGE, Accuracy(nearest)).worst <= 0.85 * nearest
+    best = bank_density(lens, SENSOR, EDGE, Accuracy(1e-4, best_effort=True))
+    assert best.worst > 0.85e-4
