@@ -10,13 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from colour.models import cctf_encoding
 from harness import assert_close
 from scipy.ndimage import center_of_mass
 
 from gpusim.camera import load_camera
 from gpusim.gpu import Device, Recording
-from gpusim.isp.develop import undeveloped
-from gpusim.scene.colorimetry import encode_srgb
+from gpusim.isp.develop import develop
+from gpusim.isp.dng import write_dng
+from gpusim.isp.rawfile import read_raw
 from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.ccd import record_columns
@@ -140,17 +142,19 @@ def test_a_low_passed_raster_stays_where_it_is(rows: int, cols: int, coarser: fl
     assert_close(found, np.array([y - rows / 2, x - cols / 2]), atol=2e-2)
 
 
-def test_a_grey_picture_follows_the_srgb_curve_near_black():
+def test_a_grey_picture_follows_the_srgb_curve_near_black(tmp_path):
     """Planted: the straight part of the curve, below 0.0031308, has another slope."""
     sensor = load_sensor("imx249-mono")
     black = sensor.site_black_dn[0]
     raw = np.linspace(black, sensor.max_dn, 2000).round().astype(np.uint16)[None]
     raw[0, :60] = black + np.arange(60)
-    white_e = {"W": (sensor.max_dn - black) / sensor.system_gain_dn_per_e}
-    light = (raw - black) / (sensor.max_dn - black)
-    shown = undeveloped(raw, sensor, white_e)[..., 0]
+    path = tmp_path / "ramp.dng"
+    write_dng(path, raw, sensor, white_e={"W": 1e4}, exposure_s=0.01)
+    light = np.clip((raw - black) / read_raw(path).span_dn, 0, 1)
+    shown = develop(path)[..., 0]
     assert (light < 0.0031308).sum() > 10
-    assert_close(shown.astype(float), 255 * encode_srgb(light), atol=0.5 + 1e-6)
+    # Rounded to 8 bits, from light of 16 bits: half of 255 * 12.92 / 65535 at most.
+    assert_close(shown.astype(float), 255 * cctf_encoding(light, "sRGB"), atol=0.5 + 0.026)
 
 
 @pytest.mark.parametrize("colder", [0.0, 7.5, 30.0, 31.0, 60.0, 90.0])

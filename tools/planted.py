@@ -132,9 +132,9 @@ LIST = (
     ),
     Planted(
         "the sRGB curve near black has another slope",
-        "gpusim/isp/develop.py",
-        "slope * light",
-        "0.8 * slope * light",
+        "gpusim/scene/colorimetry.py",
+        "12.92 * linear",
+        "10.3 * linear",
         HAND,
         "srgb",
     ),
