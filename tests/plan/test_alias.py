@@ -8,11 +8,10 @@ tools/alias_table.py has it for real lenses.
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from optics.made import FLAT, bank, monochrome
+from optics.made import FLAT, StubCamera, bank, monochrome
 
 from gpusim.certify import certify
 from gpusim.chain import Renderer
@@ -29,12 +28,11 @@ ROWS, COLS = 48, 64
 TIGHT = Accuracy(1e-4, probes=0, best_effort=True)
 
 
-def camera(sigma_um: float) -> SimpleNamespace:
+def camera(sigma_um: float) -> StubCamera:
     """Return a lens that is alike all over its field: nodes err by nothing."""
     still = {"coma_um": 0.0, "falloff": 0.0, "distortion": 0.0, "lateral": (0.0, 0.0, 0.0)}
     lens = bank(sigma_um=(sigma_um,) * 3, **still)
-    sensor = monochrome().roi(ROWS, COLS)
-    return SimpleNamespace(sensor=sensor, bank=lambda *_, **__: lens)
+    return StubCamera(lens, monochrome().roi(ROWS, COLS))
 
 
 def edge(angle_deg: float) -> Scene:
