@@ -58,7 +58,7 @@ def waves(cycles: float) -> Scene:
 
 
 def noise(fine: int) -> Scene:
-    """Return a photograph of white noise, 4:1: the few darkest pixels do not make up the mean."""
+    """Return a photograph of white noise, 4:1."""
     values = np.random.default_rng(7).uniform(0.2, 0.8, (fine * ROWS, fine * COLS))
     return photograph(values)
 
