@@ -4,7 +4,7 @@
 // u = x + x d(s), s = n |x|^2 / R^2 with the image circle's radius R: d is a cubic spline in |x|^2 of n even pieces, one after
 // the other in `terms`: d0 + t (d1 + t (d2 + t d3)), t = s - k in piece k. Beyond the circle d stays.
 // Only what the lens distorts is multiplied and rounded, and x is added as it is. x and u in sim samples from the optical axis.
-// Depends on the global `terms`: array<vec4f>.
+// Depends on the globals: `terms`: array<vec4f>.
 
 struct IdealPoint {
     u: vec2f,
