@@ -272,7 +272,11 @@ class FrameRender:
         `further_s` seconds have gone by, if any are given, and keeps those times in `further`.
         """
         started = time.perf_counter()
-        known = SimpleNamespace(sensor=self.camera.sensor, bank=lambda progress: self.bank)
+        # A lens that is known by its bank alone: nothing is traced while the clock runs.
+        title = SimpleNamespace(title=self.camera.lens.title)
+        known = SimpleNamespace(
+            sensor=self.camera.sensor, bank=lambda progress: self.bank, lens=title
+        )
         accuracy = Accuracy(FRAME_SIGMA, 0 if self.error else FRAME_PROBES, "sigma")
         renderer = Renderer(known, self.scene, accuracy, self.device, exposure_s=EXPOSURE_S)
         try:
@@ -485,6 +489,7 @@ def paint_job(device: Device, frame: tuple[int, int]) -> Job:
         "centre": (0.0, 0.0),
         "half_size": (DOT_UM / SIM_PITCH_UM, 0.0),
         "material": 1,
+        "under": 0,
     }
     expected = paint(
         [dot],

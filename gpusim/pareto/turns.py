@@ -174,8 +174,12 @@ def sweep(
     device = device or default_device()
     costs = adapter_costs(device)
     chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
-    # The others have its bank, and do not wait for it.
-    known = SimpleNamespace(sensor=camera.sensor, bank=lambda *_, **__: chosen.bank)
+    # The others have its bank, and do not wait for it: nor for the lens, of which they know no more.
+    known = SimpleNamespace(
+        sensor=camera.sensor,
+        bank=lambda *_, **__: chosen.bank,
+        lens=SimpleNamespace(title=camera.lens.title),
+    )
 
     def renderer(asked: Accuracy, plan: Plan | None = None, method: str | None = None) -> Renderer:
         given = {"exposure_s": exposure_s, "plan": plan, "costs": costs, "method": method}
