@@ -178,6 +178,8 @@ def test_the_photograph_of_the_frames_has_colours_highlights_and_shadows(jobs: M
 class Lens:
     """A lens of Gaussians in place of the double Gauss, whose bank takes seconds."""
 
+    title = "Gaussians"
+
     def bank(self, progress: object) -> Bank:
         """Return its PSFs, of 64 um."""
         return made.bank(size=128, circle_um=200.0, coma_um=0.6, halo=0.02)

@@ -174,7 +174,7 @@ def sweep(
     device = device or default_device()
     costs = adapter_costs(device)
     chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
-    # The others have its bank, and do not wait for it: nor for the lens, of which they know no more.
+    # The others have its bank, know no more of the lens, and do not wait for it.
     known = SimpleNamespace(
         sensor=camera.sensor,
         bank=lambda *_, **__: chosen.bank,
