@@ -291,12 +291,12 @@ def test_the_file_holds_the_overscan_and_the_picture_does_not(whole: Capture, tm
         ({"parallel_cti": {}}, "parallel_cti", "inefficiency, or traps"),
         (
             {"serial_cti": {"traps": [{"density": -2, "release_transfers": 1}]}},
-            "serial_cti.traps.0.density",
+            "serial_cti.traps.1.density",
             "greater than or equal to 0",
         ),
         (
             {"serial_cti": {"traps": [{"density": 2, "release_transfers": 0}]}},
-            "serial_cti.traps.0.release_transfers",
+            "serial_cti.traps.1.release_transfers",
             "greater than 0",
         ),
         ({"serial_cti": {"trap": []}}, "serial_cti.trap", "inefficiency, traps"),
