@@ -293,6 +293,8 @@ def narrow(bank: Bank, fields: slice, lines: slice) -> Bank:
         bank,
         **{name: getattr(bank, name)[fields, lines] for name in ("beyond_energy", "halo_misfit")},
         halo=bank.halo[:, fields, lines],
+        ray_deg=None,
+        ray_um=None,
         wavelengths_nm=bank.wavelengths_nm[lines],
         reference_nm=float(bank.wavelengths_nm[lines][0]),
         field_deg=bank.field_deg[fields],

@@ -81,6 +81,8 @@ def find_frames(path: Path) -> Frames:
         No list, or none that can be read; a column that is missing or unknown; a number that is
         none; a frame that is missing, or alone where two are needed.
     """
+    if not path.exists():
+        raise UserError("no such folder", file=path, allowed=f"a folder with {LIST}, or that file")
     listed = path / LIST if path.is_dir() else path
     folder = listed.parent
     camera = _camera(folder / CAMERA)

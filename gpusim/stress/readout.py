@@ -167,7 +167,7 @@ CASES: tuple[Case, ...] = (
     ),
     (
         "merged codes beyond 16 bits",
-        wrong("dual_gain", DUAL.model_dump() | {"system_gain_dn_per_e": 0.01}),
+        wrong("dual_gain", DUAL.model_dump() | {"system_gain_dn_per_e": 0.01}, analogue_gains=[]),
         Engine("65535"),
     ),
     ("unknown step of the gain", lambda: mono().at_gain(3), "no such step"),

@@ -38,11 +38,11 @@ def loaded(text: str) -> Sensor:
         return load_sensor(file)
 
 
-def wrong(field: str, value: object) -> Callable[[], tuple]:
-    """Return the case of one wrong value."""
+def wrong(field: str, value: object, **others: object) -> Callable[[], tuple]:
+    """Return the case of one wrong value, of a sensor in which others are as given."""
 
     def case() -> tuple:
-        altered(**{field: value})
+        altered(**{field: value}, **others)
         return "refused", "accepted", False
 
     return case
@@ -120,7 +120,7 @@ CASES: tuple[Case, ...] = (
     (
         "negative quantum efficiency",
         wrong("quantum_efficiency", filters(G=[0.5, -0.1, 0.5])),
-        "channels.G.1",
+        "channels.G.2",
     ),
     (
         "filter that passes nothing",
