@@ -39,6 +39,7 @@ COARSE = 2  # samples a pixel up to which a grid is coarse
 FINE_SIGMA = 0.8  # of the Gaussian by which a chart's patch is drawn, samples of it
 STEEPEST = 0.9  # of the largest step between pixels, from which on a pixel counts as steepest
 RINGS = 3  # of the field, in each of which there are
+ALONG = 15  # places along a side that is long beside a ring
 PLACES_EACH = 2  # places where an outline is steepest, of different directions
 STRATA = (4, 3)  # of a photograph, across and down: one place in each
 WINDOW = 128  # samples across, in each of them, among which the steepest is sought
@@ -209,7 +210,7 @@ class Alias:
         points = [
             (int(under), shape.material, *point)
             for shape, under in zip(chart.primitives[::every], chart.under[::every], strict=True)
-            for point in _outline(shape)
+            for point in _outline(shape, half)
         ]
         if not points:
             return []
@@ -373,17 +374,34 @@ def _relative(signal: np.ndarray, error: np.ndarray, period: int) -> float:
     return float(np.sqrt((squares[steepest].mean() + squares.mean()) / 2))
 
 
-def _outline(shape: Primitive) -> list[tuple[float, float, float, float]]:
-    """Return points of an outline, with the directions outwards."""
+def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float, ...]]:
+    """Return points of an outline, with the directions outwards.
+
+    Of sides that are long beside the frame, whose middle may lie beyond it, several within.
+    """
+    turns = [2.4 * (shape.cx + shape.cy) / shape.reach]  # any direction
+    near = min(half_um) / RINGS
     if isinstance(shape, Rect):
-        cos, sin = np.cos(shape.angle_rad), np.sin(shape.angle_rad)
-        return [
-            (shape.cx + shape.half_w * cos, shape.cy + shape.half_w * sin, cos, sin),
-            (shape.cx - shape.half_h * sin, shape.cy + shape.half_h * cos, -sin, cos),
-        ]
-    turn = 2.4 * (shape.cx + shape.cy) / shape.radius  # any direction
-    cos, sin = np.cos(turn), np.sin(turn)
-    return [(shape.cx + shape.radius * cos, shape.cy + shape.radius * sin, cos, sin)]
+        found = []
+        whole = float(np.hypot(*half_um))
+        for quarter in range(4 if shape.reach > near else 2):
+            angle = shape.angle_rad + quarter * np.pi / 2
+            cos, sin = float(np.cos(angle)), float(np.sin(angle))
+            out, along = (shape.half_w, shape.half_h)[:: 1 if quarter % 2 == 0 else -1]
+            x, y = shape.cx + out * cos, shape.cy + out * sin
+            places = [0.0]
+            if along > near:
+                # Where the side passes the frame's middle, and as far as the frame reaches.
+                middle = x * sin - y * cos
+                places += list(np.clip(middle + whole * _middles(ALONG, 1.0), -along, along))
+            found += [(x - at * sin, y + at * cos, cos, sin) for at in places]
+        return found
+    if shape.radius > near:
+        turns = list(2 * np.pi * np.arange(ALONG) / ALONG)
+    return [
+        (shape.cx + shape.radius * cos, shape.cy + shape.radius * sin, cos, sin)
+        for cos, sin in ((float(np.cos(turn)), float(np.sin(turn))) for turn in turns)
+    ]
 
 
 def _sought(at_um: float, stratum_um: float, pitch_um: float, size: int) -> tuple[int, int]:
