@@ -145,5 +145,5 @@ def test_an_irradiance_without_pitch_or_wavelength_is_refused(tmp_path):
 
 
 def test_a_folder_that_is_not_there(tmp_path):
-    with pytest.raises(UserError, match="cannot be read"):
+    with pytest.raises(UserError, match="no such folder"):
         frames.find_frames(tmp_path / "nowhere")
