@@ -271,7 +271,7 @@ class Renderer:
         def tracing(done: int, total: int) -> None:
             report("lens", done, total)
 
-        # Of a camera that brings a bank along there is no lens to ask.
+        # A camera that brings a bank along may have no lens to ask.
         lens = getattr(camera, "lens", None)
         given = lens, sensor, scene, self.accuracy, self.longest_s, tracing
         self.density = bank_density(*given)

@@ -9,7 +9,7 @@ import sys
 def trim_heap() -> None:
     """Give freed memory back, where the C library keeps it: glibc's arenas, one for each thread.
 
-    Of a renderer of half a megapixel these are 70 to 100 MiB each time: threads
+    A renderer of half a megapixel leaves 70 to 100 MiB each time: threads
     come and go, and their arenas stay as large as they once were (malloc_trim(3)).
     """
     if not sys.platform.startswith("linux"):

@@ -126,7 +126,7 @@ def beyond(
         return 0.0, ("window: what lands beyond the PSFs is not known to the bank",)
     most = float(share.max())
     even = most * float(rate.mean(dtype=np.float64))
-    # Of pixels in the image circle: beyond it there is nothing to lose.
+    # Pixels beyond the image circle have no light to lose, and do not count.
     some = np.unravel_index(np.arange(0, rate.size, max(1, rate.size // 4096)), rate.shape)
     inside = ~beyond_circle(bank, sensor, np.stack(some, axis=1) + origin)
     lit = rate[some][inside].astype(np.float64)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-# Of all arrays in a file: a mask of 200 MP in float64 has 1.5 GiB, a bank some 0.1 GiB.
+# All arrays of a file together: a mask of 200 MP in float64 has 1.5 GiB, a bank some 0.1 GiB.
 MOST_BYTES = 2 << 30
 # Deflate shortens nothing to less than 1/1032 (https://zlib.net/zlib_tech.html).
 MOST_RATIO = 1100

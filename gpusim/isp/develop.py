@@ -37,11 +37,11 @@ def develop(path: str | Path, ev: float = 0.0, *, binned: bool = False) -> np.nd
     Parameters
     ----------
     path : path
-        Of a raw file that LibRaw knows, or that `gpusim.isp.dng.write_dng` wrote.
+        The raw file, one that LibRaw knows or that `gpusim.isp.dng.write_dng` wrote.
     ev : float
         By how many stops to show it brighter, beside a DNG's BaselineExposure.
     binned : bool
-        Of quad Bayer, one pixel for each cell of 2 x 2; else all, remosaiced.
+        Whether a quad Bayer frame gets one pixel for each cell of 2 x 2; else all, remosaiced.
 
     Returns
     -------

@@ -86,7 +86,7 @@ def noise_profile(sensor: Sensor, temperature_c: float | None = None) -> tuple[f
     ----------
     sensor : Sensor
     temperature_c : float, optional
-        Of the sensor, on which its reset noise depends.
+        The sensor's temperature, on which its reset noise depends.
     """
     span, gain = span_dn(sensor), sensor.system_gain_dn_per_e
     per_e = sensor.gaussian_variance_per_e

@@ -19,7 +19,7 @@ class RawFile:
     Attributes
     ----------
     signal_dn : ndarray (rows, cols), float32
-        Of the lit pixels: linear, less the black level and the mean of the masked pixels.
+        Signal of the lit pixels: linear, less the black level and the mean of the masked pixels.
     span_dn : float
         The same of a saturated pixel.
     pattern : tuple of str

@@ -14,7 +14,7 @@ import numpy as np
 from gpusim.errors import UserError
 
 BYTE, ASCII, SHORT, LONG, RATIONAL, UNDEFINED, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 7, 10, 12
-# Of one value of each type: bytes, and the letter by which struct packs its parts.
+# What one value of each type takes: bytes, and the letter by which struct packs its parts.
 TYPES = {
     BYTE: (1, "B"),
     ASCII: (1, "B"),
@@ -86,7 +86,7 @@ def write_tiff(path: Path, pixels: np.ndarray, tags: Tags, exif: Tags) -> None:
         Of the picture, beside those that say where its pixels lie. Texts are str; rationals are
         numerators and denominators in turns.
     exif : mapping of int to (type, values)
-        Of the Exif part.
+        The tags of the Exif part.
 
     Raises
     ------
