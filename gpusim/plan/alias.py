@@ -173,12 +173,15 @@ class Alias:
         width = FINE_SIGMA * step_um * stretch
         shares = np.zeros((len(self.coefficients), *x.shape))
         shares[self.placed.background] = 1.0
-        middle, reach = (u.mean(), v.mean()), np.hypot(np.ptp(u), np.ptp(v)) / 2 + 4 * width
+        # What each column sees of u, and each row of v: a shape is drawn where it can be seen.
+        columns, rows = (u.min(axis=0), u.max(axis=0)), (v.min(axis=1), v.max(axis=1))
         for shape, under in zip(self.placed.primitives, self.placed.under, strict=True):
-            if np.hypot(shape.cx - middle[0], shape.cy - middle[1]) < shape.reach + reach:
-                covered = ndtr(-shape.distance(u, v) / width)
-                shares[shape.material] += covered
-                shares[under] -= covered
+            reach = shape.reach + 8 * width  # beyond, its share is below 1e-15
+            part = _within(rows, shape.cy, reach), _within(columns, shape.cx, reach)
+            if u[part].size:
+                covered = ndtr(-shape.distance(u[part], v[part]) / width)
+                shares[(shape.material, *part)] += covered
+                shares[(under, *part)] -= covered
         return shares
 
     def _spline(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -402,6 +405,12 @@ def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float
         (shape.cx + shape.radius * cos, shape.cy + shape.radius * sin, cos, sin)
         for cos, sin in ((float(np.cos(turn)), float(np.sin(turn))) for turn in turns)
     ]
+
+
+def _within(span: tuple[np.ndarray, np.ndarray], middle: float, reach: float) -> slice:
+    """Return the lines, each from a least to a largest value, that come within reach of a value."""
+    seen = np.flatnonzero((span[1] > middle - reach) & (span[0] < middle + reach))
+    return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0)
 
 
 def _sought(at_um: float, stratum_um: float, pitch_um: float, size: int) -> tuple[int, int]:
