@@ -112,9 +112,9 @@ class Spreads:
         save_dataset(xarray.Dataset(data, attrs=self.provenance), path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Spreads:
-        """Read what ``save`` wrote; raises where the file is not whole."""
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, ()))
+    def load(cls, path: str | Path, *, sealed: bool = False) -> Spreads:
+        """Read what ``save`` wrote; raises where the file is not whole, as ``Bank.load`` does."""
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, (), sealed))
 
 
 def spreads(
@@ -209,7 +209,11 @@ def _of(
         spread=np.array(spread, np.float32),
         pitch_um=float(pitch_um),
         efl_mm=first_order(prescription, REFERENCE_NM).efl_mm,
-        provenance={"title": prescription.title, "holds": "line spreads of PSFs"},
+        provenance={
+            "title": prescription.title,
+            "history": "; ".join(prescription.history) or "as published",
+            "holds": "line spreads of PSFs",
+        },
     )
 
 
