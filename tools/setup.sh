@@ -4,6 +4,7 @@
 #
 #   tools/setup.sh          what `make demo` needs
 #   tools/setup.sh test     the same plus the tools of `make test`
+#   tools/setup.sh test,judges   the same plus the programs that judge ours, 2 GB
 #
 # PYTHON chooses the interpreter (default: the first python3 on the PATH that is 3.11 or newer).
 set -euo pipefail
