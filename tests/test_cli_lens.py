@@ -269,12 +269,12 @@ def test_what_is_no_ready_made_lens_or_cannot_be_changed_is_refused(arguments, w
 def test_a_command_that_fails_leaves_the_old_file(
     tmp_path: Path, small_banks, monkeypatch: pytest.MonkeyPatch
 ):
-    from gpusim.report import lens_figure
+    from gpusim.report import drawing
 
     def broken(figure):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(lens_figure, "png", broken)
+    monkeypatch.setattr(drawing, "png", broken)
     (tmp_path / "lens.png").write_text("old")
     assert gpusim(*DEMO, "--out", tmp_path / "lens.png").code == 130
     assert (tmp_path / "lens.png").read_text() == "old"

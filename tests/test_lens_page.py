@@ -21,8 +21,12 @@ from gpusim.lens.plane_bank import compute_plane_bank
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, checked, first_order
 from gpusim.lens.transfer import diffraction_mtf
-from gpusim.report import lens_figure
+from gpusim.report import drawing
 from gpusim.report import lens_page as page_numbers
+from gpusim.report.drawing import png, svg
+from gpusim.report.lens import colours, spread
+from gpusim.report.lens.sheet import draw, draw_ready
+from gpusim.report.lens.spread import colour_image
 from gpusim.report.lens_facts import (
     distortions,
     lens_facts,
@@ -30,7 +34,6 @@ from gpusim.report.lens_facts import (
     t_stop,
     working_f_number,
 )
-from gpusim.report.lens_figure import colour_image, draw, draw_ready, png, svg
 from gpusim.report.lens_html import lens_html
 from gpusim.report.lens_page import BankPage, LensPage, lens_page, ready_page
 from gpusim.report.plane_figure import _psfs, draw_plane
@@ -146,7 +149,7 @@ def test_the_radius_points_up():
     image = np.zeros((8, 8, 3))
     image[4, 7] = 1.0  # eta 0, xi at its greatest
     axes = Figure().add_subplot()
-    lens_figure.psf_image(axes, image, 1.0, 4.0)
+    spread.psf_image(axes, image, 1.0, 4.0)
     (shown,) = axes.get_images()
     row, col = np.argwhere(shown.get_array()[..., 0] == 1)[0]
     left, right, low, high = shown.get_extent()
@@ -171,12 +174,12 @@ def test_equal_psfs_of_all_wavelengths_are_grey_and_unequal_ones_have_colour(pag
 
 def test_brightness_is_stretched_over_the_decades_that_the_page_states():
     light = np.array([1.0, 10**-1.5, 1e-3, 1e-9])
-    np.testing.assert_allclose(lens_figure.stretched(light), [1, 0.5, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(spread.stretched(light), [1, 0.5, 0, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize("wavelength", [400.0, 425, 475, 500, 550, 600, 650, 700])
 def test_wavelengths_have_colours_that_read_on_white(wavelength: float):
-    colour = np.array(lens_figure.wavelength_colour(wavelength))
+    colour = np.array(colours.wavelength_colour(wavelength))
     linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
     # WCAG 2.2, 1.4.11: graphics need a contrast of 3 : 1.
     assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3
@@ -233,7 +236,7 @@ def test_labels_that_overlap_would_be_found():
 def test_names_at_the_ends_of_curves_keep_apart_and_inside():
     axes = Figure().add_subplot()
     axes.set_ylim(0, 1)
-    lens_figure._end_labels(axes, [(0.99, "a", "k"), (1.0, "b", "k"), (0.985, "c", "k")])
+    drawing.end_labels(axes, [(0.99, "a", "k"), (1.0, "b", "k"), (0.985, "c", "k")])
     at = {text.get_text(): text.xy[1] for text in axes.texts}
     assert at["c"] < at["a"] < at["b"] <= 1
     height = axes.get_position().height * axes.figure.get_size_inches()[1] * 72

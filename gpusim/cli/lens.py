@@ -124,7 +124,8 @@ def work(
     if kind == ".nc":
         bank.save(file)
     elif kind is not None:
-        from gpusim.report.lens_figure import draw, png
+        from gpusim.report.drawing import png
+        from gpusim.report.lens.sheet import draw
         from gpusim.report.lens_html import lens_html
         from gpusim.report.lens_page import lens_page
 
@@ -165,7 +166,7 @@ def write_plane(bank: PlaneBank, system: System | None, account: Account, file: 
 
     page = plane_page(bank, system)
     if file.suffix.lower() == ".png":
-        from gpusim.report.lens_figure import png
+        from gpusim.report.drawing import png
         from gpusim.report.plane_figure import draw_plane
 
         file.write_bytes(png(draw_plane(page)))
@@ -199,7 +200,8 @@ def show_ready(name: str, out: Path | None) -> None:
 
 def write_ready(lens: ReadyLens, file: Path) -> None:
     """Write the bank of a ready-made lens, or its page."""
-    from gpusim.report.lens_figure import draw_ready, png
+    from gpusim.report.drawing import png
+    from gpusim.report.lens.sheet import draw_ready
     from gpusim.report.lens_html import ready_html
     from gpusim.report.lens_page import ready_page
 

@@ -21,7 +21,7 @@ from gpusim.metrics import flat_field, frames, loop
 from gpusim.metrics.emva import Characterisation, characterise
 from gpusim.metrics.figure import Figure
 from gpusim.plan.stages import sensor_runs
-from gpusim.report.lens_figure import png
+from gpusim.report.drawing import png
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.noise_html import noise_html

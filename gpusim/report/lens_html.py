@@ -12,6 +12,8 @@ from gpusim.lens.account import Account
 from gpusim.lens.prescription import ASPHERE_POWERS, Surface
 from gpusim.lens.ready import ReadyLens
 from gpusim.lens.system import Checked, System
+from gpusim.report.drawing import svg
+from gpusim.report.lens.sheet import draw, draw_ready
 from gpusim.report.lens_facts import (
     checks_table,
     identity,
@@ -20,7 +22,6 @@ from gpusim.report.lens_facts import (
     ready_facts,
     ready_identity,
 )
-from gpusim.report.lens_figure import draw, draw_ready, svg
 from gpusim.report.lens_page import BankPage, LensPage
 from gpusim.report.page import document, pairs
 from gpusim.report.plane_figure import draw_plane

@@ -1,4 +1,4 @@
-"""What the page on a lens shows, as plain numbers: ``lens_figure`` draws them."""
+"""What the page on a lens shows, as plain numbers: ``gpusim.report.lens`` draws them."""
 
 from __future__ import annotations
 

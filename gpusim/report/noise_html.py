@@ -9,7 +9,7 @@ from html import escape
 from gpusim.metrics.emva import Characterisation
 from gpusim.metrics.figure import Figure
 from gpusim.metrics.loop import COVERAGE, Row
-from gpusim.report.lens_figure import svg
+from gpusim.report.drawing import svg
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.page import document

@@ -11,25 +11,11 @@ from matplotlib.lines import Line2D
 from scipy import ndimage
 
 from gpusim.lens.plane_bank import PlaneBank
+from gpusim.report.drawing import INK, SOFT, STYLE, absent, facts, panel, titles, write
+from gpusim.report.lens.colours import FIELD_COLOURS
+from gpusim.report.lens.layout import draw_layout, legend
+from gpusim.report.lens.spread import DECADES, PSF_SHARE, colour_image, psf_bar, psf_image
 from gpusim.report.lens_facts import plane_facts
-from gpusim.report.lens_figure import (
-    DECADES,
-    FIELD_COLOURS,
-    INK,
-    PSF_SHARE,
-    SOFT,
-    STYLE,
-    absent,
-    colour_image,
-    draw_layout,
-    facts,
-    legend,
-    panel,
-    psf_bar,
-    psf_image,
-    titles,
-    write,
-)
 from gpusim.report.lens_page import CURVE_FIELDS, round_above
 from gpusim.report.plane_page import PlanePage, field_light
 

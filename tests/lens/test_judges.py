@@ -24,6 +24,8 @@ from gpusim.lens.system import build, first_order
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
 
+pytestmark = pytest.mark.slow
+
 GREEN_NM = 550.0
 # Lens, half field in degrees: spheres, even aspheres, a telephoto, a wide lens.
 CASES = [

@@ -29,6 +29,8 @@ from gpusim.sensor.load import load_sensor
 from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.sensor import Sensor
 
+pytestmark = pytest.mark.slow
+
 CLOSE = 0.02
 AGREE = {
     "K": "system_gain_dn_per_e",
