@@ -1,10 +1,10 @@
 """The bank's part of the certificate: its PSFs against PSFs traced anew, and the light beyond them.
 
-At some image heights between the bank's fields the lens is traced in float64, at wavelengths
-between the bank's lines. Around pixels at these heights the scene is integrated twice by the exact
-model: with what the bank makes of the height, and with what was traced. PSFs are taken as the same
-for all source points, in both, so that they differ by the bank alone: interpolation over field and
-wavelength, sampling of the pupil, pitch, and folding.
+At some image heights between the bank's fields (of a lens without an axis: image points) the lens
+is traced in float64, at wavelengths between the bank's lines. Around pixels there the scene is
+integrated twice by the exact model: with what the bank makes of the place, and with what was
+traced. PSFs are taken as the same for all source points, in both, so that they differ by the bank
+alone: interpolation over field and wavelength, sampling of the pupil, pitch, and folding.
 
 A lens that is known by its PSFs alone is taken as given. What its own sampling leaves open is told
 by the same comparison of every other field with those between: cubics err by a sixteenth of it
@@ -23,13 +23,15 @@ from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
+from gpusim.certify.places import pixels_near, pixels_on_rings, points_of, radii_of
 from gpusim.certify.probes import beyond_circle
 from gpusim.lens.bank import Bank
 from gpusim.lens.field_bank import FieldBank
+from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.traced import cached_traced_bank
+from gpusim.lens.traced import cached_traced_bank, cached_traced_plane_field
 from gpusim.plan import Accuracy
-from gpusim.reference.fields import Heights, OneHeight, TracedHeight
+from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHeight, TracedPoint
 from gpusim.reference.truth import Truth
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
@@ -38,10 +40,7 @@ from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
-HEIGHTS = 4  # image heights at which the lens is traced
-EACH = 3  # pixels at each of them, on the steepest edges
 THINNED = 1 / 16  # of the error with fields twice as far apart: cubics go with the fourth power
-AZIMUTHS = 1440  # places on a ring among which pixels are chosen
 
 
 def bank_share(
@@ -76,23 +75,24 @@ def bank_share(
         Called with (done, total) of the fields that are traced.
     """
     window, notes = beyond(bank, sensor, rate, origin, exposure_s, accuracy)
-    if not isinstance(bank, Bank):
-        words = "bank: a lens without an axis is taken as its bank has it; not measured"
-        return Judged(EXACT, window, (*notes, words))
-    traced = isinstance(lens, Prescription)
-    if not traced and len(bank.field_deg) < 5:
-        words = f"bank: taken as given; {len(bank.field_deg)} fields are too few to tell more"
-        return Judged(EXACT, window, (*notes, words))
-    radii, numbers = _radii(bank, sensor, rate.shape, origin, between=traced)
-    pixels, owners = _pixels(sensor, rate, origin, radii)
+    traced, axial = isinstance(lens, Prescription), isinstance(bank, Bank)
+    fields = bank.field_deg.shape if axial else (len(bank.field_y_deg), len(bank.field_x_deg))
+    if not traced and min(fields) < 5:
+        words = f"bank: taken as given; {' x '.join(map(str, fields))} fields are too few to tell"
+        return Judged(EXACT, window, (*notes, f"{words} more"))
+    places_of, near = (radii_of, pixels_on_rings) if axial else (points_of, pixels_near)
+    places, numbers = places_of(bank, sensor, rate.shape, origin, between=traced)
+    pixels, owners = near(sensor, rate, origin, places)
     if traced:
-        pairs = _traced_pairs(bank, lens, radii, progress)
+        pairs_of = _traced_pairs if axial else _traced_points
+        pairs = pairs_of(bank, lens, places, progress)
         words = (
-            f"bank: {len(pixels)} pixels at {len(radii)} image heights between its fields, where "
-            "the lens was traced anew in float64, at wavelengths between its lines"
+            f"bank: {len(pixels)} pixels at {len(places)} image {'heights' if axial else 'points'} "
+            "between its fields, where the lens was traced anew in float64, at wavelengths between "
+            "its lines"
         )
     else:
-        pairs = _thinned_pairs(bank, radii, numbers)
+        pairs = (_thinned_pairs if axial else _thinned_points)(bank, places, numbers)
         words = (
             f"bank: the PSFs are taken as given; without every other field {len(pixels)} pixels "
             "change by 16 times as much"
@@ -140,62 +140,8 @@ def beyond(
     return float(np.sqrt(np.mean(lost**2))), (words,)
 
 
-def _radii(
-    bank: Bank, sensor: Sensor, shape: tuple[int, int], origin: tuple[int, int], between: bool
-) -> tuple[np.ndarray, list[int]]:
-    """Return image heights in a rectangle to judge the bank at, and the fields that lie there.
-
-    Half-way between fields; or else odd fields, to be judged by their neighbours.
-    """
-    half = np.array([sensor.rows, sensor.cols]) / 2
-    low = (np.array(origin) - half) * sensor.pixel_pitch_um
-    high = low + np.array(shape) * sensor.pixel_pitch_um
-    nearest = np.hypot(*np.clip(0.0, low, high))
-    farthest = np.hypot(*np.maximum(np.abs(low), np.abs(high)))
-    own = bank.real_height_um[:, bank.reference]
-    if between:
-        start, end = np.maximum(own[:-1], nearest), np.minimum(own[1:], farthest)
-        there = np.flatnonzero(end > start)
-        places = (start + end)[there] / 2
-    else:
-        there = np.arange(1, len(own) - 1, 2)
-        there = there[(own[there] > nearest) & (own[there] < farthest)]
-        places = own[there]
-    if not len(places):
-        return places, []
-    # The rim is where a lens changes most; the rest evenly.
-    chosen = np.unique(np.round(np.linspace(0, len(places) - 1, HEIGHTS + 1)[1:]).astype(int))
-    return places[chosen], [int(number) for number in there[chosen]]
-
-
-def _pixels(
-    sensor: Sensor, rate: np.ndarray, origin: tuple[int, int], radii: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (P, 2) at the heights, on the steepest edges, and the height (P,) of each."""
-    period = sensor.period
-    chosen, owners = [], []
-    turn = np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False)
-    for number, radius in enumerate(radii):
-        ring = radius / sensor.pixel_pitch_um * np.stack([np.sin(turn), np.cos(turn)], axis=1)
-        at = np.floor(ring + np.array([sensor.rows, sensor.cols]) / 2).astype(int) - origin
-        inside = np.all((at >= 0) & (at < np.array(rate.shape)), axis=1)
-        at, where = at[inside], np.flatnonzero(inside)
-        slope = np.zeros(len(at))
-        for axis in (0, 1):
-            step = np.eye(2, dtype=int)[axis] * period[axis]
-            other = np.clip(at + step, 0, np.array(rate.shape) - 1)
-            here, there = (rate[tuple(one.T)].astype(np.float64) for one in (at, other))
-            slope = np.maximum(slope, np.abs(here - there))
-        lit = rate[tuple(at.T)] > 0
-        for part in np.array_split(np.arange(AZIMUTHS), EACH):
-            own = np.flatnonzero((where >= part[0]) & (where <= part[-1]) & lit)
-            if len(own):
-                chosen.append(at[own[slope[own].argmax()]] + origin)
-                owners.append(number)
-    return np.array(chosen, int).reshape(-1, 2), np.array(owners, int)
-
-
-Pair = Callable[[int], tuple[tuple[FieldBank, Heights], tuple[FieldBank, Heights]]]
+Fields = Heights | Grid
+Pair = Callable[[int], tuple[tuple[FieldBank, Fields], tuple[FieldBank, Fields]]]
 
 
 def _traced_pairs(
@@ -204,9 +150,7 @@ def _traced_pairs(
     """Return, for each height, bank and lens with the fields to take, by level."""
     if not len(radii):
         return []
-    lines = bank.wavelengths_nm
-    between = (lines[1:] + lines[:-1]) / 2
-    lines = np.concatenate([lines[:1], between, lines[-1:]]) if len(lines) > 1 else lines
+    lines = _between_lines(bank)
     traced = cached_traced_bank(
         lens,
         wavelengths_nm=lines,
@@ -237,6 +181,65 @@ def _traced_pairs(
         return of_level
 
     return [pair(number) for number in range(len(radii))]
+
+
+def _between_lines(bank: FieldBank) -> np.ndarray:
+    """Return wavelengths half-way between a bank's lines, and its ends."""
+    lines = bank.wavelengths_nm
+    between = (lines[1:] + lines[:-1]) / 2
+    return np.concatenate([lines[:1], between, lines[-1:]]) if len(lines) > 1 else lines
+
+
+def _traced_points(
+    bank: PlaneBank,
+    lens: Prescription,
+    points: np.ndarray,
+    progress: Callable[[int, int], None] | None,
+) -> list[Pair]:
+    """Return, for each image point, bank and lens with the fields to take, by level."""
+    lines = _between_lines(bank)
+    settings = {
+        "wavelengths_nm": lines,
+        "reference_nm": float(lines[np.abs(lines - bank.reference_nm).argmin()]),
+        "pitch_um": bank.pitch_um,
+        "size": bank.psf.shape[-1],
+    }
+    pairs = []
+    for done, point in enumerate(points, start=1):
+        angles = tuple(float(one) for one in bank.field_deg(*point))
+        traced = cached_traced_plane_field(lens, field_deg=angles, **settings)
+        pairs.append(_at_point(bank, traced.levels, 0, point))
+        if progress is not None:
+            progress(done, len(points))
+    return pairs
+
+
+def _at_point(
+    ours: PlaneBank, levels: tuple[PlaneBank, ...], field: int, point: np.ndarray
+) -> Pair:
+    """Return a bank at an image point, and a field of other levels that lies there."""
+
+    def of_level(level: int):
+        own, other = ours.levels[level], levels[level]
+        return (own, OnePoint(own, point)), (other, TracedPoint(own, other, field, point))
+
+    return of_level
+
+
+def _thinned_points(bank: PlaneBank, points: np.ndarray, numbers: list[int]) -> list[Pair]:
+    """Return, for each field that is left out, the bank without it and the field itself."""
+    names = ("chief_x_um", "chief_y_um", "psf", "relative_illumination")
+    thin = replace(
+        bank,
+        field_x_deg=bank.field_x_deg[::2],
+        field_y_deg=bank.field_y_deg[::2],
+        halo=None if bank.halo is None else bank.halo[:, ::2, ::2],
+        **{name: getattr(bank, name)[::2, ::2] for name in names},
+    )
+    return [
+        _at_point(thin, bank.levels, number, point)
+        for number, point in zip(numbers, points, strict=True)
+    ]
 
 
 def _thinned_pairs(bank: Bank, radii: np.ndarray, numbers: list[int]) -> list[Pair]:

@@ -481,10 +481,37 @@ def compute_plane_bank(
     rows = []
     # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for row in pool.map(lambda f: _one_field(system, wavelengths, f, size, pitch_um), fields):
+        for row in pool.map(lambda f: field_of(system, wavelengths, f, size, pitch_um), fields):
             rows.append(row)
             if progress is not None:
                 progress(len(rows), len(fields))
+    return bank_of(system, wavelengths, (x_deg, y_deg), rows, rays, reference_nm, pitch_um)
+
+
+def bank_of(
+    system: System,
+    wavelengths: np.ndarray,
+    sides_deg: tuple[np.ndarray, np.ndarray],
+    rows: list[dict[str, np.ndarray]],
+    rays: dict[str, np.ndarray],
+    reference_nm: float,
+    pitch_um: float,
+) -> PlaneBank:
+    """Return the bank of fields that were traced.
+
+    Parameters
+    ----------
+    system : System
+    wavelengths : ndarray (L,)
+    sides_deg : (ndarray (X,), ndarray (Y,))
+        The grid's field angles. The illumination is relative to the field nearest to the axis.
+    rows : list of dict
+        What `field_of` returns for each field, row after row.
+    rays : dict
+        Chief rays of the map, by the names of the bank's variables.
+    reference_nm, pitch_um : float
+    """
+    x_deg, y_deg = sides_deg
     shape = (len(y_deg), len(x_deg))
     of_halo = whole_halo(
         [(row.pop("levels"), row.pop("beyond")) for row in rows],
@@ -498,7 +525,7 @@ def compute_plane_bank(
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     stacked = {name: array.reshape(*shape, *array.shape[1:]) for name, array in stacked.items()}
     solid_angle = stacked.pop("solid_angle")
-    centre = solid_angle[np.flatnonzero(y_deg == 0)[0], np.flatnonzero(x_deg == 0)[0]]
+    centre = solid_angle[np.abs(y_deg).argmin(), np.abs(x_deg).argmin()]
     order = first_order(system.prescription, reference_nm)
     provenance = provenance_of(system)
     provenance["focus"] += ", found with every surface on the axis"
@@ -592,18 +619,22 @@ def _on_rings(
     }
 
 
-def _one_field(
+def field_of(
     system: System,
     wavelengths: np.ndarray,
     field_deg: tuple[float, float],
     size: int,
     pitch_um: float,
+    nodes: int = PUPIL_NODES,
 ) -> dict[str, np.ndarray]:
-    """All wavelengths of one field, by the names of the bank's variables."""
+    """Return all wavelengths of one field, by the names of the bank's variables.
+
+    `nodes`: across the pupil's grid.
+    """
     largest_deg = system.prescription.max_field_deg
     theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
     samples = sample_field(system, system.index(wavelengths), theta, azimuth)
-    grids = pupils(samples, wavelengths, size * pitch_um, PUPIL_NODES)
+    grids = pupils(samples, wavelengths, size * pitch_um, nodes)
     psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
     outside, folded, core = np.zeros((3, len(wavelengths)))
     # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.

@@ -16,6 +16,9 @@ from threadpoolctl import threadpool_limits
 from gpusim.lens.bank import Bank, from_cache, ideal_height_um, provenance_of
 from gpusim.lens.cone import cone_of
 from gpusim.lens.halo import distances_um, fall, halo_of, wave_of
+from gpusim.lens.plane_bank import PlaneBank
+from gpusim.lens.plane_bank import bank_of as plane_bank_of
+from gpusim.lens.plane_bank import field_of as plane_field_of
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.system import System, build, first_order, transmission
@@ -94,6 +97,55 @@ def traced_bank(
 def cached_traced_bank(prescription: Prescription, **settings: object) -> Bank:
     """Return the same from the disk cache, or trace and store it."""
     return from_cache(Bank, traced_bank, prescription, settings, "traced")
+
+
+def traced_plane_field(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: tuple[float, float],
+    *,
+    reference_nm: float,
+    pitch_um: float,
+    size: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> PlaneBank:
+    """Trace a lens without an axis at one field: a bank of it alone, with its own solid angle.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    wavelengths_nm : ndarray (L,)
+        Rising.
+    field_deg : (float, float)
+        Angles x and y.
+    reference_nm : float
+        One of the wavelengths.
+    pitch_um, size : float, int
+        Of the PSFs.
+    progress : callable, optional
+        Called with (1, 1) in the end.
+
+    Raises
+    ------
+    UserError
+        Where the field does not pass the lens.
+    """
+    system = build(prescription)
+    lines = np.asarray(wavelengths_nm, float)
+    x_deg, y_deg = (np.array([angle], float) for angle in field_deg)
+    with threadpool_limits(1):
+        row = plane_field_of(system, lines, (x_deg[0], y_deg[0]), size, pitch_um, NODES)
+    at = int(np.flatnonzero(lines == reference_nm)[0])
+    rays = {"ray_x_deg": x_deg, "ray_y_deg": y_deg}
+    rays |= {f"ray_{axis}_um": row[f"chief_{axis}_um"][[at]] for axis in "xy"}
+    if progress is not None:
+        progress(1, 1)
+    return plane_bank_of(system, lines, (x_deg, y_deg), [row], rays, reference_nm, pitch_um)
+
+
+def cached_traced_plane_field(prescription: Prescription, **settings: object) -> PlaneBank:
+    """Return the same from the disk cache, or trace and store it."""
+    return from_cache(PlaneBank, traced_plane_field, prescription, settings, "traced")
 
 
 def field_of(

@@ -244,3 +244,49 @@ class Grid:
         for col, of_col in zip(across.nodes, across.shares, strict=True):
             for row, of_row in zip(down.nodes, down.shares, strict=True):
                 yield row * len(self.bank.field_x_deg) + col, 1, of_col * of_row
+
+
+class OnePoint(Grid):
+    """What a bank makes of one image point, taken for every source point."""
+
+    def __init__(self, bank: Any, point_um: np.ndarray) -> None:
+        super().__init__(bank)
+        self.mixed = super().near(np.reshape(point_um, (1, 2)))
+        self.used = sorted(set(self.mixed[0].ravel().tolist()))
+
+    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
+        return tuple(np.repeat(one, len(source), axis=1) for one in self.mixed)
+
+    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+        """Yield the same fields for all source points (P, 2)."""
+        for field, side, share in zip(*(one[:, 0] for one in self.mixed), strict=True):
+            yield int(field), int(side), np.full(len(source), share)
+
+
+class TracedPoint(OnePoint):
+    """A field that was traced anew, taken for every source point before the map of a bank.
+
+    Parameters
+    ----------
+    bank : gpusim.lens.plane_bank.PlaneBank
+        Whose map from the ideal to the real plane holds.
+    traced : gpusim.lens.plane_bank.PlaneBank
+        Holds the field.
+    field : int
+    point_um : ndarray (2,)
+        Where the bank has the field: lateral colour counts from there.
+    """
+
+    def __init__(self, bank: Any, traced: Any, field: int, point_um: np.ndarray) -> None:
+        super().__init__(bank, point_um)
+        self.mixed = np.array([[field]]), np.array([[1]]), np.array([[1.0]])
+        self.used = [field]
+        self.bank, self.own_um = traced, point_um
+
+    def light(self, field: int, place: int) -> tuple[np.ndarray, float, tuple[float, float]]:
+        """Return PSF, illumination and lateral colour (x, y, um) of a wavelength."""
+        traced = self.bank
+        at = (*divmod(field, len(traced.field_x_deg)), place)
+        shift = (traced.chief_x_um[at] - self.own_um[0], traced.chief_y_um[at] - self.own_um[1])
+        return traced.psf[at], traced.relative_illumination[at], shift

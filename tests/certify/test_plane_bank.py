@@ -1,0 +1,130 @@
+"""The bank's part of the certificate for a lens without an axis: defects turn it red.
+
+The double Gauss of the demonstration camera at f/2.8 with its second element moved, over a grid of
+field angles, traced anew at points that are no nodes, behind an edge of 1 : 5; nothing is rendered.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from optics.made import FLAT, monochrome, scene
+
+from gpusim.certify.bank import bank_share
+from gpusim.certify.places import pixels_near, points_of
+from gpusim.lens.halo import distances_um
+from gpusim.lens.plane_bank import compute_plane_bank
+from gpusim.lens.prescription import load_prescription
+from gpusim.plan import Accuracy
+from gpusim.reference.truth import Truth
+from gpusim.scene.chart import Rect
+from gpusim.scene.spectra import WAVELENGTHS_NM
+
+SENSOR = monochrome(1000, 1000)
+ORIGIN, SHAPE = (600, 700), (300, 200)
+EDGE = scene((Rect(0.0, 0.0, 3.0, 0.5, 0.08, 1),), np.stack([FLAT, 0.2 * FLAT]))
+SIDE_DEG = np.linspace(-6.0, 6.0, 7)
+LINES_NM = np.arange(400.0, 701.0, 75.0)
+ASKED = Accuracy(tolerance=1e-3)
+
+
+@pytest.fixture(scope="module")
+def lens():
+    whole = load_prescription("double-gauss").scaled(8.3).stopped(2.8).limited(8.6)
+    return whole.with_element_moved(3, 5, (0.02, 0.01), (0.1, 0.0))
+
+
+@pytest.fixture(scope="module")
+def sound(lens):
+    settings = {"reference_nm": LINES_NM[2], "size": 64}
+    return compute_plane_bank(lens, LINES_NM, SIDE_DEG, SIDE_DEG, **settings)
+
+
+@pytest.fixture(scope="module")
+def placed():
+    return EDGE.source.placed(SENSOR.rows / 2 * SENSOR.pixel_pitch_um)
+
+
+@pytest.fixture(scope="module")
+def rate(sound, placed):
+    """Give what tells where edges are, and how bright: the scene, hardly blurred."""
+    row, col = np.indices(SHAPE)
+    x = (col + ORIGIN[1] + 0.5 - SENSOR.cols / 2) * SENSOR.pixel_pitch_um
+    y = (row + ORIGIN[0] + 0.5 - SENSOR.rows / 2) * SENSOR.pixel_pitch_um
+    x, y, _ = sound.ideal_points(x, y)
+    (edge,) = placed.primitives
+    inside = 1 / (1 + np.exp(edge.distance(x, y) / 2.0))
+    where = np.array([[ORIGIN[0] + SHAPE[0] - 1, ORIGIN[1]]])
+    truth = Truth(sound.levels[0], SENSOR, EDGE.spectra, WAVELENGTHS_NM).chart(placed, where)[0]
+    share = 1 + (0.2 - 1) * inside
+    return (truth * share / share[-1, 0]).astype(np.float32)
+
+
+@pytest.fixture
+def judged(lens, placed, rate):
+    def judge(bank, of=None):
+        given = SENSOR, EDGE, placed, rate, ORIGIN, 0.01, ASKED
+        return bank_share(bank, of or lens, *given)
+
+    return judge
+
+
+def test_a_sound_bank_is_within_the_tolerance_and_says_how_it_was_judged(sound, judged):
+    found = judged(sound)
+    assert 0 < found.share.rms < 0.7 * ASKED.tolerance
+    assert any("image points" in note and "traced anew" in note for note in found.notes)
+
+
+def of_fields(bank, kept):
+    """Return some columns of fields of a bank."""
+    names = ("chief_x_um", "chief_y_um", "psf", "relative_illumination")
+    parts = {name: getattr(bank, name)[:, kept] for name in names}
+    x_deg = bank.field_x_deg[kept]
+    return replace(bank, field_x_deg=x_deg, halo=bank.halo[:, :, kept], **parts)
+
+
+def a_fifth_of_a_step_off(bank):
+    """Say of each PSF that it is of a wavelength 15 nm longer."""
+    lines = bank.wavelengths_nm + 15
+    return replace(bank, wavelengths_nm=lines, reference_nm=bank.reference_nm + 15)
+
+
+def halved(bank):
+    """Cut the PSFs at half their radius, and tell the halo nothing."""
+    size = bank.psf.shape[-1]
+    inside = distances_um(size, bank.pitch_um) < size / 4 * bank.pitch_um
+    return replace(bank, psf=bank.psf * inside.astype(np.float32))
+
+
+def upside_down(bank):
+    """Turn the PSFs about the x axis."""
+    return replace(bank, psf=bank.psf[..., ::-1, :])
+
+
+def without_a_column(bank):
+    return of_fields(bank, [0, 1, 2, 6])
+
+
+@pytest.mark.parametrize("defect", [a_fifth_of_a_step_off, halved, upside_down, without_a_column])
+def test_a_defect_in_the_bank_turns_the_certificate_red(sound, judged, defect):
+    assert judged(defect(sound)).share.rms > ASKED.tolerance
+
+
+def test_a_ready_made_bank_is_judged_by_its_own_fields(sound, judged):
+    found = judged(sound, object())
+    assert 0 < found.share.rms < ASKED.tolerance
+    assert any("every other field" in note for note in found.notes)
+    few = of_fields(sound, [0, 3, 6])
+    assert judged(few, object()).share.rms == 0
+
+
+def test_places_lie_next_to_the_middles_of_cells_and_in_the_frame(sound, rate):
+    points, numbers = points_of(sound, SENSOR, SHAPE, ORIGIN, between=True)
+    assert len(points) == len(set(numbers)) > 1
+    field = np.stack(sound.field_deg(*points.T))
+    share = np.mod(field - SIDE_DEG[0], 2.0) / 2.0
+    # Of whole cells: those that the frame cuts are judged where it ends.
+    assert (np.abs(share - 0.5).max(axis=0) < 0.05).any() and (np.abs(share - 0.5) < 0.5).all()
+    pixels, owners = pixels_near(SENSOR, rate, ORIGIN, points)
+    middle = (pixels[:, ::-1] + 0.5 - 500) * SENSOR.pixel_pitch_um
+    assert np.abs(middle - points[owners]).max() <= 129 * SENSOR.pixel_pitch_um
