@@ -247,8 +247,10 @@ class FieldPupils:
 
     Attributes
     ----------
-    wavelengths_nm, weight, shift_um : ndarray, shape (L,)
-        Weight: light, to any scale. Shift: place of each chief ray, from the reference's.
+    wavelengths_nm, weight : ndarray, shape (L,)
+        Weight: light, to any scale.
+    shift_um : ndarray, shape (2, L)
+        Place of each chief ray, from the reference's, along each of ``DIRECTIONS``.
     fine : list of Pupil, length L
         So finely sampled that no ray lands where the image repeats.
     coarse : list of Pupil, length L
@@ -288,7 +290,7 @@ class FieldPupils:
     def _together(
         self, otfs: list[np.ndarray], frequency: np.ndarray, direction: Direction
     ) -> np.ndarray:
-        shift = self.shift_um if direction == "tangential" else 0.0
+        shift = self.shift_um[DIRECTIONS.index(direction)]
         return polychromatic(np.array(otfs), self.weight, frequency, shift)
 
 
@@ -300,6 +302,7 @@ def field_pupils(
     *,
     reference: int = 0,
     depth_mm: float = 0.0,
+    azimuth: float = 0.0,
 ) -> FieldPupils:
     """Trace one field and put its pupils on grids.
 
@@ -315,23 +318,25 @@ def field_pupils(
         Index of the wavelength whose chief ray is the image's centre.
     depth_mm : float
         Largest shift of the image plane for which ``otf`` will be asked.
+    azimuth : float
+        Of the field, rad. Whatever it is, tangential is along y and sagittal along x.
 
     Raises
     ------
     UserError
         Where the field does not pass the lens.
     """
-    samples = sample_field(system, system.index(wavelengths_nm), theta)
+    samples = sample_field(system, system.index(wavelengths_nm), theta, azimuth)
     slope = _mean_slope(samples, reference)
     # The image repeats after twice the window: a little beyond where the farthest rays land.
     window_um = 1.1 * reach_um(samples, slope, depth_mm)
     fine = pupils(samples, wavelengths_nm, window_um, PUPIL_NODES)
     solid_angle = np.array([pupil.projected_solid_angle_sr for pupil in fine])
-    chief_um = 1e3 * samples.chief_y_mm
+    chief_um = 1e3 * np.stack([samples.chief_y_mm, samples.chief_x_mm])
     return FieldPupils(
         wavelengths_nm=np.asarray(wavelengths_nm, dtype=float),
         weight=np.asarray(spectrum, dtype=float) * solid_angle,
-        shift_um=chief_um - chief_um[reference],
+        shift_um=chief_um - chief_um[:, [reference]],
         fine=fine,
         coarse=pupils(samples, wavelengths_nm, 1.0, COARSE_NODES),
         slope=slope,

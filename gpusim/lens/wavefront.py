@@ -149,6 +149,8 @@ def sample_rays(
     stop_x: np.ndarray,
     stop_y: np.ndarray,
     azimuth: float = 0.0,
+    *,
+    whole: bool = False,
 ) -> Samples:
     """Aim real rays at points of the stop and trace them to the image plane.
 
@@ -162,13 +164,16 @@ def sample_rays(
         Points of the stop surface, mm.
     azimuth : float
         Of the field, from y towards x, rad.
+    whole : bool
+        Keep each ray on its own side of the meridional plane, also where that is one of symmetry.
 
     Raises
     ------
     UserError
         Where the chief ray does not reach the image.
     """
-    return _sample(system, index, field_launch(system, index, theta, azimuth), stop_x, stop_y)
+    launch = field_launch(system, index, theta, azimuth)
+    return _sample(system, index, launch, stop_x, stop_y, whole=whole)
 
 
 def field_launch(system: System, index: np.ndarray, theta: float, azimuth: float = 0.0) -> Launch:
@@ -203,7 +208,13 @@ def no_chief_ray(system: System, theta: float) -> UserError:
 
 
 def _sample(
-    system: System, index: np.ndarray, launch: Launch, stop_x: np.ndarray, stop_y: np.ndarray
+    system: System,
+    index: np.ndarray,
+    launch: Launch,
+    stop_x: np.ndarray,
+    stop_y: np.ndarray,
+    *,
+    whole: bool = False,
 ) -> Samples:
     """Do what ``sample_rays`` promises, for a field whose launch plane is known."""
     geometry = system.geometry
@@ -221,7 +232,7 @@ def _sample(
     land_y = rays.point[1] + to_image * beta
     chief_x, chief_y = land_x[:, :1].copy(), land_y[:, :1].copy()
     land_x, land_y = land_x - chief_x, land_y - chief_y
-    half = _is_symmetric(system, launch)
+    half = _is_symmetric(system, launch) and not whole
     if half:
         # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
         side = np.where(alpha < 0, -1.0, 1.0)

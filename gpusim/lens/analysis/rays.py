@@ -1,0 +1,260 @@
+"""Ray fans, spot diagrams, the wavefront over the stop, and the angles at which light arrives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gpusim.lens.analysis.fields import Field, passes, rays_at
+from gpusim.lens.system import System
+from gpusim.lens.wavefront import Samples
+
+Way = Literal["x", "y"]
+FAN_POINTS = 81  # odd: the middle one is the chief ray
+SPOT_RINGS = 12  # hexapolar: 469 rays
+MAP_POINTS = 65  # across the stop
+_EDGE_POINTS = 201
+
+
+@dataclass(frozen=True)
+class Fan:
+    """Aberrations along one diameter of the stop; NaN where a ray does not pass.
+
+    Attributes
+    ----------
+    stop : ndarray, shape (P,)
+        Where the rays meet the stop, relative to its radius.
+    x_um, y_um : ndarray, shape (L, P)
+        Where they land, from the chief ray of the primary wavelength.
+    opd_waves : ndarray, shape (L, P)
+        In waves of their own, 0 at the chief ray of each wavelength.
+    alpha, beta : ndarray, shape (L, P)
+        Direction cosines at the image.
+    """
+
+    stop: np.ndarray
+    x_um: np.ndarray
+    y_um: np.ndarray
+    opd_waves: np.ndarray
+    alpha: np.ndarray
+    beta: np.ndarray
+
+
+def ray_fan(
+    system: System, wavelengths_nm: np.ndarray, primary: int, field: Field, way: Way
+) -> Fan:
+    """Return the aberrations along the diameter x or y of the stop."""
+    stop = np.linspace(-1, 1, FAN_POINTS)
+    nothing = np.zeros_like(stop)
+    points = (stop, nothing) if way == "x" else (nothing, stop)
+    samples = rays_at(system, wavelengths_nm, field, *points)
+    blocked = np.where(passes(samples), 0.0, np.nan)
+    away_x, away_y = _from_primary(samples, primary)
+    return Fan(
+        stop=stop,
+        x_um=1e3 * (samples.landing_x_mm + away_x) + blocked,
+        y_um=1e3 * (samples.landing_y_mm + away_y) + blocked,
+        opd_waves=_opd_waves(samples, wavelengths_nm, primary) + blocked,
+        alpha=samples.alpha + blocked,
+        beta=samples.beta + blocked,
+    )
+
+
+def _from_primary(samples: Samples, primary: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return how far each wavelength's chief ray lands from the primary's, mm, (L, 1) each."""
+    x, y = samples.chief_x_mm[:, None], samples.chief_y_mm[:, None]
+    return x - x[primary], y - y[primary]
+
+
+def _opd_waves(samples: Samples, wavelengths_nm: np.ndarray, primary: int) -> np.ndarray:
+    """Return the OPD about the image point of the primary wavelength, shape (L, R).
+
+    Another reference point tilts W: with W - alpha dx - beta dy, -dW/d alpha moves by dx.
+    """
+    away_x, away_y = _from_primary(samples, primary)
+    chief = samples.chief_direction[:, None]
+    tilt = away_x * (samples.alpha - chief[..., 0]) + away_y * (samples.beta - chief[..., 1])
+    return (tilt - samples.opd_mm) / (1e-6 * np.asarray(wavelengths_nm)[:, None])
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where the rays of one field land.
+
+    Attributes
+    ----------
+    x_um, y_um : ndarray, shape (L, R)
+        From the chief ray of the primary wavelength; NaN where a ray does not pass.
+    centroid_um : ndarray, shape (2,)
+        Mean of all wavelengths' rays.
+    rms_um, geometric_um : float
+        Root mean square and largest distance from the centroid.
+    """
+
+    x_um: np.ndarray
+    y_um: np.ndarray
+    centroid_um: np.ndarray
+    rms_um: float
+    geometric_um: float
+
+
+def hexapolar(rings: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a point in the middle and 6 k on ring k of a unit disc: as good as even in area."""
+    radius = np.concatenate([[0.0], *(np.full(6 * k, k / rings) for k in range(1, rings + 1))])
+    angle = np.concatenate(
+        [[0.0], *(np.arange(6 * k) * np.pi / (3 * k) for k in range(1, rings + 1))]
+    )
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+def spot_diagram(system: System, wavelengths_nm: np.ndarray, primary: int, field: Field) -> Spot:
+    """Return where rays land that fill the stop evenly; each wavelength weighs the same."""
+    samples = rays_at(system, wavelengths_nm, field, *hexapolar(SPOT_RINGS))
+    blocked = np.where(passes(samples), 0.0, np.nan)
+    away_x, away_y = _from_primary(samples, primary)
+    x = 1e3 * (samples.landing_x_mm + away_x) + blocked
+    y = 1e3 * (samples.landing_y_mm + away_y) + blocked
+    centroid = np.array([np.nanmean(x), np.nanmean(y)])
+    distance = np.hypot(x - centroid[0], y - centroid[1])
+    return Spot(
+        x_um=x,
+        y_um=y,
+        centroid_um=centroid,
+        rms_um=float(np.sqrt(np.nanmean(distance**2))),
+        geometric_um=float(np.nanmax(distance)),
+    )
+
+
+def airy_radius_um(system: System, wavelength_nm: float) -> float:
+    """Return the radius of the first dark ring on the axis: 0.61 lambda / NA (Born & Wolf 8.5)."""
+    rim = rays_at(
+        system, np.array([wavelength_nm]), Field("axis", 0.0), np.array([1.0]), np.array([0.0])
+    )
+    sine = np.hypot(
+        rim.alpha[0, 0] - rim.chief_direction[0, 0], rim.beta[0, 0] - rim.chief_direction[0, 1]
+    )
+    return 0.61e-3 * wavelength_nm / float(sine)
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """OPD over the stop at one wavelength.
+
+    Attributes
+    ----------
+    stop : ndarray, shape (P,)
+        Of columns (x) and rows (y), relative to the stop's radius.
+    opd_waves : ndarray, shape (P, P)
+        Rows y, columns x; NaN where no light passes.
+    """
+
+    stop: np.ndarray
+    opd_waves: np.ndarray
+
+    @property
+    def rms_waves(self) -> float:
+        """Standard deviation over the light that passes."""
+        return float(np.nanstd(self.opd_waves))
+
+    @property
+    def peak_to_valley_waves(self) -> float:
+        """Largest difference of two OPDs."""
+        return float(np.nanmax(self.opd_waves) - np.nanmin(self.opd_waves))
+
+
+def wavefront_map(system: System, wavelength_nm: float, field: Field) -> Wavefront:
+    """Return the OPD over the stop."""
+    stop = np.linspace(-1, 1, MAP_POINTS)
+    x, y = np.meshgrid(stop, stop)
+    inside = np.hypot(x, y) <= 1
+    lines = np.array([wavelength_nm])
+    samples = rays_at(system, lines, field, x[inside], y[inside])
+    opd = np.full(x.shape, np.nan)
+    opd[inside] = np.where(passes(samples), _opd_waves(samples, lines, 0), np.nan)[0]
+    return Wavefront(stop, opd)
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """How light arrives at the image of one field, at one wavelength.
+
+    Angles are from the image's normal, in degrees, in the y-z plane but for the sagittal ones,
+    which are in the plane across it; positive where light travels towards larger y (or x).
+
+    Attributes
+    ----------
+    x_mm, y_mm : float
+        Where the chief ray lands.
+    chief_deg : float
+        Its whole angle from the normal, positive in a centred lens where it leaves the axis.
+    upper_deg, lower_deg : float
+        Of the outermost rays along y that pass, of the greater and of the smaller angle.
+    sagittal_deg : tuple of float
+        Of the outermost rays along x that pass.
+    """
+
+    x_mm: float
+    y_mm: float
+    chief_deg: float
+    upper_deg: float
+    lower_deg: float
+    sagittal_deg: tuple[float, float]
+
+    @property
+    def f_numbers(self) -> tuple[float, float]:
+        """Working f-numbers along y and along x: 1 over the difference of the rims' sines."""
+        return tuple(
+            1 / abs(np.sin(np.radians(a)) - np.sin(np.radians(b)))
+            for a, b in ((self.upper_deg, self.lower_deg), self.sagittal_deg)
+        )
+
+
+def arrival(system: System, wavelength_nm: float, field: Field) -> Arrival:
+    """Return chief-ray and marginal-ray angles at the image."""
+    lines = np.array([wavelength_nm])
+    edges = {}
+    for way in ("y", "x"):
+        rims = _rims(system, lines, field, way)
+        points = (np.zeros(2), rims) if way == "y" else (rims, np.zeros(2))
+        edges[way] = rays_at(system, lines, field, *points)
+    samples = edges["y"]
+    a, b = samples.chief_direction[0]
+    upper, lower = sorted(_angles(samples.alpha[0], samples.beta[0], "y"), reverse=True)
+    right, left = sorted(_angles(edges["x"].alpha[0], edges["x"].beta[0], "x"), reverse=True)
+    sign = -1.0 if b * np.sign(field.theta) < 0 else 1.0
+    return Arrival(
+        x_mm=float(samples.chief_x_mm[0]),
+        y_mm=float(samples.chief_y_mm[0]),
+        chief_deg=sign * float(np.degrees(np.arcsin(np.hypot(a, b)))),
+        upper_deg=float(upper),
+        lower_deg=float(lower),
+        sagittal_deg=(float(right), float(left)),
+    )
+
+
+def _angles(alpha: np.ndarray, beta: np.ndarray, way: Way) -> np.ndarray:
+    gamma = np.sqrt(1 - alpha**2 - beta**2)
+    return np.degrees(np.arctan2(beta if way == "y" else alpha, gamma))
+
+
+def _rims(system: System, lines: np.ndarray, field: Field, way: Way) -> np.ndarray:
+    """Return where the light that passes begins and ends along a diameter of the stop, shape (2,).
+
+    Looked for twice, to 1e-4 of the stop's radius.
+    """
+
+    def lit(stop: np.ndarray) -> np.ndarray:
+        nothing = np.zeros_like(stop)
+        points = (nothing, stop) if way == "y" else (stop, nothing)
+        return passes(rays_at(system, lines, field, *points))[0]
+
+    stop = np.linspace(-1, 1, _EDGE_POINTS)
+    found = np.flatnonzero(lit(stop))
+    ends = []
+    for at, side in ((found[0], -1), (found[-1], 1)):
+        beyond = np.clip(at + side, 0, _EDGE_POINTS - 1)
+        between = np.linspace(stop[at], stop[beyond], _EDGE_POINTS // 2)
+        ends.append(between[np.flatnonzero(lit(between))[-1]])
+    return np.array(ends)
