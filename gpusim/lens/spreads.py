@@ -15,17 +15,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.gpu import default_device
-from gpusim.lens.bank import (
-    REFERENCE_NM,
-    from_cache,
-    load_dataset,
-    save_dataset,
-)
+from gpusim.lens.bank import REFERENCE_NM
 from gpusim.lens.field_map import WIDE_DEG
 from gpusim.lens.generator import Generator
 from gpusim.lens.halo import distances_um, fall
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.sampling import window
+from gpusim.lens.store import from_cache, load_dataset, save_dataset
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.traced import field_of as traced_field
 

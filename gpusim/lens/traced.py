@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.lens.bank import Bank, from_cache, ideal_height_um, provenance_of
+from gpusim.lens.bank import Bank, ideal_height_um, provenance_of
 from gpusim.lens.cone import cone_of
 from gpusim.lens.halo import distances_um, fall, halo_of, wave_of
 from gpusim.lens.plane_bank import PlaneBank
@@ -21,6 +21,7 @@ from gpusim.lens.plane_bank import bank_of as plane_bank_of
 from gpusim.lens.plane_bank import field_of as plane_field_of
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.psf import folded_share, intensity
+from gpusim.lens.store import from_cache
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import pupils, sample_field
 

@@ -15,6 +15,7 @@ from gpusim.lens.bank import Bank, cached_bank, compute_bank, default_fields_deg
 from gpusim.lens.field_bank import seen_as
 from gpusim.lens.prescription import Coating, load_prescription
 from gpusim.lens.projection import ANGULAR
+from gpusim.lens.store import from_cache
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
 
@@ -448,7 +449,7 @@ def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
         return whole
 
     lens = load_prescription("double-gauss")
-    bank_module.from_cache(Bank, compute, lens, {})
+    from_cache(Bank, compute, lens, {})
     (file,) = tmp_path.rglob("*.nc")
     content = file.read_bytes()
     rng = np.random.default_rng(17)
@@ -459,7 +460,7 @@ def test_a_damaged_file_of_the_cache_is_made_again(tmp_path, monkeypatch):
     for damaged in damages:
         file.write_bytes(damaged)
         for _ in range(2):
-            found = bank_module.from_cache(Bank, compute, lens, {})
+            found = from_cache(Bank, compute, lens, {})
             np.testing.assert_array_equal(found.psf, whole.psf)
             np.testing.assert_array_equal(found.real_height_um, whole.real_height_um)
             assert found.provenance == whole.provenance
