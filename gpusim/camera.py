@@ -55,7 +55,9 @@ class LensChoice(Strict):
 
     A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
     field, and out of focus, and may get catalogue glasses for its model glasses; the others are
-    what they are.
+    what they are. ``object_distance_m`` is where its objects lie, on a plane, and
+    ``focus_distance_m`` what it is focused on, from its first surface: without the first, infinity;
+    without the second, the objects.
     """
 
     prescription: str | None = None
@@ -64,6 +66,8 @@ class LensChoice(Strict):
     focal_length_mm: float | None = Field(default=None, gt=0)
     f_number: float | None = Field(default=None, gt=0)
     max_field_deg: float | None = Field(default=None, gt=0)
+    object_distance_m: float | None = Field(default=None, gt=0, allow_inf_nan=True)
+    focus_distance_m: float | None = Field(default=None, gt=0, allow_inf_nan=True)
     focus_shift_um: float | None = Field(default=None, allow_inf_nan=False)
     nearest_glasses: bool | None = None
 
@@ -263,6 +267,8 @@ def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
         lens = lens.stopped(choice.f_number)
     if choice.max_field_deg is not None and not lens.states_axis_alone:
         lens = lens.limited(choice.max_field_deg)
+    if choice.object_distance_m is not None or choice.focus_distance_m is not None:
+        lens = lens.looking(choice.object_distance_m, choice.focus_distance_m)
     if choice.focus_shift_um is not None:
         lens = lens.defocused(choice.focus_shift_um)
     return lens

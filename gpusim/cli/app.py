@@ -41,6 +41,14 @@ FocalLength = Annotated[
 FNumber = Annotated[
     float | None, typer.Option(metavar="N", help="Stop the lens down to this f-number.")
 ]
+ObjectDistance = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="Where the scene lies: a plane so far from the first surface."),
+]
+FocusDistance = Annotated[
+    float | None,
+    typer.Option(metavar="M", help="What the lens is focused on; the scene if not given."),
+]
 FocusShift = Annotated[
     float | None,
     typer.Option(metavar="UM", help="Move the image plane, > 0 away from the lens."),
@@ -194,6 +202,8 @@ def render(
     ] = False,
     focal_length: FocalLength = None,
     f_number: FNumber = None,
+    object_distance: ObjectDistance = None,
+    focus_distance: FocusDistance = None,
     focus_shift: FocusShift = None,
     sensor: Annotated[
         str | None,
@@ -244,6 +254,8 @@ def render(
         lens={
             "focal_length_mm": focal_length,
             "f_number": f_number,
+            "object_distance_m": object_distance,
+            "focus_distance_m": focus_distance,
             "focus_shift_um": focus_shift,
         },
         sensor=sensor,
@@ -296,6 +308,8 @@ def lens(
     ] = None,
     focal_length: FocalLength = None,
     f_number: FNumber = None,
+    object_distance: ObjectDistance = None,
+    focus_distance: FocusDistance = None,
     focus_shift: FocusShift = None,
     nearest_glasses: Annotated[
         bool,
@@ -315,7 +329,14 @@ def lens(
     """
     from gpusim.cli.lens import run
 
-    run(name, focal_length, f_number, focus_shift, nearest_glasses, out)
+    changes = {
+        "focal_length_mm": focal_length,
+        "f_number": f_number,
+        "object_distance_m": object_distance,
+        "focus_distance_m": focus_distance,
+        "focus_shift_um": focus_shift,
+    }
+    run(name, changes, nearest_glasses, out)
 
 
 @app.command()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -33,23 +33,29 @@ from gpusim.report.lens_facts import (
 )
 
 KINDS = (".nc", ".png", ".html")
+OPTIONS = {
+    "focal_length_mm": "--focal-length",
+    "f_number": "--f-number",
+    "object_distance_m": "--object-distance",
+    "focus_distance_m": "--focus-distance",
+    "focus_shift_um": "--focus-shift",
+}
 
 
 def run(
     name: str | None,
-    focal_length_mm: float | None,
-    f_number: float | None,
-    focus_shift_um: float | None,
+    changes: Mapping[str, float | None],
     nearest_glasses: bool,
     out: Path | None,
 ) -> None:
     """Show the data of a lens; write its bank or its page where `out` asks for them.
 
-    Without a name, list the lenses that come with the package. Where a figure that the source
-    states is not met, the exit code is 1, after everything was shown and written.
+    `changes`: by the names of OPTIONS; None leaves the lens as it is. Without a name, list the
+    lenses that come with the package. Where a figure that the source states is not met, the exit
+    code is 1, after everything was shown and written.
     """
     if name is None:
-        given = (focal_length_mm, f_number, focus_shift_um, nearest_glasses or None, out)
+        given = (*changes.values(), nearest_glasses or None, out)
         if any(one is not None for one in given):
             raise UserError(
                 "the options need a lens", field="LENS", allowed=", ".join(presets()) + ", a file"
@@ -57,13 +63,8 @@ def run(
         Console().print(library())
         return
     if is_ready(name):
-        changes = {
-            "--focal-length": focal_length_mm,
-            "--f-number": f_number,
-            "--focus-shift": focus_shift_um,
-            "--nearest-glasses": nearest_glasses or None,
-        }
-        for option, value in changes.items():
+        given = {OPTIONS[name]: value for name, value in changes.items()}
+        for option, value in (given | {"--nearest-glasses": nearest_glasses or None}).items():
             if value is not None:
                 raise UserError(
                     "a ready-made lens is used as it is: it has no surfaces to trace again",
@@ -86,11 +87,14 @@ def run(
         state_model_glasses(lens)
     if account is not lens.account:
         account.rows += lens.account.rows[said:]
-    if focal_length_mm is not None:
+    if (focal_length_mm := changes["focal_length_mm"]) is not None:
         lens = lens.scaled(focal_length_mm)
-    if f_number is not None:
+    if (f_number := changes["f_number"]) is not None:
         lens = lens.stopped(f_number)
-    if focus_shift_um is not None:
+    distances = changes["object_distance_m"], changes["focus_distance_m"]
+    if any(one is not None for one in distances):
+        lens = lens.looking(*distances)
+    if (focus_shift_um := changes["focus_shift_um"]) is not None:
         lens = lens.defocused(focus_shift_um)
     with ExitStack() as stack:
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))

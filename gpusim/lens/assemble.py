@@ -382,11 +382,11 @@ def check_bank(bank: Bank, file: Path) -> None:
             raise wrong(name, "not rising from 0", "0 at the first field, then rising")
     if bank.field_deg[-1] >= 180:
         raise wrong("field_deg", bank.field_deg[-1], "below 180")
-    theta, efl_um = np.radians(bank.field_deg), 1e3 * bank.efl_mm
-    ideal = np.where(theta < np.pi / 2, efl_um * np.tan(theta), np.inf)
+    theta, scale_um = np.radians(bank.field_deg), 1e3 * bank.principal_distance_mm
+    ideal = np.where(theta < np.pi / 2, scale_um * np.tan(theta), np.inf)
     if not np.allclose(bank.ideal_height_um, ideal, rtol=1e-6, atol=1e-6):
         raise wrong("ideal_height_um", "other heights", "efl_mm times tan(field_deg)")
-    folds = [FieldMap(theta, column, efl_um).folds_at for column in bank.real_height_um.T]
+    folds = [FieldMap(theta, column, scale_um).folds_at for column in bank.real_height_um.T]
     if bank.ray_deg is not None and not np.allclose(
         [bank.ray_deg[-1], *bank.ray_um[-1]], [bank.field_deg[-1], *bank.real_height_um[-1]]
     ):

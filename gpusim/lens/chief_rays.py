@@ -20,7 +20,7 @@ def between_fields(
     wavelengths_nm: np.ndarray,
     field_deg: np.ndarray,
     height_um: np.ndarray,
-    efl_um: float,
+    scale_um: float,
     focus_um: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return field angles, those of the bank among them, and where their chief rays land.
@@ -36,8 +36,8 @@ def between_fields(
         Rising from 0.
     height_um : ndarray (F, L)
         Where their chief rays land.
-    efl_um : float
-        At the reference wavelength.
+    scale_um : float
+        Principal distance at the reference wavelength.
     focus_um : float
         How far the image plane is moved away from the lens.
 
@@ -62,7 +62,7 @@ def between_fields(
     for _ in range(HALVINGS):
         theta = np.radians(angles)
         between = (theta[1:] + theta[:-1]) / 2
-        maps = [FieldMap(theta, column, efl_um) for column in heights.T]
+        maps = [FieldMap(theta, column, scale_um) for column in heights.T]
         new = np.stack([lands(one) for one in between])
         miss_um = np.abs(np.stack([one.height_um(between) for one in maps], axis=1) - new).max()
         order = np.argsort(np.concatenate([theta, between]))

@@ -18,7 +18,7 @@ DEGREE = 7
 class FieldMap:
     """Height h(theta) of a chief ray in the image, odd in theta.
 
-    A spline through the traced rays, of the difference from f u over u: u is tan(theta), or
+    A spline through the traced rays, of the difference from c u over u: u is tan(theta), or
     theta itself where the lens sees farther than ``WIDE_DEG``.
 
     Parameters
@@ -27,17 +27,17 @@ class FieldMap:
         Field angles, rad, rising from 0.
     height_um : ndarray, shape (F,)
         Real image heights.
-    efl_um : float
-        Focal length f.
+    scale_um : float
+        Principal distance c: the focal length where lens and object are set to infinity.
     """
 
-    def __init__(self, theta: np.ndarray, height_um: np.ndarray, efl_um: float) -> None:
+    def __init__(self, theta: np.ndarray, height_um: np.ndarray, scale_um: float) -> None:
         self.edge = float(theta[-1])
         self.edge_um = float(height_um[-1])
-        self.efl_um = efl_um
+        self.scale_um = scale_um
         self.wide = self.edge > np.radians(WIDE_DEG)
         u = theta if self.wide else np.tan(theta)
-        shift = height_um - efl_um * u
+        shift = height_um - scale_um * u
         spline = make_interp_spline(
             np.concatenate([-u[:0:-1], u]),
             np.concatenate([-shift[:0:-1], shift]),
@@ -50,14 +50,14 @@ class FieldMap:
     def height_um(self, theta: np.ndarray) -> np.ndarray:
         """Return the height at angles from 0 to the edge."""
         u = theta if self.wide else np.tan(theta)
-        return self.efl_um * u + self._spline(u)
+        return self.scale_um * u + self._spline(u)
 
     def slope_um(self, theta: np.ndarray) -> np.ndarray:
         """Return the derivative of the height, um per rad, at angles from 0 to the edge."""
         if self.wide:
-            return self.efl_um + self._derivative(theta)
+            return self.scale_um + self._derivative(theta)
         u = np.tan(theta)
-        return (self.efl_um + self._derivative(u)) * (1 + u * u)
+        return (self.scale_um + self._derivative(u)) * (1 + u * u)
 
     def angle(self, height_um: np.ndarray) -> np.ndarray:
         """Return the angle, rad, at heights from 0 to the edge's, good to 1e-9 um."""

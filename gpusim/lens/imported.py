@@ -55,11 +55,13 @@ class Beam:
 class Fields:
     """The fields of a file.
 
-    ``sizes`` are radial: angles in deg, or image heights in the file's own unit; empty where the
+    ``sizes`` are radial: angles in deg, or heights in the file's own unit; empty where the
     file states no field, and then the lens is used as far as its clear apertures let it.
     """
 
-    kind: Literal["angle", "paraxial image height", "real image height", "not stated"]
+    kind: Literal[
+        "angle", "object height", "paraxial image height", "real image height", "not stated"
+    ]
     sizes: tuple[float, ...] = ()
     beams: tuple[Beam, ...] = ()
 
@@ -80,6 +82,7 @@ def finished(
     program: str,
     *,
     unit_mm: float = 1.0,
+    working_f_number: bool = False,
 ) -> Prescription:
     """Return the prescription that a reader has found, its fields as angles and lengths in mm.
 
@@ -94,6 +97,9 @@ def finished(
         Whose file it is, for the history.
     unit_mm : float
         The file's unit of length in mm.
+    working_f_number : bool
+        Whether its f-number is 1 / (2 tan u') of the beam from its object, and not that of an
+        object at infinity.
 
     Raises
     ------
@@ -107,11 +113,32 @@ def finished(
     lens = with_file_catalogues(lens.derived("; ".join([f"read from a {program} file", *steps])))
     if unit_mm != 1:
         lens = lens.resized(unit_mm)
+    if lens.object_distance_mm is not None and lens.f_number is not None:
+        lens = _with_pupil(lens, working_f_number)
     if fields.kind != "angle":
         lens = _with_angle(lens, fields, unit_mm)
     if any(beam.half_x < 1 or beam.half_y < 1 for beam in fields.beams):
         lens = _with_beams(lens, fields.beams)
     return lens
+
+
+def _with_pupil(lens: Prescription, working: bool) -> Prescription:
+    """Return a lens before a near object with its f-number by the entrance pupil's diameter.
+
+    Design programs aim at the rim of that from the object; cameras mark another.
+    """
+    from gpusim.lens.system import conjugates, first_order
+
+    order = first_order(lens)
+    diameter = order.entrance_pupil_diameter_mm
+    if working:  # as wide as it takes: paraxial angles go with the diameter
+        diameter *= conjugates(lens).working_f_number / lens.f_number
+    kind = "working f-number" if working else "f-number at infinity"
+    step = f"{kind} {lens.f_number:g} by an entrance pupil {diameter:.6g} mm wide"
+    lens.account.substituted("file", step)
+    return lens.derived(
+        f"substituted {step}", f_number=None, entrance_pupil_diameter_mm=float(diameter)
+    )
 
 
 def _with_angle(lens: Prescription, fields: Fields, unit_mm: float) -> Prescription:
@@ -197,10 +224,13 @@ def _passes(lens: Prescription, angle_deg: float) -> bool:
 
 
 def _angle_of(lens: Prescription, height_mm: float, kind: str) -> float:
-    from gpusim.lens.system import build, first_order
+    from gpusim.lens.system import build, conjugates, geometry_of
 
-    if kind == "paraxial image height":  # h = f tan(theta), by definition
-        return math.degrees(math.atan(height_mm / first_order(lens).efl_mm))
+    if kind == "object height":
+        geometry = geometry_of(lens)
+        return math.degrees(math.atan(height_mm / (geometry.field_z - geometry.object_z)))
+    if kind == "paraxial image height":  # h = c tan(theta), by definition
+        return math.degrees(math.atan(height_mm / conjugates(lens).principal_distance_mm))
     system = build(lens)
 
     def excess(angle: float) -> float:

@@ -115,11 +115,16 @@ def beam(system: System, theta: float, rays: int, lead_mm: float) -> np.ndarray:
         return np.empty((len(geometry.curvature) + 2, 0, 2))
     result, _ = traced(np.linspace(fan[passes][0], fan[passes][-1], rays))
     y, z = result.y[:, 0], result.z[:, 0]
-    # Back from the first surface to one plane across the beam.
-    direction = launch.direction[[2, 1]]
-    along = direction @ np.stack([z[0], y[0]])
-    back = along - along.min() + lead_mm
-    begin = np.stack([z[0], y[0]]) - back * direction[:, None]
+    # Back from the first surface to one plane across the beam, each ray as it came.
+    first, chief = np.stack([z[0], y[0]]), launch.direction[[2, 1], 0]
+    towards = np.broadcast_to(chief[:, None], first.shape)
+    if launch.source is not None:
+        way = first - launch.source[[2, 1], None]
+        far = np.sqrt((way * way).sum(0))
+        towards, lead_mm = way / far, min(lead_mm, 0.5 * float(far.min()))
+    along = chief @ first
+    back = (along - along.min() + lead_mm) / (chief @ towards)
+    begin = first - back * towards
     slope = result.direction[1, 0] / result.direction[2, 0]
     end_y = y[-1] + (system.image_z_mm - z[-1]) * slope
     end = np.stack([np.full(rays, system.image_z_mm), end_y])

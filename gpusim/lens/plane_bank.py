@@ -24,6 +24,7 @@ from gpusim.lens.bank import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
     no_rays,
+    principal_mm,
     provenance_of,
 )
 from gpusim.lens.chief_rays import MIDDLE
@@ -126,6 +127,14 @@ _HALO = {
         "light that window and levels together had too much of, before the levels were scaled",
     ),
 }
+# Where lens or object are not set to infinity: else the focal length.
+_FINITE = {
+    "principal_mm": (
+        (),
+        "mm",
+        "principal distance: paraxial image height over tan(theta), at the reference wavelength",
+    ),
+}
 _SCALARS = {
     "reference_nm": ("nm", "wavelength whose chief ray defines the real plane"),
     "efl_mm": ("mm", "paraxial focal length of the centred lens at the reference wavelength"),
@@ -171,6 +180,7 @@ class PlaneBank:
     halo, halo_pitch_um : ndarray of float32, shape (K, Y, X, L, m, m), and ndarray (K,), or None
     beyond_energy, halo_misfit : ndarray, shape (Y, X, L), or None
         As of ``gpusim.lens.bank.Bank``.
+    principal_mm : float, or None
     projection : Projection
         As of ``gpusim.lens.bank.Bank``.
     """
@@ -204,8 +214,14 @@ class PlaneBank:
     halo_pitch_um: np.ndarray | None = None
     beyond_energy: np.ndarray | None = None
     halo_misfit: np.ndarray | None = None
+    principal_mm: float | None = None
     projection: Projection = RECTILINEAR  # how the scene lies on the ideal plane
     spectral_degree = CUBIC  # what the chain asks of a bank: see gpusim.lens.field_bank
+
+    @property
+    def principal_distance_mm(self) -> float:
+        """Ideal image height over tan(theta): the focal length where all is set to infinity."""
+        return self.efl_mm if self.principal_mm is None else float(self.principal_mm)
 
     @property
     def reference(self) -> int:
@@ -306,7 +322,7 @@ class PlaneBank:
         return PlaneMap(
             np.stack([self.ray_x_deg, self.ray_y_deg], axis=1),
             np.stack([self.ray_x_um, self.ray_y_um], axis=1),
-            lambda theta: 1e3 * self.efl_mm * self.projection.height(theta),
+            lambda theta: 1e3 * self.principal_distance_mm * self.projection.height(theta),
             self.centre_um,
             self.image_circle_um,
         )
@@ -324,7 +340,7 @@ class PlaneBank:
         """Return the field angles x and y of real image points; beyond the circle its rim's."""
         u, v, _ = self.plane_map.ideal_points(x_um, y_um)
         height = np.hypot(u, v)
-        theta = self.projection.angle(height / (1e3 * self.efl_mm))
+        theta = self.projection.angle(height / (1e3 * self.principal_distance_mm))
         scale = np.degrees(theta) / np.maximum(height, 1e-9)
         return u * scale, v * scale
 
@@ -347,6 +363,7 @@ class PlaneBank:
         texts = {"provenance": lens}
         variables = _VARIABLES | ({} if self.cone is None else _RAYS)
         variables |= {} if self.halo is None else _HALO
+        variables |= {} if self.principal_mm is None else _FINITE
         data = {
             name: (dims, getattr(self, name), {"units": units, "long_name": meaning} | texts)
             for name, (dims, units, meaning) in variables.items()
@@ -372,7 +389,7 @@ class PlaneBank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO, sealed))
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, _RAYS | _HALO | _FINITE, sealed))
 
 
 def holds_plane_bank(path: Path) -> bool:
@@ -536,6 +553,7 @@ def bank_of(
         transmission=transmission(system.prescription, wavelengths),
         reference_nm=float(reference_nm),
         efl_mm=order.efl_mm,
+        principal_mm=principal_mm(system.prescription, reference_nm),
         f_number=order.f_number,
         pitch_um=float(pitch_um),
         provenance=provenance,

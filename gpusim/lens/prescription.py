@@ -2,7 +2,7 @@
 
 A prescription is plain data. Everything computed from it (indices, stop radius, missing clear
 apertures, focus) is in ``system.py``. Lengths are in mm, angles in degrees; surface numbers count
-from 1, as lens designers count; the object is at infinity in air and the image lies in air.
+from 1, as lens designers count; the object, at infinity or on a plane, and the image lie in air.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ from gpusim.lens.glass import FORMULAS
 if TYPE_CHECKING:
     from gpusim.lens.field_bank import FieldBank
 
+# Fields that state the aperture, of which a lens has one, and those that are lengths.
+APERTURES = ("f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm", "object_na")
+LENGTHS = (*APERTURES[1:3], "object_distance_mm", "focus_distance_mm")
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
 
@@ -217,6 +220,10 @@ class Prescription(Strict):
     max_field_deg: float = Field(ge=0, lt=120)
     focus: Literal["best", "paraxial", "as-given"]
     focus_shift_um: float = 0.0  # of the image plane from that focus, away from the lens
+    # From the first vertex; None: infinity. Focused on the object, or on another distance (.inf).
+    object_distance_mm: float | None = Field(None, gt=0)
+    focus_distance_mm: float | None = Field(None, gt=0, allow_inf_nan=True)
+    object_na: float | None = Field(None, gt=0, lt=1)  # sine of the axial beam's half angle
     stop: int
     # G: the stop passes the amplitude exp(-G rho^2), rho from 0 at its centre to 1 at its rim. With
     # 100, 1/e is at a tenth of the rim: such a beam needs no stop.
@@ -232,11 +239,10 @@ class Prescription(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        apertures = (self.f_number, self.entrance_pupil_diameter_mm, self.stop_semi_diameter_mm)
-        if sum(a is not None for a in apertures) != 1:
-            raise ValueError(
-                "give one of f_number, entrance_pupil_diameter_mm, stop_semi_diameter_mm"
-            )
+        if sum(getattr(self, name) is not None for name in APERTURES) != 1:
+            raise ValueError(f"give one of {', '.join(APERTURES)}")
+        if self.object_na is not None and self.object_distance_mm is None:
+            raise ValueError("object_na needs object_distance_mm: at infinity it has no meaning")
         if not 1 <= self.stop <= len(self.surfaces):
             raise ValueError(f"stop must be a surface number from 1 to {len(self.surfaces)}")
         if any(w <= 0 for w in self.design_wavelengths_nm):
@@ -255,6 +261,13 @@ class Prescription(Strict):
     def file(self) -> Path | None:
         """The file that it was read from."""
         return self._file
+
+    @property
+    def focused_mm(self) -> float | None:
+        """Distance that it is focused on, from the first vertex; None for infinity."""
+        if self.focus_distance_mm is None:
+            return self.object_distance_mm
+        return self.focus_distance_mm if math.isfinite(self.focus_distance_mm) else None
 
     @property
     def account(self) -> Account:
@@ -300,7 +313,7 @@ class Prescription(Strict):
         """Return the lens with every length multiplied by a factor."""
         lengths = {
             name: None if getattr(self, name) is None else getattr(self, name) * factor
-            for name in ("entrance_pupil_diameter_mm", "stop_semi_diameter_mm")
+            for name in LENGTHS
         }
         return self.derived(
             f"every length multiplied by {factor:.9g}",
@@ -354,10 +367,8 @@ class Prescription(Strict):
             )
         return with_clear_apertures(self).derived(
             f"stop closed to f/{f_number:g}",
-            f_number=float(f_number),
             gaussian_apodisation=self.gaussian_apodisation * min(1.0, widest / f_number) ** 2,
-            entrance_pupil_diameter_mm=None,
-            stop_semi_diameter_mm=None,
+            **(dict.fromkeys(APERTURES) | {"f_number": float(f_number)}),
         )
 
     def defocused(self, shift_um: float) -> Prescription:
@@ -380,6 +391,58 @@ class Prescription(Strict):
             f"image plane moved by {shift_um:g} um away from the lens",
             focus_shift_um=self.focus_shift_um + shift_um,
         )
+
+    def looking(
+        self, object_distance_m: float | None = None, focus_distance_m: float | None = None
+    ) -> Prescription:
+        """Return the lens with its object and its focus at other distances from its first vertex.
+
+        The lens, or the image plane, is moved until the focus lies there: the stop keeps its size,
+        so that an f-number is that of an object at infinity, as cameras mark it.
+
+        Parameters
+        ----------
+        object_distance_m : float, optional
+            Of the object plane, infinity too (as it is).
+        focus_distance_m : float, optional
+            That the lens is focused on, infinity too (on the object, unless the lens has another).
+
+        Raises
+        ------
+        UserError
+            Where a distance is not greater than 0, or the lens forms no real image of what it is
+            focused on.
+        """
+        from gpusim.lens.system import conjugates, first_order, with_clear_apertures
+
+        changes, steps = {}, []
+        for name, given in (("object", object_distance_m), ("focus", focus_distance_m)):
+            if given is None:
+                continue
+            if not given > 0:
+                raise UserError(
+                    f"the distance of the {name} is not greater than 0",
+                    file=self.file,
+                    field=f"{name}_distance_m",
+                    value=given,
+                    allowed="> 0 m from the first surface, infinity too",
+                )
+            changes[f"{name}_distance_mm"] = 1e3 * given
+            steps.append(f"{'focused' if name == 'focus' else 'object'} at {given:g} m")
+        if changes.get("object_distance_mm") == math.inf:
+            changes["object_distance_mm"] = None
+        aperture = {}
+        if self.f_number is None and self.stop_semi_diameter_mm is None:
+            aperture = dict.fromkeys(APERTURES) | {"f_number": first_order(self).f_number}
+        lens = with_clear_apertures(self).derived(", ".join(steps), **aperture, **changes)
+        moved = conjugates(lens).image_mm
+        if lens.focus != "as-given":
+            return lens
+        # The plane keeps its distance from the paraxial focus.
+        *others, last = lens.surfaces
+        thickness = last.thickness + moved - conjugates(self).image_mm
+        surfaces = (*others, last.model_copy(update={"thickness": thickness}))
+        return lens.model_copy(update={"surfaces": surfaces})
 
     def with_nearest_glasses(self) -> Prescription:
         """Return the lens with each model glass by the nearest one of the glass catalogues.

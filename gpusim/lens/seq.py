@@ -53,13 +53,12 @@ _REFUSED = {
     "TIR": "total reflection as a mirror is not modelled",
     "AFO": "an afocal lens forms no image",
     "TEL": "an object-space telecentric lens is not modelled",
-    "NAO": "a numerical aperture in object space has no meaning for an object at infinity",
 }
 _READ_OF_SURFACE = frozenset(
     "RDY CUY THI GLA CON ASP SPH K STO CIR CUF COM RMD".split() + list(_ASPHERE)
 )
 _READ_OF_SYSTEM = frozenset(
-    "RDM DIM EPD FNO NA WL REF XAN YAN XOB YOB XIM YIM XRI YRI VUX VLX VUY VLY PRV".split()
+    "RDM DIM EPD FNO NA NAO WL REF XAN YAN XOB YOB XIM YIM XRI YRI VUX VLX VUY VLY PRV".split()
 )
 _SURFACE = re.compile(r"S(\d+|O|I)$")
 _CODE = re.compile(r"(\d{6})$|(\d{3,7})\.(\d{3,7})$")
@@ -367,22 +366,39 @@ class _Reader:
             "surfaces": surfaces,
             **self._aperture(),
         }
+        if self._near():
+            data["object_distance_mm"] = self.rows[0].thickness
         keys = [key for key in self.system if key in _READ_OF_SYSTEM]
         self.account.read("file", ", ".join(keys))
         if self.system_ignored:
             self.account.ignored("file", ", ".join(dict.fromkeys(self.system_ignored)))
-        return finished(data, fields, self.account, self.file, "CODE V", unit_mm=_UNITS_MM[unit])
+        return finished(
+            data,
+            fields,
+            self.account,
+            self.file,
+            "CODE V",
+            unit_mm=_UNITS_MM[unit],
+            working_f_number=True,
+        )
+
+    def _near(self) -> bool:
+        """Whether the object is not at infinity."""
+        return self.rows[0].thickness < INFINITE
 
     def _ends(self) -> None:
         object_, image = self.rows[0], self.image
-        if object_.thickness < INFINITE:
+        if not self._near():
+            self.account.substituted("file", f"SO {object_.thickness:g}: object at infinity")
+        elif object_.thickness > 0:
+            self.account.read("file", f"SO {object_.thickness:g}: object distance")
+        else:
             raise self.refuse(
-                "a finite object distance is not modelled",
+                "the object does not lie before the lens",
                 "SO",
                 object_.thickness,
-                f"{INFINITE:g} or more: infinity",
+                f"> 0, from {INFINITE:g} on infinity",
             )
-        self.account.substituted("file", f"SO {object_.thickness:g}: object at infinity")
         for row, name in ((object_, "SO"), (image, "SI")):
             if row.shape or row.asphere or row.conic:
                 raise self.refuse("a curved object or image is not modelled", name, row.shape, "0")
@@ -419,10 +435,10 @@ class _Reader:
                 "the file states no field" if not stated else "the file has two types of field",
                 "YAN",
                 ", ".join(stated) or None,
-                "XAN, YAN angles; XIM, YIM or XRI, YRI image heights",
+                "XAN, YAN angles; XOB, YOB object heights; XIM, YIM or XRI, YRI image heights",
             )
         suffix = stated[0]
-        if suffix == "OB":
+        if suffix == "OB" and not self._near():
             raise self.refuse(
                 "object heights are not read: the object is at infinity", "YOB", None, "YAN"
             )
@@ -466,19 +482,31 @@ class _Reader:
         return Fields(kinds[suffix], sizes, beams)
 
     def _aperture(self) -> dict[str, float]:
-        names = {"EPD": "entrance_pupil_diameter_mm", "FNO": "f_number", "NA": "f_number"}
+        names = {
+            "EPD": "entrance_pupil_diameter_mm",
+            "FNO": "f_number",
+            "NA": "f_number",
+            "NAO": "object_na",
+        }
         stated = [key for key in names if key in self.system]
         if len(stated) != 1:
             raise self.refuse(
                 "the file states no aperture" if not stated else "the file states two apertures",
                 "EPD",
                 ", ".join(stated) or None,
-                "one of EPD, FNO, NA",
+                "one of EPD, FNO, NA, NAO",
             )
         key = stated[0]
         value = self.numbers(key, self.system[key])[0]
-        if value <= 0 or (key == "NA" and value >= 1):
-            raise self.refuse("the aperture is wrong", key, value, "> 0 (NA: < 1)")
+        if value <= 0 or (key in ("NA", "NAO") and value >= 1):
+            raise self.refuse("the aperture is wrong", key, value, "> 0 (NA, NAO: < 1)")
+        if key == "NAO" and not self._near():
+            raise self.refuse(
+                "a numerical aperture in object space has no meaning for an object at infinity",
+                key,
+                value,
+                "EPD, FNO or NA",
+            )
         if key == "NA":
             self.account.substituted("file", f"NA {value:g}: by the f-number 1/(2 NA)")
             value = 1 / (2 * value)

@@ -11,6 +11,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.lens import glass
 from gpusim.lens.prescription import Check, Prescription
+from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
 
 
@@ -31,6 +32,23 @@ class FirstOrder:
     exit_pupil_diameter_mm: float
     exit_pupil_z_mm: float
     length_mm: float
+
+
+@dataclass(frozen=True)
+class Conjugates:
+    """Paraxial imaging of the object plane that a lens looks at, at one wavelength; lengths in mm.
+
+    ``image_mm`` is from the last vertex to the image of the distance that the lens is focused on;
+    ``magnification`` that of the object in this plane, less than 0 for an inverted image, 0 of an
+    object at infinity. The principal distance is the ideal height of a chief ray over the tangent
+    of its field angle: the focal length of a lens focused on infinity. ``working_f_number`` is
+    1 / (2 tan u') of the axial beam.
+    """
+
+    image_mm: float
+    magnification: float
+    principal_distance_mm: float
+    working_f_number: float
 
 
 @dataclass(frozen=True)
@@ -61,10 +79,10 @@ class System:
 
 
 def geometry_of(prescription: Prescription) -> Geometry:
-    """Return the shapes of a prescription as arrays."""
+    """Return the shapes of a prescription, and where its object is, as arrays."""
     surfaces = prescription.surfaces
     gaps = [s.thickness for s in surfaces[:-1]]
-    return Geometry(
+    geometry = Geometry(
         curvature=np.array([s.vertex_curvature for s in surfaces]),
         conic=np.array([s.conic for s in surfaces]),
         asphere=np.array([s.asphere.coefficients for s in surfaces]),
@@ -72,6 +90,14 @@ def geometry_of(prescription: Prescription) -> Geometry:
         stop=prescription.stop - 1,
         decentre=np.array([s.decentre_mm for s in surfaces]),
         rotation=np.array([s.rotation for s in surfaces]),
+    )
+    if prescription.object_distance_mm is None:
+        return geometry
+    index = indices(prescription, np.array([prescription.reference_nm]))
+    return replace(
+        geometry,
+        object_z=-prescription.object_distance_mm,
+        field_z=float(entrance_pupil(geometry, index)[0][0]),
     )
 
 
@@ -134,6 +160,9 @@ def first_order(
         diameter = efl / prescription.f_number
     elif prescription.entrance_pupil_diameter_mm is not None:
         diameter = prescription.entrance_pupil_diameter_mm
+    elif prescription.object_na is not None:
+        slope = np.tan(np.arcsin(prescription.object_na))
+        diameter = 2 * float(slope) * (prescription.object_distance_mm + pupil_z)
     else:
         diameter = 2 * prescription.stop_semi_diameter_mm / abs(magnification)
     # Lagrange invariant between the pupils: both are in air, so D' u' = D u. A telecentric lens
@@ -148,6 +177,72 @@ def first_order(
         exit_pupil_diameter_mm=diameter / abs(u) if u else np.inf,
         exit_pupil_z_mm=-y / u if u else np.inf,
         length_mm=float(geometry.vertex_z[-1]),
+    )
+
+
+def conjugates(prescription: Prescription, wavelength_nm: float | None = None) -> Conjugates:
+    """Return how a lens images the plane that it looks at, from paraxial rays.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    wavelength_nm : float, optional
+        Wavelength (the prescription's reference wavelength).
+
+    Raises
+    ------
+    UserError
+        Where a glass is unknown, or the lens forms no real image of what it is focused on.
+    """
+    wavelength = prescription.reference_nm if wavelength_nm is None else float(wavelength_nm)
+    order = first_order(prescription, wavelength)
+    geometry = geometry_of(prescription)
+    index = indices(prescription, np.array([wavelength]))
+    focused, distance = prescription.focused_mm, prescription.object_distance_mm
+    image = order.bfl_mm if focused is None else _image_mm(prescription, geometry, index, focused)
+    radius = order.entrance_pupil_diameter_mm / 2
+    if distance is None:
+        u = paraxial(geometry, index, radius, 0.0)[1, -1, 0]
+        if focused is None:
+            scale = order.efl_mm
+        else:  # the chief ray of unit slope, in that plane
+            scale = _reaches(geometry, index, -order.entrance_pupil_z_mm, 1.0, image)
+        return Conjugates(image, 0.0, scale, float(-0.5 / u))
+    far = distance + order.entrance_pupil_z_mm
+    # From an object of height 1 to the pupil's middle; then from the axis to the pupil's rim.
+    magnification = _reaches(geometry, index, 1 - distance / far, -1 / far, image)
+    u = paraxial(geometry, index, radius * distance / far, radius / far)[1, -1, 0]
+    return Conjugates(
+        image_mm=image,
+        magnification=magnification,
+        principal_distance_mm=magnification * (geometry.object_z - geometry.field_z),
+        working_f_number=float(-0.5 / u),
+    )
+
+
+def _reaches(geometry: Geometry, index: np.ndarray, y: float, u: float, image_mm: float) -> float:
+    """Return the height at which a paraxial ray meets a plane behind the last vertex."""
+    heights, angles = paraxial(geometry, index, y, u)
+    return float(heights[-1, 0] + image_mm * angles[-1, 0])
+
+
+def _image_mm(
+    prescription: Prescription, geometry: Geometry, index: np.ndarray, distance_mm: float
+) -> float:
+    """Return the distance from the last vertex to the paraxial image of a point of the axis."""
+    heights, angles = paraxial(geometry, index, distance_mm, 1.0)
+    y, u = float(heights[-1, 0]), float(angles[-1, 0])
+    if u < 0 < y:
+        return -y / u
+    # A ray from the front focus leaves along the axis.
+    rays = [paraxial(geometry, index, *start)[1, -1, 0] for start in ((1.0, 0.0), (0.0, 1.0))]
+    raise UserError(
+        "the lens forms no real image of an object so near",
+        file=prescription.file,
+        field="object_distance_m" if prescription.focus_distance_mm is None else "focus_distance_m",
+        value=f"{1e-3 * distance_mm:g}",
+        allowed=f"above {-1e-3 * rays[1] / rays[0]:.4g} m from the first surface, where the lens's "
+        "front focus is",
     )
 
 
@@ -189,7 +284,10 @@ def _coating(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarr
 
 @functools.lru_cache(maxsize=64)
 def _stop_radius(prescription: Prescription) -> float:
-    """Real radius of the stop: where the marginal ray of the axial beam crosses it."""
+    """Real radius of the stop: where the marginal ray of the axial beam crosses it.
+
+    An f-number is a lens's marking: it is that of an object at infinity, wherever the object is.
+    """
     if prescription.stop_semi_diameter_mm is not None:
         return prescription.stop_semi_diameter_mm
     geometry = geometry_of(prescription).centred()
@@ -197,6 +295,10 @@ def _stop_radius(prescription: Prescription) -> float:
     half = np.array([[order.entrance_pupil_diameter_mm / 2]])
     index = indices(prescription, prescription.reference_nm)
     axis = Launch(0.0, np.zeros((3, 1)))
+    if prescription.f_number is None and np.isfinite(geometry.object_z):
+        # To the rim of the paraxial entrance pupil.
+        axis = replace(axis, source=geometry.source(0.0))
+        half *= geometry.object_z / (geometry.object_z - geometry.field_z)
     rays = trace(geometry, index, axis, np.zeros((1, 1)), half, through=geometry.stop + 1)
     if not rays.ok.all():
         raise UserError(
@@ -273,14 +375,24 @@ def build(prescription: Prescription) -> System:
     Raises
     ------
     UserError
-        Where a glass is unknown, no ray reaches the stop or there is no real image.
+        Where a glass is unknown, no ray reaches the stop, there is no real image or a field does
+        not meet the object plane.
     """
     from gpusim.lens.wavefront import best_focus_shift
 
+    finite = prescription.object_distance_mm is not None
+    if finite and prescription.max_field_deg > RECTILINEAR.end_deg:
+        raise UserError(
+            "the object is a plane across the axis, which such fields do not meet",
+            file=prescription.file,
+            field="max_field_deg",
+            value=f"{prescription.max_field_deg:g}",
+            allowed=f"up to {RECTILINEAR.end_deg:g}, or an object at infinity",
+        )
     prescription = with_clear_apertures(prescription)
     geometry = geometry_of(prescription)
     last = prescription.surfaces[-1].thickness
-    distance = last if prescription.focus == "as-given" else first_order(prescription).bfl_mm
+    distance = last if prescription.focus == "as-given" else conjugates(prescription).image_mm
     clear = [np.inf if s.semi_diameter is None else s.semi_diameter for s in prescription.surfaces]
     system = System(
         prescription=prescription,
@@ -291,7 +403,9 @@ def build(prescription: Prescription) -> System:
     )
     shift = 1e-3 * prescription.focus_shift_um
     if prescription.focus == "best":
-        aligned = replace(system, geometry=geometry.centred())
+        focused = prescription.focused_mm
+        aligned = geometry_of(prescription.model_copy(update={"object_distance_mm": focused}))
+        aligned = replace(system, geometry=aligned.centred())
         shift += best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
     return replace(system, image_z_mm=system.image_z_mm + shift)
 

@@ -6,7 +6,8 @@ lengths in mm. Ray arrays have the shape (L, R): wavelengths, rays. A ray that m
 is totally reflected gets ``ok = False`` and keeps finite, meaningless numbers: never NaN.
 
 The rays of a field start on a plane perpendicular to it (``Launch``), never on the plane of the
-first vertex: tan(theta) appears nowhere, and fields of 90 deg and more are like any other.
+first vertex: of objects at infinity tan(theta) appears nowhere, and fields of 90 deg and more are
+like any other. Those of a point of an object plane start there along the way from that point.
 
 A surface that is decentred or tilted is met in its own frame; the others cost nothing more.
 """
@@ -35,6 +36,11 @@ class Geometry:
         x and y of each vertex, mm.
     rotation : ndarray, shape (S, 3, 3)
         From the frame of each surface to that of the lens.
+    object_z : float
+        Of the object plane, mm before the first vertex as a number < 0; -inf: at infinity.
+    field_z : float
+        Of the point of the axis at which the angle of a point of the object plane is its field:
+        the paraxial entrance pupil's. Of no meaning where the object is at infinity.
     """
 
     curvature: np.ndarray
@@ -44,6 +50,8 @@ class Geometry:
     stop: int
     decentre: np.ndarray
     rotation: np.ndarray
+    object_z: float = -np.inf
+    field_z: float = 0.0
 
     @functools.cached_property
     def moved(self) -> np.ndarray:
@@ -55,14 +63,22 @@ class Geometry:
         identity = np.broadcast_to(np.eye(3), self.rotation.shape)
         return replace(self, decentre=np.zeros_like(self.decentre), rotation=identity)
 
+    def source(self, theta: float, azimuth: float = 0.0) -> np.ndarray | None:
+        """Return the point of the object plane, shape (3,), of a field; None at infinity."""
+        if np.isinf(self.object_z):
+            return None
+        height = (self.object_z - self.field_z) * np.tan(theta)
+        return np.array([height * np.sin(azimuth), height * np.cos(azimuth), self.object_z])
+
 
 @dataclass(frozen=True)
 class Launch:
-    """The plane from which the rays of one field start: a wavefront, where their path is 0.
+    """The plane from which the rays of one field start, across its chief rays.
 
-    A ray starts at E + px e1 + py e2 along d = (0, sin theta, cos theta), with
-    e1 = (1, 0, 0) and e2 = (0, cos theta, -sin theta); an azimuth turns all three about the axis,
-    from y towards x.
+    A ray starts at E + px e1 + py e2. From infinity it goes along d = (0, sin theta, cos theta),
+    with e1 = (1, 0, 0) and e2 = (0, cos theta, -sin theta); an azimuth turns all three about the
+    axis, from y towards x. From a point of the object plane it goes along the way from that point,
+    and d is the way to E. Paths are those from the wavefront through E: a plane, or a sphere.
 
     Attributes
     ----------
@@ -73,26 +89,41 @@ class Launch:
         surface, so that (px, py) = 0 is the chief ray.
     azimuth : float
         Of the field, rad: 0 in the y-z plane, which is all that a centred lens needs.
+    source : ndarray, shape (3,), or None
+        Point of the object, mm; None where it is at infinity.
     """
 
     theta: float
     base: np.ndarray
     azimuth: float = 0.0
+    source: np.ndarray | None = None
 
     @property
     def direction(self) -> np.ndarray:
-        """Direction cosines d of the field, shape (3,)."""
-        return self._turned(0.0, np.sin(self.theta), np.cos(self.theta))
+        """Direction cosines d of the chief rays, shape (3, L)."""
+        if self.source is None:
+            field = self._turned(0.0, np.sin(self.theta), np.cos(self.theta))
+            return np.broadcast_to(field[:, None], self.base.shape)
+        way = self.base - self.source[:, None]
+        return way / np.sqrt((way * way).sum(0))
 
     @property
     def e1(self) -> np.ndarray:
-        """Unit vector of px, shape (3,)."""
-        return self._turned(1.0, 0.0, 0.0)
+        """Unit vector of px, shape (3, L)."""
+        across = self._turned(1.0, 0.0, 0.0)[:, None]
+        if self.source is None:
+            return np.broadcast_to(across, self.base.shape)
+        d = self.direction
+        across = across - (across * d).sum(0) * d
+        return across / np.sqrt((across * across).sum(0))
 
     @property
     def e2(self) -> np.ndarray:
-        """Unit vector of py, shape (3,)."""
-        return self._turned(0.0, np.cos(self.theta), -np.sin(self.theta))
+        """Unit vector of py, shape (3, L)."""
+        if self.source is None:
+            field = self._turned(0.0, np.cos(self.theta), -np.sin(self.theta))
+            return np.broadcast_to(field[:, None], self.base.shape)
+        return np.cross(self.direction, self.e1, axis=0)
 
     def _turned(self, x: float, y: float, z: float) -> np.ndarray:
         c, s = np.cos(self.azimuth), np.sin(self.azimuth)
@@ -100,8 +131,19 @@ class Launch:
 
     def points(self, px: np.ndarray, py: np.ndarray) -> np.ndarray:
         """Return where rays start, shape (3, L, R), for px and py of shape (L, R)."""
-        e1, e2 = self.e1[:, None, None], self.e2[:, None, None]
+        e1, e2 = self.e1[:, :, None], self.e2[:, :, None]
         return self.base[:, :, None] + px * e1 + py * e2
+
+    def rays(self, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the rays' starts and directions, (3, L, R), and their paths to there, (L, R)."""
+        point = self.points(px, py)
+        if self.source is None:
+            direction = np.broadcast_to(self.direction[:, :, None], point.shape)
+            return point, direction, np.zeros(px.shape)
+        way, chief = (one - self.source[:, None, None] for one in (point, self.base[:, :, None]))
+        far, chief_far = (np.sqrt((one * one).sum(0)) for one in (way, chief))
+        # The difference of the two, of which nothing cancels: the plane is across the chief ray.
+        return point, way / far, (px * px + py * py) / (far + chief_far)
 
 
 @dataclass(frozen=True)
@@ -201,7 +243,7 @@ def trace(
     *,
     through: int | None = None,
 ) -> Rays:
-    """Trace parallel rays from infinity.
+    """Trace the rays of one field.
 
     Parameters
     ----------
@@ -220,9 +262,7 @@ def trace(
     Rays
     """
     count = len(geometry.curvature) if through is None else through
-    point = launch.points(px, py)
-    direction = np.broadcast_to(launch.direction[:, None, None], point.shape)
-    path = np.zeros(px.shape)
+    point, direction, path = launch.rays(px, py)
     ok = np.ones(px.shape, dtype=bool)
     places = np.empty((count, *point.shape))
     moved = geometry.moved[:count].any()
@@ -333,24 +373,28 @@ def launch_field(
         px, py, found = _newton(geometry, index, guess, zero, zero, 0.0, 0.0, tolerance_mm)
         return replace(guess, base=guess.points(px, py)[:, :, 0]), found[:, 0]
 
+    def field(angle: float) -> Launch:
+        return Launch(angle, pivot, azimuth, geometry.source(angle, azimuth))
+
     pivot = np.zeros((3, index.shape[1]))
     pivot[2] = entrance_pupil(geometry, index)[0]
-    launch, found = chief(Launch(0.0, pivot, azimuth))
+    launch, found = chief(field(0.0))
     step = WALK_STEP
     while found.all() and launch.theta != theta:
         left = theta - launch.theta
         angle = theta if abs(left) <= step else launch.theta + np.copysign(step, left)
-        trial, reached = chief(Launch(angle, pivot, azimuth))
+        trial, reached = chief(field(angle))
         if reached.all():
             # Where the new chief ray crosses the old one, seen along the old field.
-            apart = launch.e2 @ (trial.base - launch.base) / (launch.e2 @ trial.direction)
-            pivot = trial.base - apart * trial.direction[:, None]
+            e2, along = launch.e2, trial.direction
+            apart = (e2 * (trial.base - launch.base)).sum(0) / (e2 * along).sum(0)
+            pivot = trial.base - apart * along
             launch, step = trial, min(2 * step, WALK_STEP)
         elif step > WALK_STEP / 2**WALK_HALVINGS:
             step /= 2
         else:
             found = reached
-    launch = replace(launch, theta=theta)
+    launch = replace(launch, theta=theta, source=geometry.source(theta, azimuth))
     rays = trace(geometry, index, launch, zero, zero, through=1)
     return replace(launch, base=rays.point[:, :, 0]), found & rays.ok[:, 0]
 

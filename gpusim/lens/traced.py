@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.lens.bank import Bank, ideal_height_um, provenance_of
+from gpusim.lens.bank import Bank, ideal_height_um, principal_mm, provenance_of
 from gpusim.lens.cone import cone_of
 from gpusim.lens.halo import distances_um, fall, halo_of, wave_of
 from gpusim.lens.plane_bank import PlaneBank
@@ -78,17 +78,21 @@ def traced_bank(
     within = fall(distances_um(size, pitch_um), radius_um)
     core = np.einsum("flyx,yx->fl", stacked["psf"], within, dtype=float)
     order = first_order(prescription, reference_nm)
+    principal = principal_mm(prescription, reference_nm)
     return Bank(
         wavelengths_nm=lines,
         reference_nm=float(reference_nm),
         field_deg=np.asarray(field_deg, float),
-        ideal_height_um=ideal_height_um(order.efl_mm, np.asarray(field_deg, float)),
+        ideal_height_um=ideal_height_um(
+            order.efl_mm if principal is None else principal, np.asarray(field_deg, float)
+        ),
         relative_illumination=solid_angle / solid_angle[0],
         projected_solid_angle_sr=solid_angle[0],
         transmission=transmission(prescription, lines),
         efl_mm=order.efl_mm,
         f_number=order.f_number,
         pitch_um=float(pitch_um),
+        principal_mm=principal,
         provenance=provenance_of(system) | {"traced": "in float64, to judge a bank by"},
         **stacked,
         **halo_of(lambda field, line: rows[field]["waves"][line], lines, pitch_um, radius_um, core),

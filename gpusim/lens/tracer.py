@@ -33,6 +33,8 @@ _PAIR = np.dtype(
         ("chief_path", "f4", 2),
         ("first_index", "u4"),
         ("waves_per_mm", "f4"),
+        ("vergence", "f4", 2),
+        ("unused", "f4", 2),
         ("aim", "f4", 4),
     ]
 )
@@ -152,7 +154,11 @@ class Beams:
         inverse = np.linalg.inv(np.moveaxis(slopes, 0, 1))
         to_image = (system.image_z_mm - rays.point[2, :, 0]) / gamma
         height = rays.point[1, :, 0] + to_image * beta
-        pairs["sine"], pairs["cosine"] = split(np.sin(theta)), split(np.cos(theta))
+        _, sine, cosine = launch.direction
+        pairs["sine"], pairs["cosine"] = split(sine), split(cosine)
+        if launch.source is not None:
+            way = launch.base - launch.source[:, None]
+            pairs["vergence"] = split((way * way).sum(0) ** -0.5)
         pairs["start_y"], pairs["start_z"] = split(launch.base[1]), split(launch.base[2])
         pairs["image_y"] = split(height)
         pairs["image_z"] = split(system.image_z_mm - geometry.vertex_z[-1])

@@ -189,6 +189,8 @@ def field_launch(system: System, index: np.ndarray, theta: float, azimuth: float
     UserError
         Where the chief ray does not reach the stop.
     """
+    if np.isfinite(system.geometry.object_z) and abs(theta) >= np.pi / 2:
+        raise no_chief_ray(system, theta)
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
     launch, found = launch_field(system.geometry, index, theta, tolerance, azimuth)
     if not found.all():

@@ -76,6 +76,7 @@ class _Reader:
         self.surfaces: list[_Block] = []
         self.vignetted = False  # some field has vignetting factors
         self.beams_known = True  # and all of them are in the meridional plane
+        self.working = False  # the f-number is that of the beam from the object
         for line in text.splitlines():
             words = line.split()
             if not words:
@@ -226,16 +227,19 @@ class _Reader:
     def _fields(self, used: set[str]) -> Fields:
         head = self.head
         kinds = {0: "angle", 2: "paraxial image height", 3: "real image height"}
+        if self.distance() is not None:
+            kinds[1] = "object height"
         if "FTYP" not in head.lines:
             raise self.refuse("the file states no field type", "FTYP", None, "FTYP 0 (angle)")
         kind = self.number(head, "FTYP", 0)
         if kind not in kinds:
             name = {1: "object height", 4: "theodolite angle"}.get(kind, f"{kind:g}")
             raise self.refuse(
-                "this field type is not read: the object is at infinity",
+                "this field type is not read"
+                + (": the object is at infinity" if self.distance() is None else ""),
                 "FTYP",
                 name,
-                "0 angle, 2 paraxial image height, 3 real image height",
+                ", ".join(f"{number} {kind}" for number, kind in sorted(kinds.items())),
             )
         if self.number(head, "FTYP", 1) != 0:
             raise self.refuse(
@@ -274,11 +278,38 @@ class _Reader:
         used |= {"VDXN", "VDYN", "VCXN", "VCYN", "VANN"}
         return Fields(kinds[int(kind)], sizes, tuple(beams) if self.vignetted else ())
 
+    def distance(self) -> float | None:
+        """Return the distance of the object; None at infinity.
+
+        Raises
+        ------
+        UserError
+            Where it does not lie before the lens.
+        """
+        object_ = self.surfaces[0]
+        text = (object_.first("DISZ") or ["none"])[0]
+        if text.upper() == "INFINITY" or self.number(object_, "DISZ") >= INFINITE:
+            return None
+        if self.number(object_, "DISZ") <= 0:
+            raise self.refuse(
+                "the object does not lie before the lens", "SURF 0 DISZ", text, "> 0, or INFINITY"
+            )
+        return self.number(object_, "DISZ")
+
     def _aperture(self, used: set[str]) -> dict[str, object]:
-        head = self.head
+        head, distance = self.head, self.distance()
+        if distance is not None and "OBNA" in head.lines:
+            used.add("OBNA")
+            if {"FNUM", "ENPD"} & head.lines.keys():
+                raise self.refuse("the file states two apertures", "OBNA", None, "one of them")
+            size = self.number(head, "OBNA")
+            if self.number(head, "OBNA", 1) != 0:  # the half angle of the cone
+                size = math.sin(math.radians(size))
+            return {"object_na": size}
         for key, name in (("FNUM", "f_number"), ("ENPD", "entrance_pupil_diameter_mm")):
             if key in head.lines:
                 used.add(key)
+                self.working = key == "FNUM" and self.number(head, "FNUM", 1) != 0
                 if "OBNA" in head.lines:
                     used.add("OBNA")
                     self.account.ignored("file", f"OBNA: the object is at infinity, {key} rules")
@@ -339,6 +370,8 @@ class _Reader:
                 "3 or more",
             )
         settings, fields = self.settings()
+        if (distance := self.distance()) is not None:
+            settings["object_distance_mm"] = distance
         stop = self._stop()
         if not 1 <= stop <= len(self.surfaces) - 2:
             raise self.refuse(
@@ -361,19 +394,22 @@ class _Reader:
             in_air = "glass" not in row
             rows.append(row)
         return finished(
-            settings | {"stop": stop, "surfaces": rows}, fields, self.account, self.file, "Zemax"
+            settings | {"stop": stop, "surfaces": rows},
+            fields,
+            self.account,
+            self.file,
+            "Zemax",
+            working_f_number=self.working,
         )
 
     def _ends(self) -> None:
         """Refuse what the model has no place for in the object and image surfaces."""
         object_, image = self.surfaces[0], self.surfaces[-1]
-        distance = (object_.first("DISZ") or ["none"])[0]
-        if distance.upper() != "INFINITY":
-            if self.number(object_, "DISZ") < INFINITE:
-                raise self.refuse(
-                    "a finite object distance is not modelled", "SURF 0 DISZ", distance, "INFINITY"
-                )
-            self.account.substituted("file", f"SURF 0 DISZ {distance}: by infinity")
+        text = (object_.first("DISZ") or ["none"])[0]
+        if self.distance() is not None:
+            self.account.read("file", f"SURF 0 DISZ {text}: object distance")
+        elif text.upper() != "INFINITY":
+            self.account.substituted("file", f"SURF 0 DISZ {text}: by infinity")
         for block in (object_, image):
             place = f"SURF {block.number}"
             if self.number(block, "CURV"):

@@ -181,7 +181,12 @@ class Grid:
         self.span = 1.2 * np.abs(landed).max()
         self.flat = bank.projection.name == "rectilinear"
         height = np.tan(np.radians(off)) if self.flat else np.radians(off)
-        wanted = 1e3 * bank.efl_mm * (height / np.where(off > 0, off, 1.0))[:, None] * field
+        wanted = (
+            1e3
+            * bank.principal_distance_mm
+            * (height / np.where(off > 0, off, 1.0))[:, None]
+            * field
+        )
         for degree in range(3, 15, 2):
             basis = self._basis(landed, degree)
             terms = np.linalg.lstsq(basis, wanted, rcond=None)[0]
@@ -222,7 +227,7 @@ class Grid:
         bank = self.bank
         ideal = self.ideal(source)
         height = np.hypot(*ideal.T)
-        angle = height / (1e3 * bank.efl_mm)
+        angle = height / (1e3 * bank.principal_distance_mm)
         angle = np.degrees(np.arctan(angle) if self.flat else angle)
         x_deg, y_deg = ideal.T * (angle / np.maximum(height, 1e-9))
         return tuple(

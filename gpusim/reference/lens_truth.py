@@ -123,8 +123,11 @@ def view(
     Raises
     ------
     ValueError
-        Where no light arrives.
+        Where no light arrives, or the object is not at infinity: this judge names what it sees by
+        directions.
     """
+    if np.isfinite(system.geometry.object_z):
+        raise ValueError("the object is not at infinity")
     image = np.asarray(point_um, float) * 1e-3
     focal = first_order(system.prescription, REFERENCE_NM).efl_mm
     frame = frame_of(system, system.index(np.array([REFERENCE_NM])), image, focal)

@@ -10,7 +10,7 @@ from gpusim.lens.bank import Bank
 from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.ready import ReadyLens
-from gpusim.lens.system import Checked, System, first_order
+from gpusim.lens.system import Checked, Conjugates, System, conjugates, first_order
 
 THETA = "\N{GREEK SMALL LETTER THETA}"
 # Beyond this half field f tan(theta) says little, and from the second nothing.
@@ -127,17 +127,36 @@ def first_order_facts(system: System) -> list[tuple[str, str]]:
     """Return what needs no bank: paraxial data, image plane and field."""
     lens = system.prescription
     order = first_order(lens)
+    looks = conjugates(lens)
     entrance = _pupil(order.entrance_pupil_diameter_mm, order.entrance_pupil_z_mm, 1)
     exit_ = _pupil(order.exit_pupil_diameter_mm, order.exit_pupil_z_mm, len(lens.surfaces))
     return [
         ("focal length", f"{order.efl_mm:.4f} mm"),
         ("back focal length", f"{order.bfl_mm:.4f} mm"),
         ("image plane", f"{behind(system):.4f} mm behind the last vertex"),
+        *_distances(lens, looks),
         ("length, vertex to vertex", f"{order.length_mm:.4f} mm"),
         ("entrance pupil", entrance),
         ("exit pupil", exit_),
         ("largest field", f"{lens.max_field_deg:.4g}\N{DEGREE SIGN} from the axis"),
         ("f-number", f"f/{order.f_number:.4g}"),
+    ]
+
+
+def _distances(lens: Prescription, looks: Conjugates) -> list[tuple[str, str]]:
+    """Return where the object is and what follows from it, unless all is set to infinity."""
+    if lens.object_distance_mm is None and lens.focused_mm is None:
+        return []
+    object_, focus = (
+        "infinity" if one is None else f"{1e-3 * one:.4g} m from the first surface"
+        for one in (lens.object_distance_mm, lens.focused_mm)
+    )
+    return [
+        ("object", object_),
+        ("focused on", focus),
+        ("magnification", f"{looks.magnification:.5g}"),
+        ("principal distance", f"{looks.principal_distance_mm:.4f} mm"),
+        ("paraxial working f-number", f"f/{looks.working_f_number:.4g}"),
     ]
 
 

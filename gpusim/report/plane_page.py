@@ -62,10 +62,10 @@ def plane_page(bank: PlaneBank, system: System | None) -> PlanePage:
     chief = np.stack([bank.chief_x_um, bank.chief_y_um], axis=-1)
     apart = chief[:, :, :, None] - chief[:, :, None]
     x, y = np.meshgrid(np.radians(bank.field_x_deg), np.radians(bank.field_y_deg))
-    theta = np.hypot(x, y)
+    theta, scale_um = np.hypot(x, y), 1e3 * bank.principal_distance_mm
     with np.errstate(invalid="ignore"):
-        scale = np.where(theta < np.pi / 2, 1e3 * bank.efl_mm * np.tan(theta), np.nan)
-        scale = np.where(theta > 0, scale / np.where(theta > 0, theta, 1), 1e3 * bank.efl_mm)
+        scale = np.where(theta < np.pi / 2, scale_um * np.tan(theta), np.nan)
+        scale = np.where(theta > 0, scale / np.where(theta > 0, theta, 1), scale_um)
     ideal = scale[..., None] * np.stack([x, y], axis=-1) + chief[bank.middle][reference]
     number = 0.5 / float(np.sqrt(bank.projected_solid_angle_sr[reference] / np.pi))
     cut_off = min(1e6 / (bank.wavelengths_nm[0] * number), 500 / bank.pitch_um)

@@ -2,7 +2,10 @@
 //
 // By Fermat's principle the path is stationary in the points where the ray meets the surfaces: points that are
 // 1e-5 mm off, as those of f32 are, change it by 1e-12 mm. So only the path is summed with 48 bits,
-//   path = n_0 (P_1 - E) . d + sum_s n_s |P_s+1 - P_s| + n_S (R - P_S) . (alpha, beta, gamma)
+//   path = n_0 l + sum_s n_s |P_s+1 - P_s| + n_S (R - P_S) . (alpha, beta, gamma),   l = (P_1 - E) . d
+// from infinity, and from a point of the object, O = E - D d, the same as a difference in which nothing cancels:
+//   l = |P_1 - O| - |E - O| = g + t^2 / D / (1 + g / D + sqrt((1 + g / D)^2 + t^2 / D^2)),
+//   g = (P_1 - E) . d,   t^2 = |P_1 - E|^2 - g^2
 // of points that lie on the surfaces to 48 bits: x and y of f32 and the sag that belongs to them. R is where the
 // chief ray lands; W = path - path of the chief ray is Debye's OPD (gpusim/lens/wavefront.py).
 // rays (R) of (p_x, p_y) [mm on the launch plane], pair, where to write the result
@@ -57,6 +60,16 @@ fn exact_sag(s: u32, at: vec3f) -> vec2f {
     return df_add(conic, sum);
 }
 
+// How much longer the way from a point of the object is than its part along the chief ray: see above.
+fn beyond_plane(g: vec2f, t2: vec2f, vergence: vec2f) -> vec2f {
+    let above = df_multiply(t2, vergence);
+    let along = df_add(vec2f(1.0, 0.0), df_multiply(g, vergence));
+    let below = df_add(along, df_sqrt(df_add(df_square(along), df_multiply(above, vergence))));
+    let ratio = above.x / below.x;  // and one step of Newton
+    let left = df_add(above, -df_multiply(vec2f(ratio, 0.0), below));
+    return quick_two_sum(ratio, left.x / below.x);
+}
+
 @compute @workgroup_size(64, 1, 1)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {
     let i = (group.y * params.across + group.x) * 64u + local;
@@ -81,7 +94,12 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) lo
         var leg: vec2f;
         if (s == 0u) {
             let y = df_add(vec2f(next.at.y, 0.0), -pair.start_y);
-            leg = df_add(df_multiply(y, pair.sine), df_multiply(df_add(z, -pair.start_z), pair.cosine));
+            let dz = df_add(z, -pair.start_z);
+            leg = df_add(df_multiply(y, pair.sine), df_multiply(dz, pair.cosine));
+            if (pair.vergence.x > 0.0) {
+                let square = df_add(two_product(next.at.x, next.at.x), df_add(df_square(y), df_square(dz)));
+                leg = df_add(leg, beyond_plane(leg, df_add(square, -df_square(leg)), pair.vergence));
+            }
         } else {
             let dx = two_sum(next.at.x, -before.x);
             let dy = two_sum(next.at.y, -before.y);

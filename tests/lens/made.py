@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.lens.prescription import validated
+from gpusim.lens.prescription import APERTURES, validated
 from gpusim.lens.wavefront import Samples
 
 
@@ -20,8 +20,7 @@ def lens(surfaces, **fields):
         "stop": 1,
         "surfaces": surfaces,
     }
-    apertures = {"f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm"}
-    if not apertures & set(fields):
+    if not set(APERTURES) & set(fields):
         data["f_number"] = 5.0
     return validated(data | fields, Path("test.yaml"))
 

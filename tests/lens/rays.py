@@ -65,7 +65,28 @@ def polynomial_oval() -> System:
     return build(whole.prescription.model_copy(update={"f_number": 2.5}))
 
 
+def two_ovals() -> System:
+    """Return two of Descartes's hyperboloids, glass between: a point at 30 mm, imaged at 20 mm.
+
+    By a magnification of -2/3, and without spherical aberration, as each sends a beam of parallel
+    rays to its focus.
+    """
+    rows = [
+        {"radius": 15.0, "conic": -2.25, "thickness": 8.0, "glass": "constant", "nd": 1.5},
+        {"radius": -10.0, "conic": -2.25},
+    ]
+    return build(lens(rows, object_na=0.25, object_distance_mm=30.0, max_field_deg=1.0))
+
+
+def near(make, distance_m: float) -> System:
+    """Return a lens with an object plane so near."""
+    return build(make().prescription.looking(distance_m))
+
+
 LENSES = {
+    "two ovals": (two_ovals, (0.0, 1.0)),
+    "near double gauss": (lambda: near(double_gauss, 0.05), (0.0, 14.0)),
+    "near phone": (lambda: near(phone_lens, 0.6), (0.0, 20.0)),
     "oval": (oval, (0.0, 1.0)),
     "polynomial oval": (polynomial_oval, (0.0, 1.0)),
     "double gauss": (double_gauss, (0.0, 14.0)),
@@ -126,4 +147,4 @@ def bound(device: Device, beams: Beams) -> dict[str, np.ndarray]:
     """
     buffers = {name: device.read(one) for name, one in beams._lens().items()}
     pairs = buffers["pairs"].ravel()
-    return buffers | {"pairs": np.pad(pairs, (0, -(pairs.size + MARGIN) % 20))}
+    return buffers | {"pairs": np.pad(pairs, (0, -(pairs.size + MARGIN) % 24))}

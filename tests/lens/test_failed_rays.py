@@ -50,7 +50,7 @@ def sag_and_normal(geometry, s, x, y):
 def obeys_snell(geometry, index, launch, rays, line):
     """Check the points, directions and paths of the rays of one wavelength that passed."""
     good = rays.ok[line]
-    before = np.broadcast_to(launch.direction[:, None], (3, good.sum()))
+    before = np.broadcast_to(launch.direction[:, [line]], (3, good.sum()))
     places = np.stack([rays.x, rays.y, rays.z], axis=1)[:, :, line][:, :, good]
     count = len(places)
     path = rays.path[line, good].copy()
@@ -79,8 +79,8 @@ def obeys_snell(geometry, index, launch, rays, line):
         assert np.abs(miss[:, clear]).max(initial=0) < 1e-6
         assert ((before * normal).sum(0)[clear] > 0).all()
         before = after
-    start = places[0] - path * launch.direction[:, None]
-    on_plane = launch.direction @ (start - launch.base[:, [line]])
+    start = places[0] - path * launch.direction[:, [line]]
+    on_plane = launch.direction[:, line] @ (start - launch.base[:, [line]])
     np.testing.assert_allclose(on_plane, 0, atol=1e-8)
     return good.sum()
 

@@ -11,7 +11,7 @@ from lens.written import pbrt_text, seq_text, zmx_text
 from gpusim.errors import UserError
 from gpusim.lens.agf import with_file_catalogues
 from gpusim.lens.pbrt import parse_pbrt
-from gpusim.lens.prescription import _parse_yaml, load_prescription
+from gpusim.lens.prescription import APERTURES, _parse_yaml, load_prescription
 from gpusim.lens.seq import parse_seq
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
@@ -48,7 +48,14 @@ def aspheric_lens():
     )
 
 
+def macro_lens():
+    """Return a lens designed for an object at 60 mm: the file's, and not a camera's."""
+    near = dict.fromkeys(APERTURES) | {"object_na": 0.02, "object_distance_mm": 60.0}
+    return load_prescription("cooke-triplet").scaled(20.0).limited(15.0).model_copy(update=near)
+
+
 LENSES = {
+    "macro": macro_lens,
     "double-gauss": lambda: load_prescription("double-gauss").scaled(8.3).stopped(2.8),
     "cooke-triplet": lambda: load_prescription("cooke-triplet"),
     "aspheric": aspheric_lens,

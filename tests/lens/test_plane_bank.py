@@ -158,7 +158,7 @@ def test_a_plane_bank_survives_its_file(bank, tmp_path):
     bank.save(path)
     again = PlaneBank.load(path)
     stored = {*plane_bank._VARIABLES, *plane_bank._RAYS, *plane_bank._HALO}
-    stored |= {*plane_bank._SCALARS, "provenance"}
+    stored |= {*plane_bank._SCALARS, *plane_bank._FINITE, "provenance"}
     # The projection is the scene's.
     assert {field.name for field in dataclasses.fields(PlaneBank)} == stored | {"projection"}
     for name in stored - {"provenance"}:

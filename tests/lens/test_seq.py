@@ -235,7 +235,7 @@ def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
         ("DIM M", "DIM F", ["unit of length", "F"]),
         ("  STO\n", "", ["no stop", "STO"]),
         ("S -50.0 48.0", "S -50.0 48.0; STO", ["several stops", "S2 STO"]),
-        ("SO 0 1e13", "SO 0 1000.0", ["finite object distance", "1000.0"]),
+        ("SO 0 1e13", "SO 0 -1000.0", ["before the lens", "-1000.0"]),
         ("SO 0 1e13", "SO 0.1 1e13", ["curved object or image", "SO"]),
         ("SI 0", "SI 0.1", ["curved object or image", "SI"]),
         ("SI 0 -0.25\n", "", ["not a CODE V lens file", "SI"]),

@@ -273,7 +273,7 @@ def test_rays_of_a_fisheye_start_on_a_wavefront_and_land_where_they_were_sent(fi
     np.testing.assert_allclose(chief, launch.base, rtol=0, atol=1e-8)
     np.testing.assert_allclose(np.hypot(px, py)[:, -1], 0, atol=1e-8)
     starts = launch.points(px, py) - launch.base[:, :, None]
-    np.testing.assert_allclose(np.tensordot(launch.direction, starts, 1), 0, atol=1e-14)
+    np.testing.assert_allclose(np.einsum("cl,clr->lr", launch.direction, starts), 0, atol=1e-14)
 
 
 def test_nothing_happens_at_90_deg():

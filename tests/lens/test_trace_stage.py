@@ -28,7 +28,7 @@ from gpusim.lens.wavefront import field_launch
 ANGLE, PLACE_MM, WAVES = 2e-6, 2e-5, 7e-7
 # The polynomial's a28 and a30 are below 1e-38 mm^(1-k), which f32 would flush: 1e-7 waves at the
 # rim. In the unit of shaders/common/surface they are not.
-EXACT = {"oval": 2e-8, "polynomial oval": 2e-8}
+EXACT = {"two ovals": 2e-8, "oval": 2e-8, "polynomial oval": 2e-8}
 MADE = {}
 
 

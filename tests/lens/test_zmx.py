@@ -185,7 +185,7 @@ def test_every_kind_of_aperture_is_read(tmp_path, written, line, name, value):
     [
         ("MODE SEQ", "MODE NSC", ["sequential", "MODE", "NSC"]),
         ("UNIT MM", "UNIT IN", ["UNIT", "IN", "MM"]),
-        ("DISZ INFINITY", "DISZ 1000", ["finite object distance", "1000", "INFINITY"]),
+        ("DISZ INFINITY", "DISZ -1000", ["before the lens", "-1000", "INFINITY"]),
         ("  STOP\r\n", "", ["no stop", "STOP"]),
         ("SURF 3\r\n", "SURF 3\r\n  STOP\r\n", ["several stops", "[3, 6]"]),
         ("FNUM 2.8 0", "OBNA 0.2 0", ["OBNA", "numerical aperture"]),
@@ -214,7 +214,7 @@ def test_every_kind_of_aperture_is_read(tmp_path, written, line, name, value):
         ("  HIDE 0 0", "  SQAP 1 2", ["rectangular aperture", "SURF 1 SQAP"]),
         ("SURF 2\r\n", "SURF 2\r\n  XDAT 3 0.1\r\n", ["SURF 2 XDAT 3", "XASPHERE"]),
         ("  GLAS F5 0 0 1.5 40.0 0 0 0 0 0 0", "  GLAS", ["a glass has no name", "SURF 7 GLAS"]),
-        ("DISZ INFINITY", "DISZ 1e9", ["finite object distance", "1e9"]),
+        ("DISZ INFINITY", "DISZ 0", ["before the lens", "SURF 0 DISZ"]),
         ("SURF 2\r\n", "SURF 2\r\n  PARM 3 0.1\r\n", ["SURF 2 PARM 3", "EVENASPH"]),
         ("SURF 2\r\n", "SURF 2\r\n  CLAP 0.1 1.0\r\n", ["obscuration", "SURF 2 CLAP"]),
         ("WAVM 1 0.4861327 1", "WAVM 1 blue 1", ["WAVM", "blue"]),

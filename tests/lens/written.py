@@ -7,8 +7,11 @@ def zmx_text(prescription, image_distance_mm):
     primary = lines.index(prescription.reference_nm) + 1
     if prescription.f_number is not None:
         aperture = f"FNUM {prescription.f_number!r} 0"
+    elif prescription.object_na is not None:
+        aperture = f"OBNA {prescription.object_na!r} 0"
     else:
         aperture = f"ENPD {prescription.entrance_pupil_diameter_mm!r}"
+    distance = prescription.object_distance_mm
     text = [
         "VERS 140730 195 26155",
         "MODE SEQ",
@@ -35,7 +38,7 @@ def zmx_text(prescription, image_distance_mm):
         "SURF 0",
         "  TYPE STANDARD",
         "  CURV 0.0 0 0 0 0",
-        "  DISZ INFINITY",
+        f"  DISZ {'INFINITY' if distance is None else repr(distance)}",
         "  DIAM 0 0 0 0 1",
     ]
     surfaces = prescription.surfaces
@@ -84,6 +87,8 @@ def seq_text(prescription, image_distance_mm, radii=True, unit="M"):
     per_mm = {"M": 1.0, "C": 0.1, "I": 1 / 25.4}[unit]
     if prescription.f_number is not None:
         aperture = f"FNO   {prescription.f_number!r}"
+    elif prescription.object_na is not None:
+        aperture = f"NAO   {prescription.object_na!r}"
     else:
         aperture = f"EPD   {prescription.entrance_pupil_diameter_mm * per_mm!r}"
     text = [
@@ -99,7 +104,7 @@ def seq_text(prescription, image_distance_mm, radii=True, unit="M"):
         f"YAN   0.0 {0.7 * prescription.max_field_deg!r} &",
         f"  {prescription.max_field_deg!r}",
         "VUY   0.0 0.0 0.0; VLY 0.0 0.0 0.0",
-        "SO    0.0 0.1e14",
+        f"SO    0.0 {(prescription.object_distance_mm or 1e13) * per_mm!r}",
     ]
     surfaces = prescription.surfaces
     for number, surface in enumerate(surfaces, start=1):
