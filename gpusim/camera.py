@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from gpusim.known import Known
     from gpusim.lens.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
 
@@ -42,6 +43,10 @@ class Lens(Protocol):
     @property
     def history(self) -> tuple[str, ...]:
         """What was done since the file was read: one sentence for each step."""
+
+    @property
+    def known(self) -> tuple[Known, ...]:
+        """Over which wavelengths it is known."""
 
     def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
         """Return its PSFs with everything else that the chain needs of it."""

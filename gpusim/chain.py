@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -37,7 +38,9 @@ from gpusim.gpu import (
 from gpusim.gpu.pool import mebibytes
 from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, optics_of
+from gpusim.lens.bank import default_lines_nm
 from gpusim.lens.field_bank import FieldBank, seen_as
+from gpusim.lens.prescription import Prescription
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
@@ -48,9 +51,10 @@ from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plans_optics
+from gpusim.plan.band import Band, band_of, with_band
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
-from gpusim.plan.density import bank_density
+from gpusim.plan.density import Density, bank_density
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
@@ -123,6 +127,8 @@ class Capture:
         Of the sensor.
     costs : Costs or None
         The rates that the plan was made from: with them it is made again.
+    band : Band
+        The wavelengths that were rendered, and what no data describe.
     """
 
     raw: np.ndarray
@@ -148,6 +154,7 @@ class Capture:
     exposure_s: float
     accuracy: Accuracy
     temperature_c: float
+    band: Band
     costs: Costs | None = None
 
     @property
@@ -167,6 +174,38 @@ class Capture:
         shielded = parts_around(self.lit, overlap(self.rect, self.camera.sensor.frame.pixels))
         first_row, first_col = self.rect[:2]
         return [(row - first_row, col - first_col, *size) for row, col, *size in shielded]
+
+
+class Look(NamedTuple):
+    """What a camera sees of a scene: its wavelengths, the scene at these, and the lens's PSFs."""
+
+    band: Band
+    scene: Scene
+    density: Density | None
+    bank: FieldBank
+
+
+def look(
+    camera: Camera,
+    scene: Scene,
+    accuracy: Accuracy,
+    exposure_s: float = math.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> Look:
+    """Choose wavelengths, fields and lines for a tolerance, and trace the lens.
+
+    ``exposure_s``: the longest that will be captured; ``progress``: called with (done, total).
+    """
+    # A camera that brings a bank along may have no lens to ask.
+    lens, sensor = getattr(camera, "lens", None), camera.sensor
+    band = band_of(lens, sensor, scene, accuracy)
+    scene = scene.on(band.wavelengths_nm)
+    density = bank_density(lens, sensor, scene, accuracy, exposure_s, progress)
+    sampling = {} if density is None else density.sampling
+    if density is None and isinstance(lens, Prescription):
+        sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
+    bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
+    return Look(band, scene, density, bank)
 
 
 class Renderer:
@@ -265,19 +304,13 @@ class Renderer:
         plan: Plan | None,
     ) -> None:
         """Plan, and place the scene on the sensor."""
-        camera, scene, sensor = self.camera, self.scene, self.camera.sensor
+        camera, sensor = self.camera, self.camera.sensor
         started = time.perf_counter()
-
-        def tracing(done: int, total: int) -> None:
-            report("lens", done, total)
-
-        # A camera that brings a bank along may have no lens to ask.
-        lens = getattr(camera, "lens", None)
-        given = lens, sensor, scene, self.accuracy, self.longest_s, tracing
-        self.density = bank_density(*given)
-        sampling = {} if self.density is None else self.density.sampling
-        whole = seen_as(camera.bank(progress=tracing, **sampling), scene.projection)
-        self.bank, self.core = whole, whole.levels[0]
+        asked = self.accuracy, self.longest_s
+        seen = look(camera, self.scene, *asked, lambda *done: report("lens", *done))
+        self.band, self.density, self.scene = seen.band, seen.density, seen.scene
+        scene = self.scene
+        self.bank, self.core = seen.bank, seen.bank.levels[0]
         started = self._spent("lens", started)
         self._costs, self._noise = costs, noise
         self.plan = plan or self.planned(method, force)
@@ -302,7 +335,7 @@ class Renderer:
         self.resident_glare = self.device.resident("glare", self.glare)
         if isinstance(self.placed, PlacedRaster) and len(self.placed.highlights):
             lights = self.placed.highlights, scene.spectra, self.plan.tolerance
-            self.splat = Splat(self.device, self.core, sensor, *lights)
+            self.splat = Splat(self.device, self.core, sensor, *lights, scene.wavelengths_nm)
         sites = list(planes_of(sensor).channels)
         for scale, source in zip(self.plan.scales, self.sources, strict=True):
             convolve = convolution(self.device, scale, source.needed, sensor.response_um, sites)
@@ -319,9 +352,10 @@ class Renderer:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
         given = self.bank, sensor, self.scene, self.accuracy, self._costs, self._noise
-        return plans_optics(
+        found = plans_optics(
             *given, method, force, self.longest_s, count=count, density=self.density
         )
+        return [with_band(plan, self.band) for plan in found]
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
@@ -458,10 +492,12 @@ class Renderer:
                     exposure_s,
                     self.accuracy,
                     lambda done, total: report("trace anew", done, total),
+                    self.band.dropped,
                 ),
             )
         return Capture(
             costs=self._costs,
+            band=self.band,
             raw=shot.on_rect("dn"),
             rate=shot.on_rect("rate") if "rate" in keep else None,
             electrons=shot.on_rect("electrons") if "electrons" in keep else None,
@@ -679,7 +715,8 @@ class Renderer:
     def _white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
         sensor = self.camera.sensor
-        white = np.einsum("clw,w->c", spectral_weights(self.core, sensor), self.scene.white)
+        weights = spectral_weights(self.core, sensor, wavelengths_nm=self.scene.wavelengths_nm)
+        white = np.einsum("clw,w->c", weights, self.scene.white)
         return {
             name: float(value * exposure_s)
             for name, value in zip(sensor.channels, white, strict=True)

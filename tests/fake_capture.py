@@ -12,10 +12,13 @@ from gpusim.chain import Capture
 from gpusim.isp.optics import Optics
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
+from gpusim.plan.band import Band, Unknown
 from gpusim.plan.candidates import RunnerUp
 from gpusim.scene import make_scene
+from gpusim.scene.spectra import WAVELENGTHS_NM
 
 ROWS, COLS = 48, 64
+MISSING = Unknown(700.0, 1200.0, ("the <filter>",), 0.234, "R")
 STAGES = (
     PlanStage("paint", True, "drawn on the sim grid", 1e-5, 0.3),
     PlanStage("warp", False, "the scene is a <chart> & needs none"),
@@ -117,4 +120,5 @@ def fake_capture(
         exposure_s=1 / 60,
         temperature_c=25.0,
         accuracy=Accuracy(tolerance=tolerance, probes=2),
+        band=Band(WAVELENGTHS_NM, (MISSING,)),
     )

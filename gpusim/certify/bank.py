@@ -37,7 +37,6 @@ from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
-from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
 THINNED = 1 / 16  # of the error with fields twice as far apart: cubics go with the fourth power
@@ -54,6 +53,7 @@ def bank_share(
     exposure_s: float,
     accuracy: Accuracy,
     progress: Callable[[int, int], None] | None = None,
+    dropped: float = 0.0,
 ) -> Judged:
     """Judge a bank by its lens, as far as a scene shows it.
 
@@ -73,8 +73,14 @@ def bank_share(
     accuracy : Accuracy
     progress : callable, optional
         Called with (done, total) of the fields that are traced.
+    dropped : float
+        Share of the light that was left out for its wavelength: see `gpusim.plan.band`. It counts
+        with the window's.
     """
     window, notes = beyond(bank, sensor, rate, origin, exposure_s, accuracy)
+    if dropped:
+        window += left_out(sensor, rate, exposure_s, accuracy, dropped)
+        notes += (f"window: with it {dropped:.1e} of the light, left out for its wavelength",)
     traced, axial = isinstance(lens, Prescription), isinstance(bank, Bank)
     fields = bank.field_deg.shape if axial else (len(bank.field_y_deg), len(bank.field_x_deg))
     if not traced and min(fields) < 5:
@@ -138,6 +144,16 @@ def beyond(
     reach_mm = last.psf.shape[-1] / 2 * last.pitch_um / 1e3
     words = f"window: {most:.1e} of the light lands more than {reach_mm:.3g} mm from its chief ray"
     return float(np.sqrt(np.mean(lost**2))), (words,)
+
+
+def left_out(
+    sensor: Sensor, rate: np.ndarray, exposure_s: float, accuracy: Accuracy, share: float
+) -> float:
+    """Return the RMS error that a share of the light makes which every pixel lacks."""
+    some = rate.ravel()[:: max(1, rate.size // 4096)].astype(np.float64)
+    lit = some[some > 0]
+    lost = errors(sensor, lit * (1 + share), lit, exposure_s, accuracy)
+    return float(np.sqrt(np.mean(lost**2))) if len(lit) else 0.0
 
 
 Fields = Heights | Grid
@@ -286,7 +302,7 @@ def _changes(
             return
         for level in range(levels):
             ours, (theirs, fields) = pairs[number](level)
-            given = (theirs, sensor, scene.spectra, WAVELENGTHS_NM, fields, ours)
+            given = (theirs, sensor, scene.spectra, scene.wavelengths_nm, fields, ours)
             if level:
                 changes[own] += Wide(*given).at(placed, pixels[own])
             else:

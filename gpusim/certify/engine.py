@@ -21,7 +21,6 @@ from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
-from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 
 
@@ -47,9 +46,9 @@ def true_rates(
         Called with (done, total) pixels.
     """
     core, *halo = bank.levels
-    truth = Truth(core, sensor, scene.spectra, WAVELENGTHS_NM)
+    truth = Truth(core, sensor, scene.spectra, scene.wavelengths_nm)
     evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-    wide = [Wide(level, sensor, scene.spectra, WAVELENGTHS_NM) for level in halo]
+    wide = [Wide(level, sensor, scene.spectra, scene.wavelengths_nm) for level in halo]
     # Nearby pixels share kernels: in order of radius.
     centre = np.array([sensor.rows, sensor.cols]) / 2
     order = np.argsort(np.hypot(*(pixels - centre).T))

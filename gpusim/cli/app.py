@@ -129,6 +129,12 @@ def render(
         float | None,
         typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
     ] = None,
+    illuminant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Light on a chart: D50, A, FL2, ..., or a blackbody: 5100K."
+        ),
+    ] = None,
     projection: Annotated[
         str,
         typer.Option(
@@ -234,6 +240,7 @@ def render(
         exposure=exposure,
         temperature_c=temperature,
         luminance_cd_m2=luminance,
+        illuminant=illuminant,
         projection=projection,
         tolerance=tolerance,
         probes=certify,

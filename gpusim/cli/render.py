@@ -16,6 +16,7 @@ from PIL import Image
 from gpusim import report
 from gpusim.camera import load_camera
 from gpusim.chain import capture as take
+from gpusim.chain import look
 from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
@@ -24,10 +25,9 @@ from gpusim.isp.develop import check_ev, develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
-from gpusim.lens.field_bank import seen_as
 from gpusim.plan import Accuracy, plan_optics
+from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs, planned_costs
-from gpusim.plan.density import bank_density
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -47,6 +47,7 @@ def run(
     exposure: str,
     temperature_c: float | None,
     luminance_cd_m2: float | None,
+    illuminant: str | None,
     projection: str,
     tolerance: str,
     probes: int,
@@ -88,34 +89,28 @@ def run(
         camera = replace(camera, sensor=camera.sensor.at_iso(iso))
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    scene = make_scene(scene_name, luminance_cd_m2, projection=projection)
+    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection=projection)
     costs = None if plan is None else planned_costs(plan)
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
-
-            def tracing(done: int, total: int) -> None:
-                progress("lens", done, total)
-
-            given = camera.lens, camera.sensor, scene, accuracy, exposure_s, tracing
-            density = bank_density(*given)
-            sampling = {} if density is None else density.sampling
-            bank = seen_as(camera.bank(tracing, **sampling), scene.projection)
+            given = accuracy, exposure_s
+            seen = look(camera, scene, *given, lambda *done: progress("lens", *done))
             costs = costs or adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
         chosen = plan_optics(
-            bank,
+            seen.bank,
             camera.sensor,
-            scene,
+            seen.scene,
             accuracy,
             costs,
             noise,
             method,
             exposure_s=exposure_s,
-            density=density,
+            density=seen.density,
         )
-        print(chosen.text())
+        print(with_band(chosen, seen.band).text())
         return 0
     with staging(out) as folder:
         with (

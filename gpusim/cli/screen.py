@@ -81,6 +81,8 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
         if stage["name"] == RIM and stage["runs"]:
             text = f"warning: {stage['reason']}"
             console.print(text, markup=False, highlight=False, soft_wrap=True)
+    for one in facts["wavelengths"]["no_data"]:
+        console.print(f"warning: {one['text']}", markup=False, highlight=False, soft_wrap=True)
     console.print(f"convolved by {plan['name']}", markup=False, highlight=False)
     if plan["shortfall"]:
         text = f"best effort: {plan['shortfall']}"

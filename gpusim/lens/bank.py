@@ -7,6 +7,7 @@ cached on disk under a hash of all that determines it.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib import metadata
@@ -646,6 +647,14 @@ def no_rays(provenance: dict[str, str]) -> UserError:
         allowed="the distance from the exit pupil to the image plane in the lens's file, a lens "
         "given by its prescription, or a sensor without eqe_map",
     )
+
+
+def default_lines_nm(first_nm: float, last_nm: float) -> np.ndarray:
+    """Return `WAVELENGTHS_NM` and lines no farther apart to both ends, nm."""
+    step = WAVELENGTHS_NM[1] - WAVELENGTHS_NM[0]
+    sides = (first_nm, WAVELENGTHS_NM[0]), (WAVELENGTHS_NM[-1], last_nm)
+    added = [np.linspace(*side, math.ceil((side[1] - side[0]) / step) + 1) for side in sides]
+    return np.unique(np.concatenate([*added, WAVELENGTHS_NM]))
 
 
 def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.known import Known
 
 if TYPE_CHECKING:
     from gpusim.lens.prescription import Surface
@@ -321,6 +322,27 @@ def model_index(
     if dpgf is not None:
         law += (dpgf - mean_dpgf(vd)) * _anomaly(wavelengths)
     return nd + (nd - 1) / vd * law
+
+
+def surface_known(
+    surface: Surface, number: int, catalogues: tuple[str, ...], *, file: Path | None
+) -> Known | None:
+    """Return over which wavelengths the glass behind a surface is known; None of air and the like.
+
+    Parameters
+    ----------
+    surface, number, catalogues, file
+        As for `surface_index`.
+    """
+    if surface.glass in (None, "constant"):
+        return None
+    what = f"glass {surface.glass} of surface {number}"
+    if surface.glass == "model":
+        return Known(what, *_MODEL_RANGE_NM)
+    if surface.dispersion is not None:
+        return Known(what, *(1e3 * end for end in surface.dispersion.range_um))
+    place = resolve(surface.glass, catalogues, surface=number, file=file)
+    return Known(what, *catalogue_range_nm(*place))
 
 
 def surface_index(

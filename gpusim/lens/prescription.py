@@ -22,6 +22,7 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_bytes, yaml_of
 from gpusim.errors import UserError
+from gpusim.known import Known
 from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
 
@@ -288,6 +289,24 @@ class Prescription(Strict):
     def is_centred(self) -> bool:
         """Whether no surface is decentred or tilted."""
         return all(surface.is_centred for surface in self.surfaces)
+
+    @property
+    def known(self) -> tuple[Known, ...]:
+        """Over which wavelengths its glasses and its coating are known: those that end first."""
+        from gpusim.lens.glass import surface_known
+
+        found = [
+            surface_known(surface, number, self.glass_catalogues, file=self.file)
+            for number, surface in enumerate(self.surfaces, start=1)
+        ]
+        if self.coating is not None:
+            lines = self.coating.wavelength_nm
+            found.append(Known("the lens's coating", lines[0], lines[-1]))
+        some = [one for one in found if one is not None]
+        if not some:
+            return ()
+        ends = max(some, key=lambda one: one.first_nm), min(some, key=lambda one: one.last_nm)
+        return tuple(dict.fromkeys(ends))
 
     def bank(
         self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray

@@ -30,8 +30,9 @@ from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
 from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
+from gpusim.known import Known
 from gpusim.lens.assemble import check_bank, unit_psf
-from gpusim.lens.bank import Bank
+from gpusim.lens.bank import WAVELENGTHS_NM, Bank
 from gpusim.lens.cone import with_exit_pupil
 from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.plane_bank import holds_plane_bank, load_plane_bank
@@ -89,6 +90,13 @@ class ReadyLens(Strict):
     def history(self) -> tuple[str, ...]:
         """What was done since the file was read: nothing can be."""
         return ()
+
+    @property
+    def known(self) -> tuple[Known, ...]:
+        """Over which wavelengths its PSFs are known: what is seen, and as far as they reach."""
+        lines, eye = self._bank.wavelengths_nm, WAVELENGTHS_NM
+        ends = min(lines[0], eye[0]), max(lines[-1], eye[-1])
+        return (Known("the lens's file", *map(float, ends)),)
 
     def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
         """Return the bank; nothing is left to compute."""

@@ -7,6 +7,7 @@ take a hundredth of the room, and need no halo. They come from the generator, as
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,9 +48,30 @@ _SCALARS = {
 }
 
 
-def even_lines_nm(steps: int) -> np.ndarray:
-    """Return lines that are evenly spaced in 1 / lambda, `steps` of them in each eleventh."""
-    inverse = np.linspace(1 / SHORTEST_NM, 1 / LONGEST_NM, ELEVENTHS * steps + 1)
+def added_intervals(first_nm: float, last_nm: float) -> tuple[int, int]:
+    """Return how many intervals, none wider than an eleventh, lie below 400 and beyond 700 nm."""
+    eleventh = (1 / SHORTEST_NM - 1 / LONGEST_NM) / ELEVENTHS
+    gaps = 1 / first_nm - 1 / SHORTEST_NM, 1 / LONGEST_NM - 1 / last_nm
+    below, beyond = (max(0, math.ceil(gap / eleventh - 1e-9)) for gap in gaps)
+    return below, beyond
+
+
+def even_lines_nm(
+    steps: int, first_nm: float = SHORTEST_NM, last_nm: float = LONGEST_NM
+) -> np.ndarray:
+    """Return lines that are evenly spaced in 1 / lambda, `steps` of them in each eleventh.
+
+    Those from 400 to 700 nm are always the same; below and beyond there are as many as it takes,
+    evenly spaced as far as the ends.
+    """
+    ends = (first_nm, SHORTEST_NM), (SHORTEST_NM, LONGEST_NM), (LONGEST_NM, last_nm)
+    below, beyond = added_intervals(first_nm, last_nm)
+    parts = [
+        np.linspace(1 / start, 1 / end, count * steps + 1)
+        for (start, end), count in zip(ends, (below, ELEVENTHS, beyond), strict=True)
+        if count
+    ]
+    inverse = np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
     return np.round(1 / inverse, 6)
 
 

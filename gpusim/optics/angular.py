@@ -46,6 +46,8 @@ class AngularResponse:
     bank : FieldBank
     sensor : Sensor
         With ``eqe_map``.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
 
     Attributes
     ----------
@@ -60,11 +62,14 @@ class AngularResponse:
         Where the bank does not know its rays.
     """
 
-    def __init__(self, bank: FieldBank, sensor: Sensor) -> None:
+    def __init__(
+        self, bank: FieldBank, sensor: Sensor, wavelengths_nm: np.ndarray = WAVELENGTHS_NM
+    ) -> None:
         self.bank, self.micro_lens = bank, sensor.micro_lens
+        self.wavelengths_nm = wavelengths_nm
         self.map = sensor.eqe_map
-        light = passed(sensor.filters)
-        table = np.stack([self.map.on_the_grid[name] for name in sensor.channels])
+        light, of_map = passed(sensor.filters, wavelengths_nm), self.map.on_grid(wavelengths_nm)
+        table = np.stack([of_map[name] for name in sensor.channels])
         self.table = table * light[:, None, None]
         self.fields, self.places = bank.places(EVERYWHERE_UM)
         corner_um = float(np.hypot(sensor.rows, sensor.cols)) * sensor.pixel_pitch_um / 2
@@ -79,7 +84,7 @@ class AngularResponse:
         return np.arange(AZIMUTHS if self.turning else 1) * (2 * np.pi / AZIMUTHS)
 
     def qe(self, number: int) -> np.ndarray:
-        """Return the mean quantum efficiency (A, C, L, 61) of a field of the bank, by azimuth.
+        """Return the mean quantum efficiency (A, C, L, K) of a field of the bank, by azimuth.
 
         Raises
         ------
@@ -134,16 +139,16 @@ class AngularResponse:
 
     @property
     def on_axis(self) -> np.ndarray:
-        """Mean quantum efficiency (C, L, 61) at the middle of the image."""
+        """Mean quantum efficiency (C, L, K) at the middle of the image."""
         return self.qe(self.bank.probes[0]).mean(axis=0)
 
     def at(self, x_um: float, y_um: float) -> np.ndarray:
-        """Return the mean quantum efficiency (C, 61) at a real image point, for figures."""
+        """Return the mean quantum efficiency (C, K) at a real image point, for figures."""
         lines = self.bank.wavelengths_nm
-        shares = line_shares(lines, self.bank.spectral_degree, WAVELENGTHS_NM)
+        shares = line_shares(lines, self.bank.spectral_degree, self.wavelengths_nm)
         blend = self.places.at(x_um, y_um)
         azimuth = np.arctan2(blend.sin, blend.cos)
-        total = np.zeros((len(self.table), WAVELENGTHS_NM.size))
+        total = np.zeros((len(self.table), self.wavelengths_nm.size))
         for field, weight in zip(blend.fields, blend.weights, strict=True):
             of_field = np.einsum("aclw,lw->acw", self.qe(self.fields[field]), shares)
             there = azimuth + np.pi * (field in self.places.opposite)
@@ -152,14 +157,14 @@ class AngularResponse:
 
     @property
     def largest(self) -> np.ndarray:
-        """Largest mean quantum efficiency (C, 1, 61) of any place and bank wavelength.
+        """Largest mean quantum efficiency (C, 1, K) of any place and bank wavelength.
 
         One for all of these, for some count less than nothing between them.
         """
         return np.max([self.qe(number).max(axis=(0, 2)) for number in self.seen], axis=0)[:, None]
 
     def everywhere(self) -> np.ndarray:
-        """Return the mean quantum efficiency (P, C, L, 61) at places that stand for all."""
+        """Return the mean quantum efficiency (P, C, L, K) at places that stand for all."""
         step = -(-len(self.azimuths) // FEW)
         return np.concatenate([self.qe(number)[::step] for number in self.seen])
 
@@ -219,9 +224,9 @@ class PlaceWeights:
     Parameters
     ----------
     response : AngularResponse
-    per_photon : ndarray (L, 61)
+    per_photon : ndarray (L, K)
         Electrons/s of a unit of spectral radiance at a quantum efficiency of 1, on the axis.
-    spectra : ndarray (J, 61)
+    spectra : ndarray (J, K)
         Of the planes.
     error : float
         How much of a plane's light in a channel the terms may leave out, at any azimuth.
@@ -251,9 +256,9 @@ class PlaceWeights:
         return self._splines[number](azimuth % (2 * np.pi))
 
     def terms(self, fields: tuple[int, ...], places: Places) -> tuple[list[np.ndarray], Places]:
-        """Return the terms (R, J, C, L, 61) of the rates of fields, and the places of all terms.
+        """Return the terms (R, J, C, L, K) of the rates of fields, and the places of all terms.
 
-        Their sums over the samples of WAVELENGTHS_NM are those of the weights. Places of one term
+        Their sums over the samples of the spectra are those of the weights. Places of one term
         are those given.
 
         Parameters
@@ -292,7 +297,7 @@ class PlaceWeights:
         return terms, TurnedHeights(places, tuple(splines)) if rank else places
 
     def _rates(self, answers: np.ndarray) -> np.ndarray:
-        """Return electrons/s of each plane (..., J, C, L, 61) for what channels answer."""
+        """Return electrons/s of each plane (..., J, C, L, K) for what channels answer."""
         return self.per_plane[:, None] * answers[:, None]
 
     def at(self, x_um: float, y_um: float) -> np.ndarray:

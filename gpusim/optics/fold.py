@@ -8,7 +8,7 @@ wavelength, to as many as there are samples of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -27,7 +27,12 @@ MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
 RMS_SHARE = 0.1
 
 
-def spectral_weights(bank: FieldBank, sensor: Sensor, qe: np.ndarray | None = None) -> np.ndarray:
+def spectral_weights(
+    bank: FieldBank,
+    sensor: Sensor,
+    qe: np.ndarray | None = None,
+    wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
+) -> np.ndarray:
     """Return the electrons/s of a unit of spectral radiance, by channel and wavelength.
 
     N = A Omega integral (lambda / hc) QE(lambda) T(lambda) L(lambda) d lambda (EMVA 1288 R4, eq. 1,
@@ -38,25 +43,26 @@ def spectral_weights(bank: FieldBank, sensor: Sensor, qe: np.ndarray | None = No
     ----------
     bank : FieldBank
     sensor : Sensor
-    qe : ndarray (..., C, 1 or L, 61), optional
+    qe : ndarray (..., C, 1 or L, K), optional
         In place of the quantum efficiency on the axis.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
 
     Returns
     -------
-    ndarray (..., C, L, 61)
-        Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample of
-        WAVELENGTHS_NM.
+    ndarray (..., C, L, K)
+        Electrons/s per W m^-2 sr^-1 nm^-1 on the axis: channel, bank wavelength, sample.
     """
-    step = np.gradient(WAVELENGTHS_NM)
+    step = np.gradient(wavelengths_nm)
     step[[0, -1]] /= 2
     area_m2 = sensor.fill_factor * (sensor.pixel_pitch_um * 1e-6) ** 2
-    photons_per_joule = WAVELENGTHS_NM * 1e-9 / (PLANCK_J_S * LIGHT_M_S)
-    shares = line_shares(bank.wavelengths_nm, bank.spectral_degree, WAVELENGTHS_NM)
+    photons_per_joule = wavelengths_nm * 1e-9 / (PLANCK_J_S * LIGHT_M_S)
+    shares = line_shares(bank.wavelengths_nm, bank.spectral_degree, wavelengths_nm)
     collected_sr = (bank.projected_solid_angle_sr * bank.transmission) @ shares
     if qe is None and sensor.eqe_map is not None:
-        qe = AngularResponse(bank, sensor).on_axis
+        qe = AngularResponse(bank, sensor, wavelengths_nm).on_axis
     elif qe is None:
-        qe = np.stack([sensor.qe[channel] for channel in sensor.channels])[:, None]
+        qe = np.stack(list(sensor.qe_at(wavelengths_nm).values()))[:, None]
     return qe * photons_per_joule * area_m2 * collected_sr * step * shares
 
 
@@ -75,12 +81,14 @@ class Basis:
         channel.
     rms : float
         Root mean square of these errors over spectra and channels.
-    spectra : ndarray (J, 61)
+    spectra : ndarray (J, K)
         Of the planes, W m^-2 sr^-1 nm^-1.
-    response : ndarray (C, L, 61)
+    response : ndarray (C, L, K)
         As `spectral_weights` returns it.
     elsewhere : PlaceWeights, optional
         Where the quantum efficiency goes with the place, `weights` off the axis.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
     """
 
     coefficients: np.ndarray
@@ -90,10 +98,11 @@ class Basis:
     spectra: np.ndarray
     response: np.ndarray
     elsewhere: PlaceWeights | None = None
+    wavelengths_nm: np.ndarray = field(default_factory=lambda: WAVELENGTHS_NM)
 
     @property
     def rates(self) -> np.ndarray:
-        """Electrons/s of each plane (J, C, L, 61) by bank wavelength and sample of WAVELENGTHS_NM.
+        """Electrons/s of each plane (J, C, L, K) by bank wavelength and sample of the spectra.
 
         Their sums over the samples are the weights.
         """
@@ -131,6 +140,7 @@ def camera_basis(
     tolerance: float,
     common_first: np.ndarray,
     place_error: float,
+    wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
 ) -> Basis:
     """Find the fewest planes that give what a camera sees of scene spectra, at every place.
 
@@ -145,17 +155,23 @@ def camera_basis(
         See `reduce_spectra`.
     place_error : float
         How much of a plane's light the weights elsewhere may leave out: see `PlaceWeights`.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
     """
-    weights, edges = spectral_weights(bank, sensor), edge_responses(bank)
+    weights = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
+    edges = edge_responses(bank)
     if sensor.eqe_map is None:
-        return reduce_spectra(spectra, weights, edges, tolerance, common_first)
-    response = AngularResponse(bank, sensor)
-    others = spectral_weights(bank, sensor, response.everywhere())
+        basis = reduce_spectra(spectra, weights, edges, tolerance, common_first)
+        return replace(basis, wavelengths_nm=wavelengths_nm)
+    response = AngularResponse(bank, sensor, wavelengths_nm)
+    others = spectral_weights(bank, sensor, response.everywhere(), wavelengths_nm)
     everywhere = np.concatenate([weights, others.reshape(-1, *weights.shape[1:])])
     basis = reduce_spectra(spectra, everywhere, edges, tolerance, common_first)
-    per_photon = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
+    alike = np.ones((1, 1, wavelengths_nm.size))
+    per_photon = spectral_weights(bank, sensor, alike, wavelengths_nm)[0]
     return replace(
         basis,
+        wavelengths_nm=wavelengths_nm,
         weights=basis.weights[:, : len(weights)],
         response=weights,
         elsewhere=PlaceWeights(response, per_photon, basis.spectra, place_error),
@@ -179,9 +195,9 @@ def reduce_spectra(
 
     Parameters
     ----------
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
         Scene spectra, W m^-2 sr^-1 nm^-1 per unit coefficient.
-    weights : ndarray (C, L, 61)
+    weights : ndarray (C, L, K)
         As `spectral_weights` returns them.
     edges : ndarray (L, n_features)
         As `edge_responses` returns them.

@@ -115,6 +115,7 @@ def field_images(
     reach_um: float,
     force: bool = False,
     elsewhere: PlaceWeights | None = None,
+    wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
 ) -> tuple[np.ndarray, Places]:
     """Fold the bank's wavelengths into channel kernels, at the fields that the sensor uses.
 
@@ -123,14 +124,16 @@ def field_images(
     Parameters
     ----------
     bank : FieldBank
-    rates : ndarray (J, C, L, 61)
-        Electrons/s of each plane in each channel, by bank wavelength and sample of WAVELENGTHS_NM.
+    rates : ndarray (J, C, L, K)
+        Electrons/s of each plane in each channel, by bank wavelength and sample of the spectra.
     reach_um : float
         Largest image height that is needed.
     force : bool
         Shift the PSFs of a field without lateral colour too: for tests.
     elsewhere : PlaceWeights, optional
         In place of the rates, where they go with the place.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
 
     Returns
     -------
@@ -151,7 +154,7 @@ def field_images(
         light = terms[place] * relative_illumination[:, None]
         image = images[:, place]
         if shift_um.any() or force:
-            colours = line_shares(bank.wavelengths_nm, bank.spectral_degree, WAVELENGTHS_NM)
+            colours = line_shares(bank.wavelengths_nm, bank.spectral_degree, wavelengths_nm)
             image[...] = _streaks(psf, light, shift_um.T @ colours, bank.pitch_um)
         else:
             image[...] = 0.0

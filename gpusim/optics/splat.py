@@ -189,21 +189,30 @@ class Tables:
     ----------
     bank : FieldBank
     sensor : Sensor
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
     largest_um : float
         Side of the squares on the real plane, where it is largest.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
     """
 
     def __init__(
-        self, bank: FieldBank, sensor: Sensor, spectra: np.ndarray, largest_um: float
+        self,
+        bank: FieldBank,
+        sensor: Sensor,
+        spectra: np.ndarray,
+        largest_um: float,
+        wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
     ) -> None:
         self.bank = bank
         self.aperture_um = sensor.response_um
-        self.weights = np.einsum("clw,mw->cml", spectral_weights(bank, sensor), spectra)
+        per_radiance = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
+        self.weights = np.einsum("clw,mw->cml", per_radiance, spectra)
         self.elsewhere = None
         if sensor.eqe_map is not None:
-            response = AngularResponse(bank, sensor)
-            even = spectral_weights(bank, sensor, np.ones((1, 1, WAVELENGTHS_NM.size)))[0]
+            response = AngularResponse(bank, sensor, wavelengths_nm)
+            alike = np.ones((1, 1, wavelengths_nm.size))
+            even = spectral_weights(bank, sensor, alike, wavelengths_nm)[0]
             self.elsewhere = PlaceWeights(response, even, spectra, 0.0)
         aperture_um = self.aperture_um
         if isinstance(aperture_um, Response):
@@ -357,10 +366,12 @@ class Splat:
     sensor : Sensor
     highlights : Highlights
         One or more.
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
         Of the scene.
     tolerance : float
         Of the planner.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
     """
 
     def __init__(
@@ -371,6 +382,7 @@ class Splat:
         highlights: Highlights,
         spectra: np.ndarray,
         tolerance: float,
+        wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
     ) -> None:
         self.device, self.bank, self.sensor = device, bank, sensor
         planes = planes_of(sensor)
@@ -388,7 +400,7 @@ class Splat:
             return
         squares = self.squares
         sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
-        self.kernels = kernels = Tables(bank, sensor, spectra, sides.max())
+        self.kernels = kernels = Tables(bank, sensor, spectra, sides.max(), wavelengths_nm)
         self.fours = -(-len(spectra) // 4)
         self.across, self.down = (
             -(-count // (self.period * SQUARE)) for count in (sensor.cols, sensor.rows)

@@ -182,7 +182,8 @@ def _images(renderer: Renderer) -> tuple[np.ndarray, Places]:
     corner_um = math.hypot(sensor.rows, sensor.cols) * sensor.pixel_pitch_um / 2
     farthest_um = corner_um + math.sqrt(2) * _reach_um(renderer)
     basis = renderer.plan.basis
-    return field_images(bank, basis.rates, farthest_um, elsewhere=basis.elsewhere)
+    seen = {"elsewhere": basis.elsewhere, "wavelengths_nm": basis.wavelengths_nm}
+    return field_images(bank, basis.rates, farthest_um, **seen)
 
 
 def _reach_um(renderer: Renderer) -> float:

@@ -27,14 +27,20 @@ from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.lines import CUBIC, line_shares
 from gpusim.lens.places import lagrange
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.spreads import Spreads, cached_spreads, even_lines_nm, middles_deg
+from gpusim.lens.spreads import (
+    ELEVENTHS,
+    Spreads,
+    added_intervals,
+    cached_spreads,
+    even_lines_nm,
+    middles_deg,
+)
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.stage import PlanStage
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
-from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
@@ -51,7 +57,8 @@ FIELDS_SHARE, LINES_SHARE = 0.25, 0.25
 # lenses at three tolerances.
 ENGINE = 0.78
 MOST_SHARE = 0.85  # of the tolerance: a bank that leaves more is refused
-# Lines at which fields are compared, of the twelve: 550 nm and both ends are among them.
+# Lines at which fields are compared, of the twelve: 550 nm and both ends are among them. Below and
+# beyond them every second one, and the last.
 FEW = (0, 2, 4, 7, 9, 11)
 TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judged in float64
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
@@ -220,7 +227,7 @@ def bank_density(
     tolerance = _class_of(asked)
     at_um, between = survey.lines_error()
     steps = next((n for n in STEPS if between.max() / n**4 <= LINES_SHARE * tolerance), STEPS[-1])
-    lines = even_lines_nm(steps)
+    lines = even_lines_nm(steps, *survey.ends_nm)
     most_fields = MOST_SAMPLES // (len(lines) * survey.size**2)
     fields, errors = survey.refined(FIELDS_SHARE * tolerance, most_fields)
     between = between / steps**4
@@ -275,6 +282,14 @@ def _contrast(scene: Scene) -> float:
     return float(light.max() / max(light.min(), light.max() / CONTRASTS[-1]))
 
 
+def _few(first_nm: float, last_nm: float) -> list[int]:
+    """Return which of the fewest lines fields are compared at: see `FEW`."""
+    below, beyond = added_intervals(first_nm, last_nm)
+    last = below + ELEVENTHS + beyond
+    inner = {below + place for place in FEW}
+    return sorted({*range(0, below, 2), *inner, *range(last, below + ELEVENTHS, -2)})
+
+
 class _Survey:
     """Line spreads of a lens, seen by a sensor."""
 
@@ -290,7 +305,9 @@ class _Survey:
         self.spectrum = scene.spectra[scene.spectra.sum(axis=1).argmax()]
         self.corner_um = math.hypot(sensor.rows, sensor.cols) / 2 * sensor.pixel_pitch_um
         self.first_deg = default_fields_deg(lens)
-        lines = even_lines_nm(STEPS[0])[list(FEW)]
+        self.wavelengths_nm = scene.wavelengths_nm
+        self.ends_nm = tuple(scene.wavelengths_nm[[0, -1]].tolist())
+        lines = even_lines_nm(STEPS[0], *self.ends_nm)[_few(*self.ends_nm)]
         both = np.sort(np.concatenate([self.first_deg, middles_deg(lens, self.first_deg)]))
         self.few = cached_spreads(lens, lines, both, progress)
         self.axis = _Axis(
@@ -311,7 +328,8 @@ class _Survey:
     def lines_error(self) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
         fields = self.first_deg[list(LINES_AT)]
-        many = cached_spreads(self.lens, even_lines_nm(2), fields, self.progress)
+        lines = even_lines_nm(2, *self.ends_nm)
+        many = cached_spreads(self.lens, lines, fields, self.progress)
         few = replace(
             many,
             wavelengths_nm=many.wavelengths_nm[::2],
@@ -389,9 +407,10 @@ class _Survey:
         frequency = np.fft.rfftfreq(n, found.pitch_um)
         ones = np.ones(len(lines))
         axis = _Axis(lines, ones, found.transmission, found.solid_angle_sr / unit_sr)
-        weights = spectral_weights(axis, self.sensor, self._efficiency) * self.spectrum
+        weights = spectral_weights(axis, self.sensor, self._efficiency, self.wavelengths_nm)
+        weights = weights * self.spectrum
         weights /= weights.sum(axis=(-2, -1), keepdims=True)
-        shares = line_shares(lines, CUBIC, WAVELENGTHS_NM)
+        shares = line_shares(lines, CUBIC, self.wavelengths_nm)
         lateral = (found.height_um - found.height_um[:, found.reference, None]) @ shares
         out = np.empty((len(found.field_deg), len(weights), 2, len(frequency)), complex)
         # Sample n / 2 is the origin.
@@ -410,9 +429,8 @@ class _Survey:
 
     @property
     def _efficiency(self) -> np.ndarray:
-        """Quantum efficiency (C, 1, 61) on the axis."""
-        sensor = self.sensor
-        return np.stack([np.asarray(sensor.qe[channel]) for channel in sensor.channels])[:, None]
+        """Quantum efficiency (C, 1, K) on the axis."""
+        return np.stack(list(self.sensor.qe_at(self.wavelengths_nm).values()))[:, None]
 
     def _error(self, off: np.ndarray, own: np.ndarray) -> float:
         """Return what an error of transfer functions (C, 2, n / 2 + 1) does to pixels: the RMS."""

@@ -178,6 +178,7 @@ def plans_optics(
             0.0 if "spectra" in force else WORST_TO_RMS * tolerance,
             _commonest_first(scene),
             ANGLE_SHARE * tolerance,
+            scene.wavelengths_nm,
         )
         asked = replace(relative, tolerance=tolerance)
         if lens is not None:
@@ -200,8 +201,8 @@ def plans_optics(
 def alias_of(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Alias:
     """Return what predicts the errors of sim grids, as the planner makes it for a tolerance."""
     core, allowed = bank.levels[0], WORST_TO_RMS * accuracy.tolerance
-    order = _commonest_first(scene)
-    basis = camera_basis(core, sensor, scene.spectra, allowed, order, ANGLE_SHARE * allowed)
+    given = allowed, _commonest_first(scene), ANGLE_SHARE * allowed, scene.wavelengths_nm
+    basis = camera_basis(core, sensor, scene.spectra, *given)
     return _Problem(core, sensor, scene, accuracy, LAVAPIPE, basis, (), bank.levels).alias
 
 
@@ -748,7 +749,8 @@ class _Problem:
         # Sources around the sensor count too, and so do the nodes beyond them.
         farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
         basis, lateral = self.basis, LATERAL in self.force
-        return field_images(self.bank, basis.rates, farthest_um, lateral, basis.elsewhere)
+        given = lateral, basis.elsewhere, basis.wavelengths_nm
+        return field_images(self.bank, basis.rates, farthest_um, *given)
 
     @property
     def images(self) -> np.ndarray:

@@ -21,8 +21,11 @@ def brightest_e(bank: Bank, sensor: Sensor, scene: Scene, exposure_s: float) -> 
     """
     illumination = bank.relative_illumination
     passed = illumination.reshape(-1, illumination.shape[-1]).max(axis=0)
-    qe = None if sensor.eqe_map is None else AngularResponse(bank, sensor).largest
-    rates = np.einsum("clw,mw,l->cm", spectral_weights(bank, sensor, qe), scene.spectra, passed)
+    lines, qe = scene.wavelengths_nm, None
+    if sensor.eqe_map is not None:
+        qe = AngularResponse(bank, sensor, lines).largest
+    weights = spectral_weights(bank, sensor, qe, lines)
+    rates = np.einsum("clw,mw,l->cm", weights, scene.spectra, passed)
     if not isinstance(scene.source, Chart):
         planes = scene.source.planes
         rates = np.array([np.tensordot(row, planes, axes=1).max() for row in rates])

@@ -24,7 +24,8 @@ def describe_splat(
     count = 0 if isinstance(placed, Chart) else len(placed.highlights)
     if not count:
         return PlanStage("splat", False, "no part of the scene outshines the rest")
-    work = Splat(None, bank, sensor, placed.highlights, scene.spectra, tolerance).work()
+    given = placed.highlights, scene.spectra, tolerance, scene.wavelengths_nm
+    work = Splat(None, bank, sensor, *given).work()
     cost_s = sum(costs.seconds(name, amount) for name, amount in work.items())
     text = f"{count} highlights, each with the PSF of its own place, once a scene"
     return PlanStage("splat", True, text, None, cost_s)

@@ -24,7 +24,7 @@ class MeanQe:
     bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
         With ``eqe_map``.
-    wavelengths_nm : ndarray (61,)
+    wavelengths_nm : ndarray (K,)
     """
 
     def __init__(self, bank: Any, sensor: Any, wavelengths_nm: np.ndarray) -> None:
@@ -46,7 +46,7 @@ class MeanQe:
         self.turns = bool(turns) and not hasattr(bank, "field_x_deg")
 
     def mean(self, field: int, node: int) -> np.ndarray:
-        """Return q (L, 61, C) of a field at the azimuth 2 pi node / NODES."""
+        """Return q (L, K, C) of a field at the azimuth 2 pi node / NODES."""
         place, _, cone = self.bank.rays(field)
         turn = 2 * np.pi * node / NODES
         inwards = np.zeros(2)

@@ -283,8 +283,8 @@ class Judge:
         wavelengths than the table has are splines between them, which are linear in the values.
         """
         pattern = self.sensor.cfa.pattern
-        qe = self.sensor.qe[pattern[row % len(pattern)][col % len(pattern[0])]]
         table = self.table_nm
+        qe = self.sensor.qe_at(table)[pattern[row % len(pattern)][col % len(pattern[0])]]
         step = np.gradient(table)
         step[[0, -1]] /= 2
         response = qe * transmission(self.system.prescription, table) * step

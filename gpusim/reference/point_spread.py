@@ -38,6 +38,16 @@ TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the proces
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 
 
+def _quantum_efficiency(sensor: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return q (K, C): a channel's table times what filters pass, straight between values."""
+    table = sensor.quantum_efficiency
+    curves = np.array([table.channels[name] for name in sensor.channels])
+    found = np.stack([np.interp(wavelengths_nm, table.wavelengths_nm, one) for one in curves])
+    for one in sensor.filters:
+        found = found * np.interp(wavelengths_nm, one.wavelengths_nm, one.transmission)
+    return found.T
+
+
 class PointSpread:
     """H of one camera and scene.
 
@@ -47,10 +57,10 @@ class PointSpread:
     sensor : gpusim.sensor.sensor.Sensor
     fields : Heights or Grid
         Of the bank.
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
-    wavelengths_nm : ndarray (61,)
-        Of the spectra and of the sensor's quantum efficiency.
+    wavelengths_nm : ndarray (K,)
+        Of the spectra.
     """
 
     def __init__(
@@ -68,8 +78,7 @@ class PointSpread:
         if sensor.eqe_map is not None:
             self.mean_qe = MeanQe(bank, sensor, wavelengths_nm)
         else:
-            qe = np.stack([sensor.qe[name] for name in sensor.channels], axis=-1)
-            self.qe = qe[None]
+            self.qe = _quantum_efficiency(sensor, wavelengths_nm)[None]
         self.splines = _line_splines(bank, wavelengths_nm)
         steradian = (bank.projected_solid_angle_sr * bank.transmission) @ self.splines
         photons = wavelengths_nm * 1e-9 / (H_J_S * C_M_S)
@@ -85,7 +94,7 @@ class PointSpread:
         self.wide_splines: tuple[np.ndarray, set[int]] | None = None
 
     def _qe_at(self, field: int, node: int) -> np.ndarray:
-        """Return q (L or 1, 61, C) at a field of the bank and one of NODES azimuths."""
+        """Return q (L or 1, K, C) at a field of the bank and one of NODES azimuths."""
         if self.mean_qe is None:
             return self.qe
         found = self.qe_there.get((field, node))
@@ -94,7 +103,7 @@ class PointSpread:
         return found
 
     def _rates(self, channel: int, spectrum: int, field: int, node: int) -> np.ndarray:
-        """Return R (L, 61) of a channel and spectrum at a field of the bank and an azimuth."""
+        """Return R (L, K) of a channel and spectrum at a field of the bank and an azimuth."""
         return self._qe_at(field, node)[..., channel] * self.spectra[spectrum] * self.even
 
     def _weights_at(self, field: int, node: int) -> np.ndarray:

@@ -57,9 +57,9 @@ class Truth:
     ----------
     bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
-    wavelengths_nm : ndarray (61,)
+    wavelengths_nm : ndarray (K,)
         Of the spectra and of the sensor's quantum efficiency.
     fields : Heights or Grid, optional
         In place of the bank's own.

@@ -18,11 +18,13 @@ from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.isp.levels import iso_speed, saturated_share
 from gpusim.plan.costs import content_of
 from gpusim.scene import Chart
+from gpusim.scene.spectra import STEP_NM
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
     from gpusim.chain import Capture
     from gpusim.plan import Plan
+    from gpusim.plan.band import Band
     from gpusim.scene import Scene
 
 # The packages whose version can change a sample of the result.
@@ -79,6 +81,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             **{name: metadata.version(name) for name in _PACKAGES},
         },
         "shaders_sha256": shaders_sha256(),
+        "wavelengths": _wavelengths(capture.band),
         "plan": _plan(capture.plan),
         "costs": None if capture.costs is None else plain(content_of(capture.costs)),
         "qe_by_place": _qe_by_place(capture),
@@ -128,6 +131,18 @@ def _scene(scene: Scene) -> dict[str, Any]:
         "spectra": len(scene.spectra),
         "illuminant": scene.illuminant,
         "white_luminance_cd_m2": scene.white_luminance_cd_m2,
+    }
+
+
+def _wavelengths(band: Band) -> dict[str, Any]:
+    """Return what of the spectrum was rendered, and what no data describe."""
+    first, last = band.wavelengths_nm[[0, -1]]
+    return {
+        "first_nm": float(first),
+        "last_nm": float(last),
+        "step_nm": STEP_NM,
+        "dropped_share": band.dropped,
+        "no_data": [{**plain(one), "text": one.text} for one in band.unknown],
     }
 
 

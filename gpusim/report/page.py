@@ -156,6 +156,12 @@ def _rim(facts: Mapping[str, Any]) -> str:
     return "".join(f"<p><strong>Black</strong>: {escape(reason)}.</p>\n" for reason in reasons)
 
 
+def _no_data(facts: Mapping[str, Any]) -> str:
+    """Return what of the light no data describe, if any."""
+    missing = (escape(one["text"]) for one in facts["wavelengths"]["no_data"])
+    return "".join(f"<p><strong>Light without data</strong>: {one}.</p>\n" for one in missing)
+
+
 def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
     """Return the overview with the frames of the crops, and the crops."""
     rows, cols = developed.shape[:2]
@@ -182,7 +188,7 @@ def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
 <g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
 <figcaption>The developed raw, at {size[0]} x {size[1]} px. {escape(saturated(facts))}.
 The frames are the crops below, which show each pixel as it is.</figcaption></figure>
-{_rim(facts)}<div class="crops">{crops}</div>"""
+{_rim(facts)}{_no_data(facts)}<div class="crops">{crops}</div>"""
 
 
 def _stages(facts: Mapping[str, Any]) -> str:
@@ -305,6 +311,7 @@ def _details(facts: Mapping[str, Any]) -> str:
         "Lens": facts["camera"]["lens"],
         "Sensor": facts["camera"]["sensor"],
         "Scene": facts["scene"],
+        "Wavelengths": facts["wavelengths"],
         "Capture": facts["capture"],
         **{f"Grid: {scale['name']}": scale for scale in facts["plan"]["scales"]},
         "Device": facts["device"],

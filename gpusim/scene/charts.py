@@ -12,8 +12,9 @@ from itertools import product
 
 import numpy as np
 
+from gpusim.known import Known
 from gpusim.scene.chart import Chart, Disc, Primitive, Rect
-from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker
+from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker, colorchecker_known
 
 HALF_WIDTH = 4 / 3
 EDGE_ANGLE_RAD = math.radians(5.0)  # ISO 12233:2017 asks for about 5 degrees
@@ -153,3 +154,23 @@ CHARTS: dict[str, Callable[[], tuple[Chart, np.ndarray]]] = {
     "grey": grey,
 }
 """Chart and reflectances of its materials (M, 61), by name."""
+
+
+def reflectances_at(
+    chart: Chart, reflectances: np.ndarray, wavelengths_nm: np.ndarray
+) -> np.ndarray:
+    """Return the reflectances (M, K) of a chart's materials at other wavelengths.
+
+    Patches of the ColorChecker beyond what is known of them as at its ends; greys are flat.
+    """
+    measured = colorchecker(wavelengths_nm)
+    flat = (np.full(wavelengths_nm.size, row[0]) for row in reflectances)
+    return np.stack(
+        [measured.get(name, grey) for name, grey in zip(chart.materials, flat, strict=True)]
+    )
+
+
+def known_reflectances(chart: Chart) -> tuple[Known, ...]:
+    """Return over which wavelengths the materials of a chart are known: greys over all."""
+    measured = not set(colorchecker()).isdisjoint(chart.materials)
+    return (colorchecker_known(),) if measured else ()

@@ -43,10 +43,11 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     -------
     ndarray (rows, round(4/3 rows), 3), float32
     """
-    white = xyz(scene.white)
+    white = xyz(scene.white, scene.wavelengths_nm)
     space = rgb_to_xyz(REC709_CHROMATICITIES)
     to_rgb = np.linalg.solve(space, adaptation(white / white[1], space.sum(axis=1)))
-    materials = np.maximum(xyz(scene.spectra) / white[1] @ to_rgb.T, 0.0).astype(np.float32)
+    seen = xyz(scene.spectra, scene.wavelengths_nm) / white[1]
+    materials = np.maximum(seen @ to_rgb.T, 0.0).astype(np.float32)
     columns = round(HALF_WIDTH * rows)
     total = np.zeros((rows, columns, 3), np.float32)
     phases = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from gpusim.config.names import perhaps
 from gpusim.errors import UserError
+from gpusim.known import Known
 from gpusim.lens.projection import PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
-from gpusim.scene.charts import CHARTS
+from gpusim.scene.charts import CHARTS, known_reflectances, reflectances_at
 from gpusim.scene.raster import Raster
+from gpusim.scene.spectra import (
+    WAVELENGTHS_NM,
+    illuminant_known,
+    rgb_known,
+    rgb_reflectances,
+    white_radiance,
+)
 from gpusim.scene.spectra import luminance_cd_m2 as luminance
-from gpusim.scene.spectra import rgb_reflectances, white_radiance
 
 # A reading-lit chart: 300 cd/m^2 is a white diffuser under pi * 300 = 940 lux.
 DEFAULT_WHITE_LUMINANCE_CD_M2 = 300.0
+DEFAULT_ILLUMINANT = "D50"
+
+# Spectra (M, K) of a scene and its white (K,) at wavelengths (K,), beyond what is known as at its
+# ends.
+Light = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +41,26 @@ class Scene:
     ----------
     name : str
         Chart name or file name.
-    spectra : ndarray (M, 61)
+    spectra : ndarray (M, K)
         b_j, W m^-2 sr^-1 nm^-1 per unit coefficient: of a chart, each material's radiance (its
         coefficient is 1 where it lies, else 0); of a raster, each plane's basis.
     source : Chart or Raster
         Where the materials lie, or the coefficients a_j.
     illuminant : str
         CIE name of the light.
-    white : ndarray (61,)
+    white : ndarray (K,)
         Spectral radiance of the scene's white: a perfect diffuser, or a photograph's RGB (1, 1, 1).
     notes : tuple of str
         What a reader of the result should know of how the scene was made.
     projection : Projection
         How it lies on the ideal image plane.
+    wavelengths_nm : ndarray (K,)
+        Of spectra and white, as `gpusim.scene.spectra.grid_nm` returns them: 400 to 700 nm in steps
+        of 5, and farther where that is asked for (`on`).
+    light : callable, optional
+        Spectra and white at any wavelengths, of a scene that is known beyond its grid.
+    made_of : tuple of Known
+        How far what the light is made of is known.
     """
 
     name: str
@@ -50,17 +70,47 @@ class Scene:
     white: np.ndarray
     notes: tuple[str, ...] = ()
     projection: Projection = RECTILINEAR
+    wavelengths_nm: np.ndarray = field(default_factory=lambda: WAVELENGTHS_NM)
+    light: Light | None = None
+    made_of: tuple[Known, ...] = ()
+
+    @property
+    def known(self) -> tuple[Known, ...]:
+        """Over which wavelengths the scene's light is known; of spectra of one's own, theirs."""
+        if self._goes_on:
+            return self.made_of
+        return (Known("the scene's spectra", *self.wavelengths_nm[[0, -1]].tolist()),)
+
+    @property
+    def _goes_on(self) -> bool:
+        """Whether the light is that which the scene was made with: nobody changed the spectra."""
+        if self.light is None:
+            return False
+        ours = zip(self.light(self.wavelengths_nm), (self.spectra, self.white), strict=True)
+        return all(np.array_equal(one, other) for one, other in ours)
+
+    def on(self, wavelengths_nm: np.ndarray) -> Scene:
+        """Return the scene at other wavelengths, beyond what is known of it as at its ends."""
+        if np.array_equal(wavelengths_nm, self.wavelengths_nm):
+            return self
+        if self._goes_on:
+            spectra, white = self.light(wavelengths_nm)
+        else:
+            own = np.vstack([self.spectra, self.white])
+            *rows, white = (np.interp(wavelengths_nm, self.wavelengths_nm, row) for row in own)
+            spectra = np.stack(rows)
+        return replace(self, spectra=spectra, white=white, wavelengths_nm=wavelengths_nm)
 
     @property
     def white_luminance_cd_m2(self) -> float:
         """Luminance of the scene's white, cd/m^2."""
-        return float(luminance(self.white))
+        return float(luminance(self.white, self.wavelengths_nm))
 
 
 def make_scene(
     name_or_path: str | Path,
     luminance_cd_m2: float | None = None,
-    illuminant: str = "D50",
+    illuminant: str | None = None,
     projection: str = RECTILINEAR.name,
 ) -> Scene:
     """Return a chart of the project or a photograph from an EXR file.
@@ -72,9 +122,10 @@ def make_scene(
     luminance_cd_m2 : float, optional
         Luminance of the white: of a chart's perfect diffuser; of a photograph's RGB (1, 1, 1),
         where it replaces the file's own ``whiteLuminance``. Without either, 300.
-    illuminant : str
-        CIE name of the light on a chart. A photograph's spectra are those of Mallett and Yuksel
-        (2019), under D65.
+    illuminant : str, optional
+        Light on a chart, D50 by default: a CIE name, or a blackbody's temperature ("5100K"). A
+        photograph has its own light in it: its spectra are those of Mallett and Yuksel (2019),
+        under D65.
     projection : str
         How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
         to the sides.
@@ -101,11 +152,28 @@ def make_scene(
         )
     name, plane = str(name_or_path), PROJECTIONS[projection]
     if name in CHARTS:
+        level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
+        lamp = illuminant or DEFAULT_ILLUMINANT
         chart, reflectances = CHARTS[name]()
-        white = white_radiance(illuminant, luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2)
-        return Scene(name, reflectances * white, chart, illuminant, white, projection=plane)
+
+        def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            white = white_radiance(lamp, level, wavelengths_nm)
+            return reflectances_at(chart, reflectances, wavelengths_nm) * white, white
+
+        spectra, white = light(WAVELENGTHS_NM)
+        known = (illuminant_known(lamp), *known_reflectances(chart))
+        given = {"projection": plane, "light": light, "made_of": known}
+        return Scene(name, spectra, chart, lamp, white, **given)
     path = Path(name_or_path)
     if path.suffix.lower() == ".exr":
+        if illuminant is not None:
+            raise UserError(
+                "a photograph has its own light in it",
+                file=path,
+                field="illuminant",
+                value=illuminant,
+                allowed="none with a photograph; with a chart any",
+            )
         return replace(_photograph(path, luminance_cd_m2), projection=plane)
     raise UserError(
         f"unknown scene{perhaps(name, CHARTS)}",
@@ -124,6 +192,12 @@ def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:
     notes = photograph.notes
     if not known:
         notes += (f"the file gives no whiteLuminance: RGB (1, 1, 1) taken as {scale:g} cd/m^2",)
-    spectra = rgb_reflectances() * white_radiance("D65", scale)
-    white = np.asarray(photograph.white_rgb) @ spectra
-    return Scene(path.name, spectra, Raster(photograph.rgb), "D65", white, notes)
+
+    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        daylight = white_radiance("D65", scale, wavelengths_nm)
+        spectra = rgb_reflectances(wavelengths_nm) * daylight
+        return spectra, np.asarray(photograph.white_rgb) @ spectra
+
+    spectra, white = light(WAVELENGTHS_NM)
+    given = {"light": light, "made_of": (rgb_known(), illuminant_known("D65"))}
+    return Scene(path.name, spectra, Raster(photograph.rgb), "D65", white, notes, **given)

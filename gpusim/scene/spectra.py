@@ -7,90 +7,194 @@ own numbers.
 
 from __future__ import annotations
 
+import math
+import re
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.known import Known
 
-WAVELENGTHS_NM = np.arange(400.0, 701.0, 5.0)
-"""The grid of every spectral product, 61 wavelengths, nm."""
+STEP_NM = 5.0
+SHORTEST_NM, LONGEST_NM = 300.0, 1200.0
+"""Ends of the light that is computed: glass passes little below, silicon sees none beyond."""
 
-QUADRATURE_NM = np.full(WAVELENGTHS_NM.size, 5.0)
+WAVELENGTHS_NM = np.arange(400.0, 701.0, STEP_NM)
+"""The grid of every spectral product, 61 wavelengths, nm; scenes may reach farther: `grid_nm`."""
+
+QUADRATURE_NM = np.full(WAVELENGTHS_NM.size, STEP_NM)
 """Weights of the trapezoidal rule on that grid, nm."""
-QUADRATURE_NM[[0, -1]] = 2.5
+QUADRATURE_NM[[0, -1]] = STEP_NM / 2
 
 MAXIMUM_LUMINOUS_EFFICACY_LM_PER_W = 683.0
 """K_m of photopic vision (CIE 015:2018), lm/W."""
+SECOND_RADIATION_M_K = 1.438776877e-2
+"""c2 = h c / k of Planck's law (SI 2019), m K."""
+# CIE 015:2018, eq. 4.1: illuminant A is Planck's law at 2848 K with the c2 of its time.
+_A_KELVIN, _A_C2_M_K, _A_UNIT_NM = 2848.0, 1.435e-2, 560.0
+_KELVIN = re.compile(r"(\d{1,6}(?:\.\d+)?) ?K", re.ASCII)
+COOLEST_K, HOTTEST_K = 500.0, 100_000.0  # of a blackbody that lights a scene
+
+
+def grid_nm(first_nm: float, last_nm: float) -> np.ndarray:
+    """Return the wavelengths of the grid from one to another, nm: `WAVELENGTHS_NM` at least.
+
+    Multiples of `STEP_NM` within `SHORTEST_NM` and `LONGEST_NM`.
+    """
+    first = min(math.ceil(max(first_nm, SHORTEST_NM) / STEP_NM) * STEP_NM, WAVELENGTHS_NM[0])
+    last = max(math.floor(min(last_nm, LONGEST_NM) / STEP_NM) * STEP_NM, WAVELENGTHS_NM[-1])
+    return np.arange(first, last + 1, STEP_NM)
+
+
+ALL_NM = grid_nm(SHORTEST_NM, LONGEST_NM)
+"""All wavelengths that light may be computed at."""
+
+
+def seen_by_eye(wavelengths_nm: np.ndarray) -> slice:
+    """Return where `WAVELENGTHS_NM` lie in a grid that `grid_nm` made."""
+    first = int(np.searchsorted(wavelengths_nm, WAVELENGTHS_NM[0]))
+    return slice(first, first + WAVELENGTHS_NM.size)
 
 
 @cache
-def _table(name: str) -> dict[str, np.ndarray]:
-    """Return the columns of a table by name, each (61,) and read-only."""
+def _table(name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return wavelengths (K,) and the columns of a table by name, read-only; empty ones are NaN."""
     text = (files("gpusim") / "data" / "spectra" / f"{name}.csv").read_text(encoding="utf-8")
     header, *rows = [line for line in text.splitlines() if not line.startswith("#")]
-    values = np.array([row.split(",") for row in rows], np.float64)
-    if not np.array_equal(values[:, 0], WAVELENGTHS_NM):
-        raise ValueError(f"{name}.csv: the rows are not the 61 wavelengths")
+    values = np.array([[cell or "nan" for cell in row.split(",")] for row in rows], np.float64)
+    if not np.array_equal(values[:, 0], grid_nm(*values[[0, -1], 0])):
+        raise ValueError(f"{name}.csv: the rows are not wavelengths of the grid")
     values.flags.writeable = False
-    return dict(zip(header.split(",")[1:], values.T[1:], strict=True))
+    return values[:, 0], dict(zip(header.split(",")[1:], values.T[1:], strict=True))
 
 
-def illuminant(name: str) -> np.ndarray:
-    """Return the relative spectral power of a CIE illuminant.
+def _columns(name: str, wavelengths_nm: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns of a table at wavelengths; beyond its ends as at these."""
+    known, columns = _table(name)
+    return {key: np.interp(wavelengths_nm, known, one) for key, one in columns.items()}
+
+
+def _table_ends_nm(name: str) -> tuple[float, float]:
+    return tuple(_table(name)[0][[0, -1]].tolist())
+
+
+def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
+    """Return the relative spectral power of a CIE illuminant or a blackbody.
 
     Parameters
     ----------
     name : str
-        ``"D50"``, ``"D65"``, ``"A"``, ``"FL2"``, ``"LED-B3"``, ...
+        ``"D50"``, ``"D65"``, ``"A"``, ``"FL2"``, ``"LED-B3"``, ...; or a temperature, ``"5100K"``,
+        for Planck's law.
+    wavelengths_nm : ndarray (K,)
 
     Returns
     -------
-    ndarray (61,)
-        Relative: the scale is the table's own.
+    ndarray (K,)
+        Relative: the scale is the table's own. Beyond `illuminant_known` as at its ends.
 
     Raises
     ------
     UserError
-        For a name that is not in the table.
+        For a name that is not in the table, or a temperature out of range.
     """
-    table = _table("illuminants")
+    wavelengths = np.asarray(wavelengths_nm, np.float64)
+    if (kelvin := _kelvin(name)) is not None:
+        return _planck(wavelengths, kelvin, SECOND_RADIATION_M_K)
+    known, table = _table("illuminants")
     if name not in table:
         raise UserError(
-            "unknown illuminant", field="illuminant", value=name, allowed=", ".join(table)
+            "unknown illuminant",
+            field="illuminant",
+            value=name,
+            allowed=f"{', '.join(table)}, or a blackbody by its temperature: 5100K",
         )
-    return table[name]
+    there = np.isfinite(table[name])
+    found = np.interp(wavelengths, known[there], table[name][there])
+    if name == "A":  # the table has the CIE's own digits, the formula all wavelengths
+        found = np.where(wavelengths > known[there][-1], _illuminant_a(wavelengths), found)
+    return found
 
 
-def colorchecker() -> dict[str, np.ndarray]:
-    """Return the reflectances (61,) of the 24 ColorChecker patches, in reading order."""
-    return dict(_table("colorchecker"))
+def _kelvin(name: str) -> float | None:
+    """Return the temperature that a name means; None for one that means none."""
+    found = _KELVIN.fullmatch(name)
+    if found is None:
+        return None
+    kelvin = float(found[1])
+    if not COOLEST_K <= kelvin <= HOTTEST_K:
+        raise UserError(
+            "no blackbody of that temperature lights a scene",
+            field="illuminant",
+            value=name,
+            allowed=f"{COOLEST_K:g}K to {HOTTEST_K:g}K",
+        )
+    return kelvin
+
+
+def _planck(wavelengths_nm: np.ndarray, kelvin: float, c2_m_k: float) -> np.ndarray:
+    """Return Planck's law, 100 at 560 nm: lambda^-5 / (exp(c2 / (lambda T)) - 1)."""
+    scale = c2_m_k * 1e9 / kelvin
+    at_unit = math.expm1(scale / _A_UNIT_NM)
+    return 100 * (_A_UNIT_NM / wavelengths_nm) ** 5 * at_unit / np.expm1(scale / wavelengths_nm)
+
+
+def _illuminant_a(wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return CIE illuminant A by its formula (CIE 015:2018, eq. 4.1)."""
+    return _planck(wavelengths_nm, _A_KELVIN, _A_C2_M_K)
+
+
+def illuminant_known(name: str) -> Known:
+    """Return over which wavelengths an illuminant is defined: A, E and blackbodies over all."""
+    if _kelvin(name) is not None or name in ("A", "E"):
+        return Known(f"illuminant {name}", 0.0, math.inf)
+    known, table = _table("illuminants")
+    first, *_, last = known[np.isfinite(table[name])].tolist()
+    return Known(f"illuminant {name}", first, last)
+
+
+def colorchecker(wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> dict[str, np.ndarray]:
+    """Return the reflectances (K,) of the 24 ColorChecker patches, in reading order."""
+    return _columns("colorchecker", wavelengths_nm)
+
+
+def colorchecker_known() -> Known:
+    """Return over which wavelengths they were measured."""
+    return Known("the ColorChecker's reflectances", *_table_ends_nm("colorchecker"))
 
 
 def colour_matching() -> np.ndarray:
     """Return the colour-matching functions of the CIE 1931 2-degree observer, ndarray (3, 61)."""
-    return np.stack(list(_table("cie_1931_2deg").values()))
+    return np.stack(list(_table("cie_1931_2deg")[1].values()))
 
 
-def rgb_reflectances() -> np.ndarray:
-    """Return the basis reflectances of linear Rec.709 red, green and blue, ndarray (3, 61).
+def rgb_reflectances(wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
+    """Return the basis reflectances of linear Rec.709 red, green and blue, ndarray (3, K).
 
     Their sum is 1 to 1e-5 at each wavelength, and under D65 they reproduce the RGB that weighs them
     (Mallett and Yuksel 2019).
     """
-    return np.stack(list(_table("mallett_2019").values()))
+    return np.stack(list(_columns("mallett_2019", wavelengths_nm).values()))
 
 
-def xyz(radiance: np.ndarray) -> np.ndarray:
+def rgb_known() -> Known:
+    """Return over which wavelengths these are defined."""
+    return Known("the spectra made of RGB (Mallett and Yuksel)", *_table_ends_nm("mallett_2019"))
+
+
+def xyz(radiance: np.ndarray, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
     """Return absolute tristimulus values.
 
     X = K_m int L(lambda) xbar(lambda) dlambda and so on (CIE 015:2018), here over 400-700 nm.
 
     Parameters
     ----------
-    radiance : ndarray (..., 61)
+    radiance : ndarray (..., K)
         Spectral radiance, W m^-2 sr^-1 nm^-1.
+    wavelengths_nm : ndarray (K,)
+        As `grid_nm` returns them.
 
     Returns
     -------
@@ -98,28 +202,34 @@ def xyz(radiance: np.ndarray) -> np.ndarray:
         X, Y, Z; Y is the luminance in cd/m^2.
     """
     weights = MAXIMUM_LUMINOUS_EFFICACY_LM_PER_W * colour_matching() * QUADRATURE_NM
-    return np.asarray(radiance, np.float64) @ weights.T
+    return np.asarray(radiance, np.float64)[..., seen_by_eye(wavelengths_nm)] @ weights.T
 
 
-def luminance_cd_m2(radiance: np.ndarray) -> np.ndarray:
-    """Return the luminance (...), cd/m^2, of spectral radiance (..., 61), W m^-2 sr^-1 nm^-1."""
-    return xyz(radiance)[..., 1]
+def luminance_cd_m2(
+    radiance: np.ndarray, wavelengths_nm: np.ndarray = WAVELENGTHS_NM
+) -> np.ndarray:
+    """Return the luminance (...), cd/m^2, of spectral radiance (..., K), W m^-2 sr^-1 nm^-1."""
+    return xyz(radiance, wavelengths_nm)[..., 1]
 
 
-def white_radiance(illuminant_name: str, white_luminance_cd_m2: float) -> np.ndarray:
+def white_radiance(
+    illuminant_name: str,
+    white_luminance_cd_m2: float,
+    wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
+) -> np.ndarray:
     """Return the spectral radiance of a perfect diffuser under an illuminant.
 
     Parameters
     ----------
-    illuminant_name : str
+    illuminant_name, wavelengths_nm
         As for `illuminant`.
     white_luminance_cd_m2 : float
         Luminance of the diffuser, cd/m^2.
 
     Returns
     -------
-    ndarray (61,)
+    ndarray (K,)
         W m^-2 sr^-1 nm^-1.
     """
-    relative = illuminant(illuminant_name)
-    return relative * (white_luminance_cd_m2 / luminance_cd_m2(relative))
+    scale = white_luminance_cd_m2 / luminance_cd_m2(illuminant(illuminant_name))
+    return illuminant(illuminant_name, wavelengths_nm) * scale

@@ -30,7 +30,6 @@ filters in front of the sensor are not. Between the values it is straight along 
 from __future__ import annotations
 
 import warnings
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -40,7 +39,6 @@ from pydantic import Field, field_validator, model_validator
 from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
 from gpusim.config.text import read_json
-from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
 
 Cube = list[list[list[NotNegative]]]
@@ -144,20 +142,15 @@ class EqeMap(Strict):
         """Return the external quantum efficiency of a channel: (wavelengths, thetas, phis)."""
         return np.prod([np.array(cube) for cube in self.channels[name].tables.values()], axis=0)
 
-    @cached_property
-    def on_the_grid(self) -> dict[str, np.ndarray]:
-        """The same of each channel at ``WAVELENGTHS_NM``: (61, thetas, phis), read-only."""
+    def on_grid(self, wavelengths_nm: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the same of each channel at wavelengths (K,): (K, thetas, phis)."""
         share = np.array(
             [
-                np.interp(WAVELENGTHS_NM, self.wavelengths_nm, row)
+                np.interp(wavelengths_nm, self.wavelengths_nm, row)
                 for row in np.eye(len(self.wavelengths_nm))
             ]
         )
-        found = {}
-        for name in self.channels:
-            found[name] = np.einsum("vw,vtp->wtp", share, self.eqe(name))
-            found[name].flags.writeable = False
-        return found
+        return {name: np.einsum("vw,vtp->wtp", share, self.eqe(name)) for name in self.channels}
 
     def at_normal_incidence(self) -> dict[str, object]:
         """Return the fields of a quantum efficiency without angles, as of theta 0."""

@@ -90,11 +90,11 @@ def read_spectrum(path: Path) -> tuple[list[float], list[float]]:
     return [row[0] for row in rows], [row[1] for row in rows]
 
 
-def passed(filters: Iterable[Filter]) -> np.ndarray:
-    """Return what filters one behind the other pass at `WAVELENGTHS_NM`: (61,)."""
-    product = np.ones(WAVELENGTHS_NM.size)
+def passed(filters: Iterable[Filter], wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
+    """Return what filters one behind the other pass (K,), beyond their data as at its ends."""
+    product = np.ones(len(wavelengths_nm))
     for one in filters:
-        product *= np.interp(WAVELENGTHS_NM, one.wavelengths_nm, one.transmission)
+        product *= np.interp(wavelengths_nm, one.wavelengths_nm, one.transmission)
     return product
 
 

@@ -19,6 +19,7 @@ from pydantic import Field, ValidationInfo, model_validator
 
 from gpusim.config.model import Strict
 from gpusim.errors import UserError
+from gpusim.known import Known
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.aperture import Aperture, Response, response_of
@@ -349,14 +350,30 @@ class Sensor(Strict):
 
         With the filters in front of the sensor.
         """
-        measured, light = self.quantum_efficiency, passed(self.filters)
-        curves = {}
-        for name in self.channels:
-            curves[name] = light * np.interp(
-                WAVELENGTHS_NM, measured.wavelengths_nm, measured.channels[name]
-            )
-            curves[name].flags.writeable = False
+        curves = self.qe_at(WAVELENGTHS_NM)
+        for curve in curves.values():
+            curve.flags.writeable = False
         return curves
+
+    def qe_at(self, wavelengths_nm: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the same at wavelengths (K,), beyond `known` as at its ends."""
+        measured, light = self.quantum_efficiency, passed(self.filters, wavelengths_nm)
+        return {
+            name: light * np.interp(wavelengths_nm, measured.wavelengths_nm, curve)
+            for name, curve in ((one, measured.channels[one]) for one in self.channels)
+        }
+
+    @property
+    def known(self) -> tuple[Known, ...]:
+        """Over which wavelengths quantum efficiency and filters are known."""
+        own = self.quantum_efficiency.wavelengths_nm
+        return (
+            Known("the sensor's quantum efficiency", own[0], own[-1]),
+            *(
+                Known(f"filter {one.name}", one.wavelengths_nm[0], one.wavelengths_nm[-1])
+                for one in self.filters
+            ),
+        )
 
     @property
     def colour_qe(self) -> dict[str, np.ndarray]:

@@ -17,21 +17,83 @@ OBSERVER = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
 
 
 def test_illuminants_are_those_of_colour_science():
-    names = list(spectra._table("illuminants"))
+    known, table = spectra._table("illuminants")
+    names = list(table)
     assert {"A", "D50", "D65", "E", "FL2", "LED-B3"} <= set(names)
     for name in names:
-        published = [colour.SDS_ILLUMINANTS[name][nm] for nm in WAVELENGTHS_NM]
+        table = colour.SDS_ILLUMINANTS[name]
+        own = known[(known >= table.shape.start) & (known <= table.shape.end)]
+        published = [table[nm] for nm in own]
         # The file keeps 8 digits: half a unit in the last place of a number that begins with 1.
-        assert_close(spectra.illuminant(name), np.array(published), rtol=5e-8)
+        assert_close(spectra.illuminant(name, own), np.array(published), rtol=5e-8)
+        last_nm = spectra.illuminant_known(name).last_nm
+        formula = np.inf if name in "AE" else 830 if name in ("D50", "D55", "D65", "D75") else 0
+        assert last_nm == max(table.shape.end, formula)
+
+
+def test_daylight_goes_on_by_its_formula_to_830_nm():
+    # CIE 15:2004, table T.1, D65 at 830 nm.
+    assert spectra.illuminant("D65", np.array([830.0]))[0] == pytest.approx(60.3125, abs=5e-5)
+    for name, kelvin in (("D50", 5000), ("D55", 5500), ("D65", 6500), ("D75", 7500)):
+        xy = colour.temperature.CCT_to_xy_CIE_D(kelvin * 1.4388 / 1.4380)
+        formula = colour.sd_CIE_illuminant_D_series(xy)
+        beyond = np.arange(785.0, 831.0, 5.0)
+        published = np.array([formula[nm] for nm in beyond])
+        assert_close(spectra.illuminant(name, beyond), published, rtol=5e-6)  # 6 digits in the file
+
+
+def test_illuminant_a_goes_on_by_its_formula():
+    # CIE 015:2018, eq. 4.1, at 1000 nm: by hand, 100 (560 / 1000)^5 (exp(8.99769) - 1) /
+    # (exp(5.03862) - 1), with 1.435e7 / (2848 x 560) = 8.997642 and 1.435e7 / 2848000 = 5.038624.
+    by_hand = 100 * 0.56**5 * np.expm1(1.435e7 / (2848 * 560)) / np.expm1(1.435e7 / 2848e3)
+    found = spectra.illuminant("A", np.array([700.0, 830.0, 1000.0, 1200.0]))
+    assert found[2] == pytest.approx(by_hand, rel=1e-12)
+    # The table and the formula are one curve.
+    whole = spectra.illuminant("A", spectra.ALL_NM)
+    assert_close(whole, spectra._illuminant_a(spectra.ALL_NM), rtol=2e-5)
+
+
+def test_a_blackbody_is_plancks_law():
+    planck = colour.colorimetry.planck_law(spectra.ALL_NM * 1e-9, 5100, c2=1.438776877e-2)
+    ours = spectra.illuminant("5100K", spectra.ALL_NM)
+    assert_close(ours / ours[52], planck / planck[52], rtol=1e-12)
+    for name in ("5100 K", "5100.0K"):
+        assert np.array_equal(spectra.illuminant(name), spectra.illuminant("5100K"))
+    for name in ("0K", "200001K"):
+        with pytest.raises(UserError, match="500K to 100000K"):
+            spectra.illuminant(name)
+
+
+def test_a_grid_holds_what_the_eye_sees_and_no_more_than_is_known():
+    assert np.array_equal(spectra.grid_nm(450, 650), WAVELENGTHS_NM)
+    assert spectra.grid_nm(396.8, 1004.1)[[0, -1]].tolist() == [400, 1000]
+    assert spectra.grid_nm(0, np.inf)[[0, -1]].tolist() == [300, 1200]
+    for first, last in ((300, 1200), (400, 700), (380, 730)):
+        grid = spectra.grid_nm(first, last)
+        assert np.array_equal(grid[spectra.seen_by_eye(grid)], WAVELENGTHS_NM)
+
+
+def test_luminance_is_that_of_what_the_eye_sees():
+    grid = spectra.grid_nm(380, 1000)
+    wide = spectra.white_radiance("A", 300.0, grid)
+    # Two sums of 61 positive terms, one product and one division: 2 * 61 + 2 roundings.
+    assert spectra.luminance_cd_m2(wide, grid) == pytest.approx(300, rel=124 * 2.0**-53)
+    assert np.array_equal(wide[spectra.seen_by_eye(grid)], spectra.white_radiance("A", 300.0))
 
 
 def test_colorchecker_reflectances_are_those_of_colour_science():
     published = colour.SDS_COLOURCHECKERS["BabelColor Average"]
-    ours = spectra.colorchecker()
+    grid = spectra.grid_nm(*spectra.colorchecker_known()[1:])
+    shape = colour.SpectralShape(grid[0], grid[-1], 5)
+    assert (grid[0], grid[-1]) == (380, 730)
+    ours = spectra.colorchecker(grid)
     assert list(ours) == list(published)
     for name, reflectance in ours.items():
+        whole = published[name].copy().align(shape).values
+        # From 400 to 700 nm the rows are those interpolated within that range.
+        whole[spectra.seen_by_eye(grid)] = published[name].copy().align(SHAPE).values
         # The file keeps 6 decimals.
-        assert_close(reflectance, published[name].copy().align(SHAPE).values, atol=0.51e-6)
+        assert_close(reflectance, whole, atol=0.51e-6)
 
 
 def test_observer_and_rgb_reflectances_are_those_of_colour_science():
@@ -39,6 +101,10 @@ def test_observer_and_rgb_reflectances_are_those_of_colour_science():
     assert_close(spectra.colour_matching(), published, rtol=1e-11)  # 12 digits in the file
     basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.copy().align(SHAPE).values.T
     assert_close(spectra.rgb_reflectances(), basis, rtol=1e-11)
+    wide = spectra.grid_nm(*spectra.rgb_known()[1:])
+    assert (wide[0], wide[-1]) == (380, 780)
+    basis = colour.recovery.MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019.values.T
+    assert_close(spectra.rgb_reflectances(wide), basis, rtol=1e-11)
 
 
 def test_quadrature_is_the_trapezoidal_rule():

@@ -40,7 +40,7 @@ def test_a_map_is_read_and_gives_the_quantum_efficiency_at_normal_incidence(tmp_
     sensor = load_sensor(written(tmp_path, content()))
     assert sensor.eqe_map.file == "eqe.json"
     assert sensor.qe["G"] == pytest.approx(np.full(61, 0.5))
-    found = sensor.eqe_map.on_the_grid["G"]
+    found = sensor.eqe_map.on_grid(WAVELENGTHS_NM)["G"]
     assert found.shape == (WAVELENGTHS_NM.size, 3, 4)
     assert found[30, 2].tolist() == [0.3, 0.2, 0.3, 0.4]
     # What the report keeps is the same sensor.
@@ -61,7 +61,7 @@ def test_wavelengths_are_interpolated(tmp_path):
     cube = [[[0.2]], [[0.6]]]
     data = content(phi_deg=[0], channels={n: [[*one, *one] for one in cube] for n in "RGB"})
     found = load_sensor(written(tmp_path, data | {"theta_deg": [0, 60]})).eqe_map
-    assert found.on_the_grid["B"][:, 1, 0] == pytest.approx(np.linspace(0.2, 0.6, 61))
+    assert found.on_grid(WAVELENGTHS_NM)["B"][:, 1, 0] == pytest.approx(np.linspace(0.2, 0.6, 61))
 
 
 def replaced(index: tuple, value: object) -> dict:
