@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import base64
 import io
-import itertools
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from labels import overlaps, words
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from PIL import Image
 
 from gpusim.lens.bank import Bank, compute_bank, default_fields_deg
@@ -186,34 +184,6 @@ def test_wavelengths_have_colours_that_read_on_white(wavelength: float):
     hue = {400.0: 2, 425: 2, 475: 2, 550: 1, 650: 0, 700: 0}
     if wavelength in hue:
         assert colour.argmax() == hue[wavelength]
-
-
-def words(figure: Figure) -> list[tuple[str, object]]:
-    """Return every text that a figure shows, with its box in pixels."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    texts = list(figure.texts)
-    for axes in figure.axes:
-        texts += [child for child in axes.get_children() if isinstance(child, Text)]
-        if axes.get_legend() is not None:
-            texts += axes.get_legend().get_texts()
-        for axis in (axes.xaxis, axes.yaxis) if axes.axison else ():
-            low, high = sorted(axis.get_view_interval())
-            texts.append(axis.label)
-            # Beyond the limits matplotlib keeps ticks that it does not draw.
-            texts += [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
-    renderer = canvas.get_renderer()
-    return [(t.get_text(), t.get_window_extent(renderer)) for t in texts if t.get_text().strip()]
-
-
-def overlaps(shown) -> list[tuple[str, str]]:
-    return [
-        (a, b)
-        for (a, box), (b, other) in itertools.combinations(shown, 2)
-        # A pixel of slack: boxes are wider than letters.
-        if min(box.x1, other.x1) - max(box.x0, other.x0) > 1
-        and min(box.y1, other.y1) - max(box.y0, other.y0) > 1
-    ]
 
 
 def test_no_two_labels_overlap_and_none_leaves_the_page(page: LensPage):

@@ -327,23 +327,63 @@ def lens(
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="PSF bank as .nc, or one page as .png or .html."),
+        typer.Option(
+            metavar="FILE",
+            help="PSF bank as .nc, one page as .png, or the page with all figures as .html.",
+        ),
+    ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Every figure as a .png: layout, ray and OPD fans, spots, wavefront with Zernike "
+            "terms, field curvature, colour, distortion, MTF, encircled energy, angles.",
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Every figure's numbers, a .csv each.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="All figures' numbers as one .json.")
+    ] = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            "--with",
+            metavar="LENS|SETTING",
+            help="Lay a second lens over the first in all figures, or the same one at another "
+            "setting: tessar, f-number=4, or tessar,focal-length=50,f-number=4.",
+        ),
+    ] = None,
+    frequency: Annotated[
+        float | None,
+        typer.Option(
+            metavar="CY_MM", help="Spatial frequency of the MTF through focus and over the field."
+        ),
     ] = None,
 ) -> None:
-    """Show what a lens does: first-order data, PSFs, MTF, distortion, colour.
+    """Show what a lens does: first-order data, PSFs, aberrations, MTF, distortion, colour.
 
     Exit code 1 where a figure that the lens's source states is not met.
     """
     from gpusim.cli.lens import run
+    from gpusim.cli.lens_plots import Setting, Wanted
 
-    changes = {
-        "focal_length_mm": focal_length,
-        "f_number": f_number,
-        "object_distance_m": object_distance,
-        "focus_distance_m": focus_distance,
-        "focus_shift_um": focus_shift,
-    }
-    run(name, changes, nearest_glasses, out)
+    run(
+        name,
+        Setting(
+            focal_length, f_number, object_distance, focus_distance, focus_shift, nearest_glasses
+        ),
+        out,
+        Wanted(
+            beside,
+            frequency,
+            figures,
+            csv,
+            json,
+            page=out is not None and out.suffix.lower() == ".html",
+        ),
+    )
 
 
 @app.command()

@@ -21,12 +21,13 @@ DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 @contextmanager
-def staging(folder: Path) -> Iterator[Path]:
+def staging(folder: Path, option: str = "--out") -> Iterator[Path]:
     """Yield a temporary folder inside `folder`, made if need be; its files move up at the end.
 
     Entering it before the work starts shows that the folder can be written. Where the work fails,
     the files that were in `folder` stay as they were. What runs left there that were killed is
     removed: a run holds a lock on a file in its folder, which the system frees when it ends.
+    ``option`` is what a mistake is blamed on.
 
     Raises
     ------
@@ -42,7 +43,7 @@ def staging(folder: Path) -> Iterator[Path]:
         raise UserError(
             f"the output folder cannot be written: {error.strerror}",
             file=folder,
-            field="--out",
+            field=option,
             allowed="a folder that you may write to, or a new one inside such a folder",
         ) from error
     UNFINISHED.add(temporary)
@@ -109,7 +110,7 @@ def _lock(descriptor: int) -> bool:
 
 
 @contextmanager
-def whole_file(file: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
+def whole_file(file: Path, suffixes: tuple[str, ...], option: str = "--out") -> Iterator[Path]:
     """Yield a temporary name for `file`, which replaces `file` at the end.
 
     Raises
@@ -120,9 +121,9 @@ def whole_file(file: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
     if file.suffix.lower() not in suffixes or file.is_dir():
         raise UserError(
             "the output file cannot have this name",
-            field="--out",
+            field=option,
             value=file,
             allowed="a file name that ends in " + " or ".join(suffixes),
         )
-    with staging(file.parent) as folder:
+    with staging(file.parent, option) as folder:
         yield folder / file.name

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from gpusim.cli.files import whole_file
+from gpusim.cli.lens_plots import (
+    Setting,
+    Wanted,
+    no_surfaces,
+    places,
+    second,
+    studied,
+    write_plots,
+)
 from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.lens.account import Account
 from gpusim.lens.bank import cached_bank
 from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.plane_bank import PlaneBank
-from gpusim.lens.prescription import KINDS as LENS_KINDS
 from gpusim.lens.prescription import Prescription, load_prescription, presets
 from gpusim.lens.ready import ReadyLens, is_ready, load_ready
 from gpusim.lens.system import Checked, System, build, checked, first_order
@@ -32,136 +42,131 @@ from gpusim.report.lens_facts import (
     ready_identity,
 )
 
+if TYPE_CHECKING:
+    from gpusim.report.lens.study import Study
+
 KINDS = (".nc", ".png", ".html")
-OPTIONS = {
-    "focal_length_mm": "--focal-length",
-    "f_number": "--f-number",
-    "object_distance_m": "--object-distance",
-    "focus_distance_m": "--focus-distance",
-    "focus_shift_um": "--focus-shift",
-}
 
 
-def run(
-    name: str | None,
-    changes: Mapping[str, float | None],
-    nearest_glasses: bool,
-    out: Path | None,
-) -> None:
-    """Show the data of a lens; write its bank or its page where `out` asks for them.
+def run(name: str | None, setting: Setting, out: Path | None, wanted: Wanted) -> None:
+    """Show the data of a lens; write its bank, its page and its figures where they are asked for.
 
-    `changes`: by the names of OPTIONS; None leaves the lens as it is. Without a name, list the
-    lenses that come with the package. Where a figure that the source states is not met, the exit
-    code is 1, after everything was shown and written.
+    Without a name, list the lenses that come with the package. Where a figure that the source
+    states is not met, the exit code is 1, after everything was shown and written.
     """
     if name is None:
-        given = (*changes.values(), nearest_glasses or None, out)
-        if any(one is not None for one in given):
+        if setting.given or wanted.given or out is not None:
             raise UserError(
                 "the options need a lens", field="LENS", allowed=", ".join(presets()) + ", a file"
             )
         Console().print(library())
         return
     if is_ready(name):
-        given = {OPTIONS[name]: value for name, value in changes.items()}
-        for option, value in (given | {"--nearest-glasses": nearest_glasses or None}).items():
-            if value is not None:
-                raise UserError(
-                    "a ready-made lens is used as it is: it has no surfaces to trace again",
-                    file=name,
-                    field=option,
-                    value=value,
-                    allowed=f"a {LENS_KINDS} file, or a preset, for a lens that changes",
-                )
+        for option, value in (setting.given | wanted.given).items():
+            raise no_surfaces(name, option, value)
         show_ready(name, out)
         return
+    wanted.check()
+    other = None if wanted.beside is None else second(wanted.beside, name, setting)
     lens = load_prescription(name)
     # The source's figures hold for the lens as published.
     checks = checked(lens)
     # What is said of a lens of the package's own is of what comes now.
     account = lens.account if name not in presets() else Account()
     said = len(lens.account.rows)
-    if nearest_glasses:
+    if setting.nearest_glasses:
         lens = lens.with_nearest_glasses()
     else:
         state_model_glasses(lens)
     if account is not lens.account:
         account.rows += lens.account.rows[said:]
-    if (focal_length_mm := changes["focal_length_mm"]) is not None:
-        lens = lens.scaled(focal_length_mm)
-    if (f_number := changes["f_number"]) is not None:
-        lens = lens.stopped(f_number)
-    distances = changes["object_distance_m"], changes["focus_distance_m"]
-    if any(one is not None for one in distances):
-        lens = lens.looking(*distances)
-    if (focus_shift_um := changes["focus_shift_um"]) is not None:
-        lens = lens.defocused(focus_shift_um)
+    lens = setting.of(lens)
     with ExitStack() as stack:
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
+        at = stack.enter_context(places(wanted))
         system = build(lens)
         with progress_bar() as progress:
-            if system.geometry.moved.any():
-                # Without an axis there is no curve against field.
-                facts = plane_work(lens, system, account, file, progress)
-            else:
-                facts = work(lens, system, checks, file, progress)
+            studies = (
+                studied(lens, name, setting, other, wanted) if wanted.files or wanted.page else []
+            )
+            write_plots(studies, at, progress)
+            job = Job(lens, system, checks, account, file, studies, wanted.frequency, progress)
+            # Without an axis there is no curve against field.
+            facts = plane_work(job) if system.geometry.moved.any() else work(job)
     console = Console()
     console.print(texts([*identity(system.prescription), *facts]))
     show_account(console, account)
     show_checks(console, checks)
-    if out is not None:
-        print(out)
+    for written in (wanted.figures, wanted.csv, wanted.json, out):
+        if written is not None:
+            print(written)
     if not all(one.met for one in checks):
         sys.exit(1)
 
 
-def work(
-    lens: Prescription,
-    system: System,
-    checks: list[Checked],
-    file: Path | None,
-    progress: Callable[[str, int, int], None],
-) -> list[tuple[str, str]]:
-    """Compute the bank of a lens, write what `file` asks for, and return the data to show."""
-    bank = cached_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
-    kind = None if file is None else file.suffix.lower()
+@dataclass(frozen=True)
+class Job:
+    """What is to be done for a lens that is traced: ``file`` says what is to be written."""
+
+    lens: Prescription
+    system: System
+    checks: list[Checked]
+    account: Account
+    file: Path | None
+    studies: list[Study]
+    frequency: float | None
+    progress: Callable[[str, int, int], None]
+
+
+def work(job: Job) -> list[tuple[str, str]]:
+    """Compute the bank of a lens, write what is asked for, and return the data to show."""
+    bank = cached_bank(job.lens, progress=lambda done, all_: job.progress("PSF bank", done, all_))
+    kind = None if job.file is None else job.file.suffix.lower()
     if kind == ".nc":
-        bank.save(file)
+        bank.save(job.file)
     elif kind is not None:
         from gpusim.report.drawing import png
         from gpusim.report.lens.sheet import draw
         from gpusim.report.lens_html import lens_html
         from gpusim.report.lens_page import lens_page
 
-        page = lens_page(bank, system, lambda done, all_: progress("page", done, all_))
+        page = lens_page(
+            bank,
+            job.system,
+            lambda done, all_: job.progress("page", done, all_),
+            frequency=job.frequency,
+        )
         if kind == ".png":
-            file.write_bytes(png(draw(page)))
+            job.file.write_bytes(png(draw(page)))
         else:
-            file.write_text(lens_html(page, checks, lens.account), encoding="utf-8")
-    return lens_facts(bank, system)
+            text = lens_html(page, job.checks, job.lens.account, job.studies)
+            job.file.write_text(text, encoding="utf-8")
+    return lens_facts(bank, job.system)
 
 
-def plane_work(
-    lens: Prescription,
-    system: System,
-    account: Account,
-    file: Path | None,
-    progress: Callable[[str, int, int], None],
-) -> list[tuple[str, str]]:
+def plane_work(job: Job) -> list[tuple[str, str]]:
     """Do what ``work`` does for a lens with moved elements, over both directions of the field.
 
     The bank takes a while: without a file to write, first-order data are all that is shown.
     """
     from gpusim.lens.plane_bank import cached_plane_bank
 
-    if file is None:
-        return first_order_facts(system)
-    bank = cached_plane_bank(lens, progress=lambda done, all_: progress("PSF bank", done, all_))
-    write_plane(bank, system, account, file)
-    return plane_facts(bank, system)
+    if job.file is None:
+        return first_order_facts(job.system)
+    bank = cached_plane_bank(
+        job.lens, progress=lambda done, all_: job.progress("PSF bank", done, all_)
+    )
+    write_plane(bank, job.system, job.account, job.file, job.studies)
+    return plane_facts(bank, job.system)
 
 
-def write_plane(bank: PlaneBank, system: System | None, account: Account, file: Path) -> None:
+def write_plane(
+    bank: PlaneBank,
+    system: System | None,
+    account: Account,
+    file: Path,
+    studies: Sequence[Study] = (),
+) -> None:
     """Write a bank over both directions of the field, or its page."""
     if file.suffix.lower() == ".nc":
         bank.save(file)
@@ -177,7 +182,7 @@ def write_plane(bank: PlaneBank, system: System | None, account: Account, file: 
     else:
         from gpusim.report.lens_html import plane_html
 
-        file.write_text(plane_html(page, account), encoding="utf-8")
+        file.write_text(plane_html(page, account, studies), encoding="utf-8")
 
 
 def show_ready(name: str, out: Path | None) -> None:

@@ -13,7 +13,9 @@ from gpusim.lens.prescription import ASPHERE_POWERS, Surface
 from gpusim.lens.ready import ReadyLens
 from gpusim.lens.system import Checked, System
 from gpusim.report.drawing import svg
+from gpusim.report.lens.plots import PLOTS, draw_plot
 from gpusim.report.lens.sheet import draw, draw_ready
+from gpusim.report.lens.study import Study
 from gpusim.report.lens_facts import (
     checks_table,
     identity,
@@ -28,7 +30,9 @@ from gpusim.report.plane_figure import draw_plane
 from gpusim.report.plane_page import PlanePage
 
 
-def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> str:
+def lens_html(
+    page: LensPage, checks: Sequence[Checked], account: Account, studies: Sequence[Study] = ()
+) -> str:
     """Return the page as an HTML document that needs no other file.
 
     Parameters
@@ -38,6 +42,8 @@ def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> st
         The source's figures beside those that were found.
     account : Account
         What the reader made of the lens file.
+    studies : sequence of Study
+        Lenses whose single figures are shown below the page.
     """
     lens = page.system.prescription
     shown = "Layout, PSFs, MTF, through focus, distortion, lateral colour, illumination"
@@ -46,6 +52,7 @@ def lens_html(page: LensPage, checks: Sequence[Checked], account: Account) -> st
         escape(lens.title),
         escape("; ".join(filter(None, [lens.patent, *lens.history]))),
         _sheet(draw(page, titled=False), shown),
+        _figures(studies),
         "<h2>Check values of the source</h2>",
         _table(("Quantity", "Indices", "Source", "Found", "Verdict"), checks_table(checks))
         if checks
@@ -79,7 +86,7 @@ def ready_html(page: BankPage, lens: ReadyLens) -> str:
     )
 
 
-def plane_html(page: PlanePage, account: Account) -> str:
+def plane_html(page: PlanePage, account: Account, studies: Sequence[Study] = ()) -> str:
     """Return the page of a lens without symmetry as an HTML document that needs no other file."""
     bank, system = page.bank, page.system
     of_lens = (
@@ -99,12 +106,26 @@ def plane_html(page: PlanePage, account: Account) -> str:
             draw_plane(page, titled=False),
             "Layout, PSFs over the field, MTF, chief rays, lateral colour, illumination",
         ),
+        _figures(studies),
         "<h2>Data</h2>",
         pairs(dict(plane_facts(bank, system))),
         *of_lens,
         "<h2>How it was computed</h2>",
         pairs(bank.provenance),
     )
+
+
+def _figures(studies: Sequence[Study]) -> str:
+    """Return all single figures of one or two lenses, as many abreast as there is room."""
+    if not studies:
+        return ""
+    pictures = "".join(_sheet(draw_plot(plot, studies), plot.title) for plot in PLOTS)
+    note = (
+        "Stop heights are relative to the stop's radius. An OPD is positive where the wavefront "
+        "is ahead of its sphere. Curves of single wavelengths are of the design wavelengths, "
+        "others of white light, 400 to 700 nm, of equal energy per nm."
+    )
+    return f'<h2>Figures</h2><p class="soft">{note}</p><div class="plots">{pictures}</div>'
 
 
 def _sheet(figure: Figure, shown: str) -> str:

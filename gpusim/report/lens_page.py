@@ -94,7 +94,11 @@ class LensPage(BankPage):
 
 
 def lens_page(
-    bank: Bank, system: System, progress: Callable[[int, int], None] | None = None
+    bank: Bank,
+    system: System,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    frequency: float | None = None,
 ) -> LensPage:
     """Compute what the page shows.
 
@@ -105,6 +109,8 @@ def lens_page(
         The lens of the bank.
     progress : callable, optional
         Called with (steps done, steps in all).
+    frequency : float, optional
+        Cycles/mm of the through-focus curves; without it where the axis keeps about half.
     """
     parts = CURVE_FIELDS.values()
     fields = [np.radians(bank.field_deg[field_number(bank, part)]) for part in parts]
@@ -129,7 +135,8 @@ def lens_page(
 
     with threadpool_limits(1), ThreadPoolExecutor() as pool:
         pupils = each(pool.map(traced, fields))
-        top, focus_frequency = _frequencies(bank, pupils[0])
+        top, half = _frequencies(bank, pupils[0])
+        focus_frequency = half if frequency is None else frequency
         frequency = np.linspace(0, top, 101)
         depth_mm = _depth_mm(bank, pupils, focus_frequency)
         focus_mm = np.linspace(-depth_mm, depth_mm, 61)

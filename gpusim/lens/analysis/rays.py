@@ -188,11 +188,13 @@ class Arrival:
     x_mm, y_mm : float
         Where the chief ray lands.
     chief_deg : float
-        Its whole angle from the normal, positive in a centred lens where it leaves the axis.
+        Its whole angle from the normal.
     upper_deg, lower_deg : float
         Of the outermost rays along y that pass, of the greater and of the smaller angle.
     sagittal_deg : tuple of float
         Of the outermost rays along x that pass.
+
+    Angles of rims are NaN where no light passes on that diameter of the stop.
     """
 
     x_mm: float
@@ -214,47 +216,45 @@ class Arrival:
 def arrival(system: System, wavelength_nm: float, field: Field) -> Arrival:
     """Return chief-ray and marginal-ray angles at the image."""
     lines = np.array([wavelength_nm])
-    edges = {}
-    for way in ("y", "x"):
-        rims = _rims(system, lines, field, way)
-        points = (np.zeros(2), rims) if way == "y" else (rims, np.zeros(2))
-        edges[way] = rays_at(system, lines, field, *points)
-    samples = edges["y"]
+    lower, upper = _rim_angles(system, lines, field, "y")
+    left, right = _rim_angles(system, lines, field, "x")
+    middle = np.zeros(1)
+    samples = rays_at(system, lines, field, middle, middle)
     a, b = samples.chief_direction[0]
-    upper, lower = sorted(_angles(samples.alpha[0], samples.beta[0], "y"), reverse=True)
-    right, left = sorted(_angles(edges["x"].alpha[0], edges["x"].beta[0], "x"), reverse=True)
-    sign = -1.0 if b * np.sign(field.theta) < 0 else 1.0
+    sign = -1.0 if b < 0 else 1.0
     return Arrival(
         x_mm=float(samples.chief_x_mm[0]),
         y_mm=float(samples.chief_y_mm[0]),
         chief_deg=sign * float(np.degrees(np.arcsin(np.hypot(a, b)))),
-        upper_deg=float(upper),
-        lower_deg=float(lower),
-        sagittal_deg=(float(right), float(left)),
+        upper_deg=upper,
+        lower_deg=lower,
+        sagittal_deg=(right, left),
     )
 
 
-def _angles(alpha: np.ndarray, beta: np.ndarray, way: Way) -> np.ndarray:
-    gamma = np.sqrt(1 - alpha**2 - beta**2)
-    return np.degrees(np.arctan2(beta if way == "y" else alpha, gamma))
+def _rim_angles(system: System, lines: np.ndarray, field: Field, way: Way) -> tuple[float, float]:
+    """Return the angles (deg) of the outermost rays that pass along a diameter of the stop.
 
-
-def _rims(system: System, lines: np.ndarray, field: Field, way: Way) -> np.ndarray:
-    """Return where the light that passes begins and ends along a diameter of the stop, shape (2,).
-
-    Looked for twice, to 1e-4 of the stop's radius.
+    The smaller first; NaN where none passes. Rims are looked for twice, to 1e-4 of the radius.
     """
 
-    def lit(stop: np.ndarray) -> np.ndarray:
+    def traced(stop: np.ndarray) -> Samples:
         nothing = np.zeros_like(stop)
-        points = (nothing, stop) if way == "y" else (stop, nothing)
-        return passes(rays_at(system, lines, field, *points))[0]
+        return rays_at(system, lines, field, *((nothing, stop) if way == "y" else (stop, nothing)))
+
+    def lit(stop: np.ndarray) -> np.ndarray:
+        return passes(traced(stop))[0]
 
     stop = np.linspace(-1, 1, _EDGE_POINTS)
     found = np.flatnonzero(lit(stop))
+    if not found.size:
+        return np.nan, np.nan
     ends = []
     for at, side in ((found[0], -1), (found[-1], 1)):
         beyond = np.clip(at + side, 0, _EDGE_POINTS - 1)
         between = np.linspace(stop[at], stop[beyond], _EDGE_POINTS // 2)
         ends.append(between[np.flatnonzero(lit(between))[-1]])
-    return np.array(ends)
+    rims = traced(np.array(ends))
+    gamma = np.sqrt(1 - rims.alpha[0] ** 2 - rims.beta[0] ** 2)
+    angles = np.degrees(np.arctan2((rims.beta if way == "y" else rims.alpha)[0], gamma))
+    return float(angles.min()), float(angles.max())

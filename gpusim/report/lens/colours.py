@@ -9,8 +9,10 @@ from gpusim.scene.colorimetry import REC709_CHROMATICITIES, encode_srgb, rgb_to_
 from gpusim.scene.spectra import WAVELENGTHS_NM, colour_matching
 
 # Axis, half and full field: even in lightness, told apart by all kinds of colour vision (from
-# ColorBrewer's PuOr), and none of them the colour of a wavelength that is shown.
-FIELD_COLOURS = dict(zip(CURVE_FIELDS, ("#1b1f24", "#d9730d", "#6a3fa0"), strict=True))
+# ColorBrewer's PuOr), and none of them the colour of a wavelength that is shown. Two more for
+# lenses without an axis, from its PRGn and PiYG.
+PALETTE = ("#1b1f24", "#d9730d", "#6a3fa0", "#3f8a2f", "#c2348b")
+FIELD_COLOURS = dict(zip(CURVE_FIELDS, PALETTE, strict=False))
 
 
 def wavelength_colour(wavelength_nm: float, luminance: float = 0.2) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 from gpusim.lens.layout import Element, section
 from gpusim.lens.system import System
 from gpusim.report.drawing import INK, SOFT
-from gpusim.report.lens.colours import FIELD_COLOURS
+from gpusim.report.lens.colours import PALETTE
 from gpusim.report.lens_page import round_near
 
 
@@ -30,7 +30,7 @@ def draw_layout(
         axes.add_patch(
             Polygon(element.outline, facecolor=face, edgecolor="#3c5878", linewidth=0.8, zorder=2)
         )
-    for paths, colour in zip(beams, FIELD_COLOURS.values(), strict=True):
+    for paths, colour in zip(beams, PALETTE, strict=False):
         for number in range(paths.shape[1]):
             axes.plot(*paths[:, number].T, color=colour, linewidth=0.6, zorder=3)
     circle = 1.06e-3 * image_um
