@@ -25,12 +25,14 @@ def coddington(system: System, index: np.ndarray, theta: float) -> np.ndarray:
     """
     launch = field_launch(system, index, theta)
     nothing = np.zeros((index.shape[1], 1))
-    vergence = np.zeros((2, index.shape[1]))  # n cos^2 I / t and n / s: the object is far away
+    vergence = np.zeros((2, index.shape[1]))  # n / t and n / s: the object is far away
     last = np.zeros((3, index.shape[1]))
-    before = np.broadcast_to(launch.direction[:, None], (3, index.shape[1]))
+    before = launch.direction
     for s, c in enumerate(system.geometry.curvature):
         rays = trace(system.geometry, index, launch, nothing, nothing, through=s + 1)
         point, after = rays.point[..., 0], rays.direction[..., 0]
+        if s == 0 and launch.source is not None:
+            vergence -= 1 / np.linalg.norm(point - launch.source[:, None], axis=0)
         if s:
             step = np.linalg.norm(point - last, axis=0)
             # Over a distance d: n / (n / V - d).
@@ -50,9 +52,12 @@ def coddington(system: System, index: np.ndarray, theta: float) -> np.ndarray:
     return (last[2] + after[2] / vergence - system.image_z_mm).T
 
 
-@pytest.mark.parametrize("name", ["double-gauss", "cooke-triplet", "telephoto"])
-def test_close_rays_meet_where_coddington_says(name: str):
-    system = build(load_prescription(name))
+@pytest.mark.parametrize(
+    ("name", "distance_m"),
+    [("double-gauss", np.inf), ("cooke-triplet", 0.6), ("telephoto", np.inf)],
+)
+def test_close_rays_meet_where_coddington_says(name: str, distance_m: float):
+    system = build(load_prescription(name).looking(distance_m))
     edge = np.radians(system.prescription.max_field_deg)
     theta = np.array([0.0, 0.4, 1.0]) * edge
     found = field_focus(system, LINES, theta)
