@@ -316,6 +316,9 @@ def sampled_kernels(
 ) -> np.ndarray:
     """Return the kernels of one field point on a sim grid, of the first planes only.
 
+    They hold all of the light, also where they ring beyond what is sampled: a sharp PSF on a grid
+    of 5 um lost 2.4e-3 of it within 66 um. What is cut off is added to what is there.
+
     Returns
     -------
     ndarray (planes, C, 2 R, 2 R)
@@ -340,8 +343,13 @@ def sampled_kernels(
     at = (part[inside] + n // 2 for part in (tangential, radial))
     area = (sim_pitch_um / kernels.pitch_um) ** 2
     found = _spline_weights(*at, n + 1) @ splines.reshape((n + 1) ** 2, -1)
+    found *= area
+    lacking = splines[:n, :n].sum(axis=(0, 1)) - found.sum(axis=0)
+    # Terms of weights that go with the place may be negative, and hold nothing in sum.
+    share = np.abs(found)
+    found += lacking * share / np.maximum(share.sum(axis=0), np.finfo(float).tiny)
     out = np.zeros((planes * channels, 2 * half_size, 2 * half_size))
-    out[:, inside] = area * found.T
+    out[:, inside] = found.T
     return out.reshape(planes, channels, *out.shape[1:])
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from itertools import product
 
 import numpy as np
 
+from gpusim.lens.places import Blend
 from gpusim.optics.kernels import (
     BAND_EDGE,
     FieldKernels,
     core_window,
     distances_um,
+    node_kernels,
     sampled_kernels,
 )
 from gpusim.sensor.aperture import transfer_along
@@ -19,6 +23,8 @@ from gpusim.sensor.sensor import Sensor
 # What least-squares nodes gain over interpolation between samples: see
 # gpusim.optics.kernels.node_kernels.
 NODE_GAIN = 2.45
+EVEN = 128  # places over the sensor at which even scenes are looked at
+PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
 SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
 
 
@@ -54,11 +60,8 @@ def node_error(
     reach_um: float,
     half_um: tuple[float, float],
     spacing_um: float,
-    edges: bool = True,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
-
-    Where a scene has no edges, that of the kernels' sums: of the response far from an edge.
 
     Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
     half field and in the corner of the sensor (in each of the quadrants that differ), as far as
@@ -83,8 +86,111 @@ def node_error(
             for axis in (0, 1):
                 # A halo's level may hold nothing so near to the chief ray.
                 response = np.cumsum((mean - kernel).sum(axis=axis)) / (kernel.sum() or 1.0)
-                of_channel.append(np.abs(response if edges else response[-1]).max() ** 2)
+                of_channel.append(np.abs(response).max() ** 2)
     return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
+
+
+def even_error(
+    kernels: FieldKernels,
+    half_um: tuple[float, float],
+    sides_um: tuple[float, float],
+    cells: tuple[int, int],
+) -> float:
+    """Return the error of an even scene that interpolation between PSF nodes causes: the RMS.
+
+    What kernels H(t; s) of sources s bring to a point of an even scene follows from their moments
+    over t, m0, m1 and m2:
+
+        integral H(x - s; s) ds = m0 - div m1 + div div m2 / 2.
+
+    The engine has these as its nodes have them (`gpusim.optics.kernels.node_kernels`), and straight
+    lines between: m0 errs with the square of the cells, the slope of m1 with the cells themselves,
+    and m2 is not curved within a cell. Of kernels wider than a cell m0 alone is compared: moments
+    say little of these. At EVEN places over the sensor.
+
+    Parameters
+    ----------
+    kernels : FieldKernels
+        Of the first plane.
+    half_um : (float, float)
+        Half the sensor's sides.
+    sides_um, cells : (float, float), (int, int)
+        What the cells cover, and how many they are.
+    """
+    of_fields = _moments(kernels)
+    step = np.array(sides_um) / cells
+    if kernels.splines.shape[-1] * kernels.pitch_um > step.min():
+        of_fields[:, 1:] = 0.0
+    first = -np.array(sides_um) / 2
+
+    @cache
+    def at(x: float, y: float) -> np.ndarray:
+        return _turned(of_fields, kernels.places.at(x, y))
+
+    @cache
+    def node(col: int, row: int) -> np.ndarray:
+        return node_kernels(lambda dx, dy: at(*(first + step * (col + dx, row + dy))))
+
+    def slopes(around: Callable[[int, int], np.ndarray], way: np.ndarray) -> np.ndarray:
+        """Return the light of an even scene from moments at 3 x 3 places so far apart."""
+        shown = around(0, 0)[0]
+        for axis, (dx, dy) in enumerate(((1, 0), (0, 1))):
+            more, less = around(dx, dy), around(-dx, -dy)
+            shown = shown - (more - less)[1 + axis] / (2 * way[axis])
+            shown += (more - 2 * around(0, 0) + less)[3 + axis] / (2 * way[axis] ** 2)
+        mixed = around(1, 1) - around(1, -1) - around(-1, 1) + around(-1, -1)
+        return shown + mixed[5] / (4 * way[0] * way[1])
+
+    # Additive recurrence with powers of the plastic number (Roberts 2018): spread evenly, and in
+    # step with no number of cells.
+    places = (np.arange(1, EVEN + 1)[:, None] / PLASTIC ** np.array([1, 2])) % 1.0
+    squares = []
+    for place in (2 * places - 1) * half_um:
+        true = slopes(lambda dx, dy, p=place: at(*(p + (dx, dy) * step / 8)), step / 8)
+        low = np.floor((place - first) / step).astype(int)
+        u, v = (place - first) / step - low
+        corners = [[node(low[0] + i, low[1] + j) for i in (0, 1)] for j in (0, 1)]
+
+        def straight(dx: int, dy: int, u=u, v=v, corners=corners) -> np.ndarray:
+            # The plane through the cell's corners goes on beyond it: slopes are those at the place.
+            (a, b), (c, d) = corners
+            x, y = u + dx / 8, v + dy / 8
+            return (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
+
+        made = slopes(straight, step / 8)
+        # A halo's level may hold nothing at a place.
+        squares.append(np.square((made - true) / np.where(true != 0, true, np.inf)))
+    return float(np.sqrt(np.mean(squares, axis=0).max()))
+
+
+def _moments(kernels: FieldKernels) -> np.ndarray:
+    """Return moments (F, 6, C) of the first plane's kernels, in the frame of their PSFs.
+
+    Of 1, x, y, x^2, y^2 and x y, um from the chief ray.
+    """
+    images = kernels.splines[:, 0]
+    n = images.shape[-1]
+    at = (np.arange(n) - n // 2) * kernels.pitch_um
+    along_x, along_y = images.sum(axis=-2, dtype=float), images.sum(axis=-1, dtype=float)
+    mixed = np.einsum("fcyx,y,x->fc", images, at, at, optimize=True)
+    parts = [along_x.sum(axis=-1), along_x @ at, along_y @ at, along_x @ at**2, along_y @ at**2]
+    return np.stack([*parts, mixed], axis=1)
+
+
+def _turned(of_fields: np.ndarray, blend: Blend) -> np.ndarray:
+    """Return moments (6, C) at a place, along the sensor's x and y."""
+    one, x, y, xx, yy, xy = np.tensordot(blend.weights, of_fields[list(blend.fields)], axes=1)
+    c, s = blend.cos, blend.sin
+    return np.stack(
+        [
+            one,
+            c * x - s * y,
+            s * x + c * y,
+            c * c * xx + s * s * yy - 2 * c * s * xy,
+            s * s * xx + c * c * yy + 2 * c * s * xy,
+            c * s * (xx - yy) + (c * c - s * s) * xy,
+        ]
+    )
 
 
 def cells_within(
@@ -100,14 +206,24 @@ def cells_within(
 
     The cells cover the sensor and what its pixels see `beyond_um` around it. Where that is more
     than the sensor itself, they are no larger than half of it, so that a node lies where it is.
+    Where a scene has no edges, the error is that of an even scene alone.
     """
-    # Linear interpolation's error goes with the spacing squared.
-    trial_um = half_um[1] / 4
-    trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um, edges)
-    spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
+    sides = tuple(2 * (half + beyond_um) for half in half_um)
+    trial_um, trial, spacing_um = half_um[1] / 4, 0.0, max(sides)
+    if edges:
+        # Linear interpolation's error goes with the spacing squared.
+        trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
+        spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
+    least_um = SMALLEST_CELL * pitch_um
     if beyond_um > half_um[1]:
-        spacing_um = min(spacing_um, max(half_um[1], SMALLEST_CELL * pitch_um))
-    sides = [2 * (half + beyond_um) for half in half_um]
-    cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
-    widest = max(side / count for side, count in zip(sides, cells, strict=True))
-    return cells, trial * (widest / trial_um) ** 2
+        spacing_um = min(spacing_um, max(half_um[1], least_um))
+    while True:
+        cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
+        if edges:
+            widest = max(side / count for side, count in zip(sides, cells, strict=True))
+            return cells, trial * (widest / trial_um) ** 2
+        error = even_error(kernels, half_um, sides, cells)
+        if error <= allowed or spacing_um <= least_um:
+            return cells, error
+        # No more than a quarter of what it was, for wide cells do not tell how sums curve.
+        spacing_um = max(spacing_um * np.clip(np.sqrt(allowed / error), 0.25, 0.9), least_um)

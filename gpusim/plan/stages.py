@@ -206,8 +206,10 @@ def _convolution_stages(chosen: Candidate, cost: Callable[[str], float]) -> tupl
         "rows": chosen.errors["alias"],
         "modes": chosen.errors.get("modes"),
         "columns": chosen.errors["nodes"],
-        "direct": max(chosen.errors["nodes"], chosen.errors.get("support", 0.0)),
+        "direct": chosen.errors.get("support"),
     }
+    if not transformed:  # else they are counted there, of both scales
+        errors["direct"] = max(chosen.errors["nodes"], chosen.errors.get("support", 0.0))
     return tuple(
         PlanStage(name, True, text, errors.get(name), cost(name))
         if text

@@ -20,7 +20,7 @@ from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import BLOCK_BYTES, Memory, cheapest_grid, planes_at_nodes
 from gpusim.plan.optics import CUTS_UM, OVERSAMPLINGS
-from gpusim.plan.predict import cells_within, cut_error, edge_integral, node_error
+from gpusim.plan.predict import cells_within, cut_error, edge_integral, even_error, node_error
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cfa import ColourFilterArray
@@ -317,12 +317,17 @@ def test_nodes_err_by_the_square_of_their_spacing():
 
 def test_a_scene_of_one_tone_needs_nodes_for_the_kernels_sums_alone():
     """Coma moves light within a kernel: edges see it, one tone does not; it sees what falls off."""
-    half_um = (99.2, 74.4)
+
+    def errors_of(kernels) -> tuple[float, float]:
+        half_um, cells = (99.2, 74.4), (8, 6)
+        edge = node_error(kernels, 0.775, 20.0, half_um, 2 * 99.2 / 8)
+        return edge, even_error(kernels, half_um, (2 * 99.2, 2 * 74.4), cells)
+
     even = first_kernels(bank(coma_um=3.0, falloff=0.0, fields=24))
-    edge, tone = (node_error(even, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    edge, tone = errors_of(even)
     assert edge > 3e-4 and tone < 0.1 * edge
     dim = first_kernels(bank(coma_um=0.0, falloff=0.3, fields=24))
-    edge, tone = (node_error(dim, 0.775, 20.0, half_um, 24.0, edges) for edges in (True, False))
+    edge, tone = errors_of(dim)
     assert tone > 0.5 * edge > 1e-5
     # In the plan: fewer nodes, and no alias that asks for a finer grid.
     lens = bank(sigma_um=(0.35,) * 3, coma_um=3.0, falloff=0.0, fields=24)
@@ -333,6 +338,22 @@ def test_a_scene_of_one_tone_needs_nodes_for_the_kernels_sums_alone():
     ]
     assert np.prod(grids[0].cells) < 0.5 * np.prod(grids[1].cells)
     assert (grids[0].oversampling, grids[1].oversampling) == (2, 4)
+
+
+def test_the_error_of_an_even_scene_is_that_of_a_parabola_between_nodes():
+    """Light falls as 1 - 0.3 (r / 165)^2: straight lines err by f'' h^2 / sqrt(720) each way."""
+    kernels = first_kernels(bank(coma_um=0.0, falloff=0.3, lateral=(0.0,) * 3, fields=24))
+    half_um, sides = (82.5, 62.0), (2 * 82.5, 2 * 62.0)
+    found = even_error(kernels, half_um, sides, (5, 4))
+    curved = 2 * 0.3 / kernels.places.radius_um[-1] ** 2
+    expected = curved * np.hypot(33.0**2, 31.0**2) / np.sqrt(720)
+    # Over what is left of the light, 0.7 to 1.
+    assert expected < found < expected / 0.7
+    # What changes at one height alone is seen where it does: a ring at 0.6 of the field.
+    sums = np.ones(len(kernels.splines))
+    sums[13:16] += 0.03
+    ringed = replace(kernels, splines=kernels.splines * sums[:, None, None, None, None])
+    assert even_error(ringed, half_um, sides, (5, 4)) > 1.5 * found
 
 
 def test_cells_keep_the_error_that_they_are_allowed():
