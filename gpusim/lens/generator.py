@@ -20,8 +20,10 @@ from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.cone import cone_of
 from gpusim.lens.halo import Wave
 from gpusim.lens.system import System
+from gpusim.lens.throughput import goes_with_the_ray
+from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams, starts
-from gpusim.lens.wavefront import RAY_OVERSIZE, within_hull
+from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -118,7 +120,11 @@ class Generator:
         self.device, self.system = device, system
         self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
         self.pitch_um, self.size = pitch_um, size
-        self._apodisation = system.prescription.gaussian_apodisation
+        self._lossy = goes_with_the_ray(system.prescription)
+        # Of what is kept at the nodes, which is rho^2, or -ln of the amplitude where losses go with
+        # the ray. That may be less than 0: edges of glass may be thinner than its middle.
+        self._apodisation = 1.0 if self._lossy else system.prescription.gaussian_apodisation
+        self._least = -1.0 if self._lossy else 0.0
         self._na, self._nb = rays // 2, rays
         self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
@@ -238,6 +244,8 @@ class Generator:
         node_b = grid["first"][1] + np.arange(self._nb) * step_b
         on_a = chebyshev.chebvander(node_a / half, degree)
         on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
+        if self._lossy:
+            rho2 = self._exponent(field, line, p_mm, rho2)
         targets = [(1, side * p_mm[:, 0]), (0, p_mm[:, 1])]
         if self._apodisation:
             targets.append((0, rho2))
@@ -257,6 +265,16 @@ class Generator:
             line * near.size + nodes,
         )
         return rays, entering[2] if self._apodisation else None
+
+    def _exponent(self, field: int, line: int, p_mm: np.ndarray, rho2: np.ndarray) -> np.ndarray:
+        """Return -ln of the amplitude that stop, surfaces and glass pass of aimed rays, (R,)."""
+        system, wavelength_nm = self.system, self.wavelengths_nm[line]
+        index = system.index(np.array([wavelength_nm]))
+        launch = field_launch(system, index, float(np.radians(self.field_deg[field])))
+        px, py = p_mm.astype(float).T[:, None]
+        rays = trace(system.geometry, index, launch, px, py, crossings=True)
+        lost = Losses(system.prescription, index, rays.crossings).exponent(0, wavelength_nm)
+        return system.prescription.gaussian_apodisation * rho2 + lost
 
     def _check_pitch(self, line: int, width: float) -> None:
         """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
@@ -353,6 +371,7 @@ class Generator:
                 "fold_um": (TRANSFORM - size / 2) * self.pitch_um,
                 "focus_mm": focus_mm,
                 "apodisation": self._apodisation,
+                "least": self._least,
             },
             grids=self._uploaded_grids(rec, field),
             nodes=self._nodes[field],
@@ -408,7 +427,7 @@ class Generator:
         passed = 1.0
         if self._apodisation:
             stop = self.device.read(self._stop[field])[line]
-            passed = np.exp(-2 * self._apodisation * np.maximum(stop, 0.0))
+            passed = np.exp(-2 * self._apodisation * np.maximum(stop, self._least))
             light = light * passed
         opd_um = 1e-3 * self.wavelengths_nm[line] * nodes[..., 0]
         chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)

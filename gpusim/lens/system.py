@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from gpusim.errors import UserError
 from gpusim.lens import glass
 from gpusim.lens.prescription import Check, Prescription
 from gpusim.lens.projection import RECTILINEAR
+from gpusim.lens.throughput import along_axis
 from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
 
 
@@ -247,10 +247,9 @@ def _image_mm(
 
 
 def transmission(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarray:
-    """Return the share of the light on the axis that no surface reflects, shape (L,).
+    """Return the share of the light on the axis that passes, shape (L,): `gpusim.lens.throughput`.
 
-    Normal incidence: R = ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5), or the coating's where
-    glass meets air.
+    Normal incidence: R = ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5), or the coating's.
 
     Raises
     ------
@@ -258,28 +257,7 @@ def transmission(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.n
         Where a glass or the coating has no data at a wavelength.
     """
     wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
-    index = indices(prescription, wavelengths)
-    reflectance = ((index[1:] - index[:-1]) / (index[1:] + index[:-1])) ** 2
-    if prescription.coating is not None:
-        glasses = [None, *(surface.glass for surface in prescription.surfaces)]
-        coated = [(a is None) != (b is None) for a, b in itertools.pairwise(glasses)]
-        reflectance[coated] = _coating(prescription, wavelengths)
-    return np.prod(1 - reflectance, axis=0)
-
-
-def _coating(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarray:
-    """Return the coating's reflectance, shape (L,), straight between the wavelengths given."""
-    lines = prescription.coating.wavelength_nm
-    for wavelength in wavelengths_nm:
-        if not lines[0] <= wavelength <= lines[-1]:
-            raise UserError(
-                f"the coating has no reflectance at {wavelength:g} nm",
-                file=prescription.file,
-                field="coating.wavelength_nm",
-                value=f"{lines[0]:g} to {lines[-1]:g}",
-                allowed="a range that holds every wavelength used",
-            )
-    return np.interp(wavelengths_nm, lines, prescription.coating.reflectance)
+    return along_axis(prescription, indices(prescription, wavelengths), wavelengths)
 
 
 @functools.lru_cache(maxsize=64)

@@ -19,6 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gpusim.lens.throughput import Crossings
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -161,6 +163,8 @@ class Rays:
     path : ndarray, shape (L, R)
         Optical path from the launch plane to ``point``, mm.
     ok : ndarray of bool, shape (L, R)
+    crossings : Crossings, or None
+        Where they were asked for.
     """
 
     x: np.ndarray
@@ -172,6 +176,7 @@ class Rays:
     direction: np.ndarray
     path: np.ndarray
     ok: np.ndarray
+    crossings: Crossings | None = None
 
 
 def _sag(r2: np.ndarray, c: float, conic: float, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,6 +247,7 @@ def trace(
     py: np.ndarray,
     *,
     through: int | None = None,
+    crossings: bool = False,
 ) -> Rays:
     """Trace the rays of one field.
 
@@ -256,6 +262,8 @@ def trace(
         Where each ray crosses the launch plane, mm.
     through : int, optional
         Number of surfaces to trace (all of them).
+    crossings : bool
+        Whether to keep angles and legs.
 
     Returns
     -------
@@ -267,6 +275,7 @@ def trace(
     places = np.empty((count, *point.shape))
     moved = geometry.moved[:count].any()
     own = np.empty((count, 2, *px.shape)) if moved else places[:, :2]
+    kept = Crossings(*np.ones((3, count, *px.shape))) if crossings else None
     with np.errstate(all="ignore"):  # failed rays run on with clipped numbers
         for s in range(count):
             n1, n2 = index[s][:, None], index[s + 1][:, None]
@@ -294,9 +303,12 @@ def trace(
             path = np.where(ok, path + n1 * t, path)
             direction = np.where(ok, bent, direction)
             places[s] = point
+            if kept is not None:
+                for of, value in zip(kept, (cos_in, cos_out, t), strict=True):
+                    of[s] = np.where(ok, value, 1.0)
             if moved:
                 own[s] = np.where(ok, local + t * towards, local)[:2]
-    return Rays(*places.swapaxes(0, 1), *own.swapaxes(0, 1), point, direction, path, ok)
+    return Rays(*places.swapaxes(0, 1), *own.swapaxes(0, 1), point, direction, path, ok, kept)
 
 
 def paraxial(

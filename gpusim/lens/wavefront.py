@@ -22,7 +22,9 @@ from numpy.polynomial import chebyshev
 from scipy.spatial import ConvexHull
 
 from gpusim.errors import UserError
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System
+from gpusim.lens.throughput import Crossings, along_axis, goes_with_the_ray, throughput
 from gpusim.lens.trace import Launch, aim, launch_field, trace
 
 # Degrees of the polynomial in (alpha, beta): the second is tried where the first leaves too much.
@@ -42,6 +44,29 @@ OVERSIZE = 1.12
 BEYOND = 2.0  # reach of nodes that no ray reaches
 # A miss of 1e-9 of the stop radius moves the chief ray by about 1e-9 f: 1e-5 um at f = 8 mm.
 AIM_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Losses:
+    """What is lost of each ray on its way through a lens, by wavelength.
+
+    Attributes
+    ----------
+    prescription : Prescription
+    index : ndarray, shape (S + 1, L)
+    crossings : Crossings
+    """
+
+    prescription: Prescription
+    index: np.ndarray
+    crossings: Crossings
+
+    def exponent(self, line: int, wavelength_nm: float) -> np.ndarray:
+        """Return -ln of the amplitude of the rays of one wavelength over that of the axis, (R,)."""
+        at, index = np.array([wavelength_nm]), self.index[:, [line]]
+        rays = Crossings(*(one[:, [line]] for one in self.crossings))
+        passed = throughput(self.prescription, index, at, rays)[0]
+        return -0.5 * np.log(passed / along_axis(self.prescription, index, at))
 
 
 @dataclass(frozen=True)
@@ -65,6 +90,8 @@ class Samples:
         Whether the rays stand for their mirror images too: of a centred lens, azimuth 0.
     apodisation : float
         G: the diaphragm passes the amplitude exp(-G (height / semi-diameter)^2).
+    losses : Losses, or None
+        Where losses go with the ray.
     """
 
     chief_x_mm: np.ndarray
@@ -79,6 +106,7 @@ class Samples:
     ok: np.ndarray
     half: bool = True
     apodisation: float = 0.0
+    losses: Losses | None = None
 
     @property
     def inside(self) -> np.ndarray:
@@ -104,7 +132,8 @@ class Pupil:
     half : bool
         Whether the other half, alpha < 0, is the mirror image of this one.
     apodised : ndarray, shape (A, B), or 1
-        Amplitude that the stop passes. The field's A is coverage times this.
+        Amplitude that the stop, and glass where losses go with the ray, pass: over that of the
+        axis. The field's A is coverage times this.
     reach : ndarray, shape (A, B), or None
         (height / clear semi-diameter)^2 at the aperture that is nearest to clipping: 1 at the rim.
     """
@@ -224,7 +253,8 @@ def _sample(
     px, py, found = aim(geometry, index, launch, stop_x, stop_y, tolerance)
     # The chief ray goes first.
     first = ((0, 0), (1, 0))
-    rays = trace(geometry, index, launch, np.pad(px, first), np.pad(py, first))
+    lossy = goes_with_the_ray(system.prescription)
+    rays = trace(geometry, index, launch, np.pad(px, first), np.pad(py, first), crossings=lossy)
     ok = np.pad(found, first, constant_values=True) & rays.ok & (rays.direction[2] > 0)
     if not ok[:, 0].all():
         raise no_chief_ray(system, launch.theta)
@@ -258,6 +288,11 @@ def _sample(
         ok=ok[:, 1:],
         half=half,
         apodisation=system.prescription.gaussian_apodisation,
+        losses=Losses(
+            system.prescription, index, Crossings(*(one[:, :, 1:] for one in rays.crossings))
+        )
+        if lossy
+        else None,
     )
 
 
@@ -375,6 +410,8 @@ def _pupil(
     if samples.apodisation and active[-1:] != [len(margin) - 1]:
         active.append(len(margin) - 1)  # the diaphragm, though it clips nothing
     targets = np.column_stack([opd, *margin[active]])
+    if samples.losses is not None:
+        targets = np.column_stack([targets, samples.losses.exponent(line, wavelength_nm)[keep]])
     for degree in DEGREES:
         fitted, smooth = _fit(
             (alpha - centre_a) / half_a,
@@ -390,6 +427,12 @@ def _pupil(
             break
 
     within = within_hull(alpha, beta, grid_a, grid_b, samples.half)
+    apodised = 1.0
+    if samples.losses is not None:
+        *smooth, exponent = smooth
+        apodised = np.exp(-np.where(within, exponent, 0.0))
+    if samples.apodisation:
+        apodised = apodised * np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
     coverage = within.astype(float)
     for g in smooth[1:]:
         slope_a, slope_b = np.gradient(g, edge_order=2)
@@ -402,9 +445,7 @@ def _pupil(
         opd_mm=smooth[0],
         fit_residual_mm=residual,
         half=samples.half,
-        apodised=np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
-        if samples.apodisation
-        else 1.0,
+        apodised=apodised,
         reach=np.where(within, 1 + np.max(smooth[1:], axis=0), BEYOND) if active else None,
     )
 

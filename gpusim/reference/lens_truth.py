@@ -25,6 +25,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from gpusim.lens.system import System, first_order, transmission
+from gpusim.lens.throughput import goes_with_the_ray
 from gpusim.reference.backward import (
     Frame,
     aperture_of,
@@ -124,10 +125,12 @@ def view(
     ------
     ValueError
         Where no light arrives, or the object is not at infinity: this judge names what it sees by
-        directions.
+        directions. Where losses go with the ray: it knows those on the axis alone.
     """
     if np.isfinite(system.geometry.object_z):
         raise ValueError("the object is not at infinity")
+    if goes_with_the_ray(system.prescription):
+        raise ValueError("losses go with the ray")
     image = np.asarray(point_um, float) * 1e-3
     focal = first_order(system.prescription, REFERENCE_NM).efl_mm
     frame = frame_of(system, system.index(np.array([REFERENCE_NM])), image, focal)

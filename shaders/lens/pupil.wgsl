@@ -2,7 +2,7 @@
 //
 // W and reach come from the nodes by cubic interpolation (Lagrange, four nodes each way). A is the share of the cell
 // inside every aperture, reach < 1, whose edge is taken as straight within the cell; times exp(-G rho^2), as a filter
-// in the stop passes it, with rho^2 interpolated like W.
+// in the stop passes it, with rho^2 interpolated like W. Where losses go with the ray, all of them stand in its place.
 // A shift of the image plane moves the chief ray's point along the chief ray, (0, beta_c / gamma_c, 1) per mm:
 //   W += focus (gamma + beta beta_c / gamma_c - 1 / gamma_c) / lambda
 // nodes (P, NA, NB): see wavefront; stop (P, NA, NB), read where APODISED: rho^2 -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell,
@@ -22,6 +22,7 @@ struct Params {
     fold_um: f32,
     focus_mm: f32,
     apodisation: f32,         // G
+    least: f32,               // of rho^2, which interpolation may bring below 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -121,7 +122,7 @@ fn cell_at(pair: u32, i: u32, j: u32) -> Cell {
     let w = value.x + params.focus_mm * farther * grid.waves_per_mm;
     var passed = 1.0;
     if (APODISED) {
-        passed = exp(-params.apodisation * max(rho2, 0.0));
+        passed = exp(-params.apodisation * max(rho2, params.least));
     }
     let light = share * passed * passed;
     return Cell(share * passed * turn(w), vec2f(light, select(0.0, light, folds)));

@@ -12,9 +12,10 @@ from lens.made import lens, model
 from lens.rays import two_ovals
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription
+from gpusim.lens.prescription import APERTURES, load_prescription
 from gpusim.lens.seq import parse_seq
 from gpusim.lens.system import build, conjugates, first_order
+from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
 from gpusim.lens.zmx import parse_zmx
 
@@ -61,8 +62,7 @@ def test_an_object_far_away_is_an_object_at_infinity():
 
 
 def test_two_ovals_image_a_point_without_aberration():
-    # Planted: without the sphere's part of the path, 100 waves; the pupil's rim at the height that
-    # it has for an object at infinity, the aperture is 0.2 % off.
+    # Planted: without the sphere's part of the path, 100 waves.
     system = two_ovals()
     index = system.index(GREEN)
     looks = conjugates(system.prescription)
@@ -79,6 +79,18 @@ def test_two_ovals_image_a_point_without_aberration():
     height = sample_rays(system, index, theta, np.zeros(1), np.zeros(1)).chief_y_mm[0]
     pupil_z = first_order(system.prescription).entrance_pupil_z_mm
     assert height == pytest.approx(20 / 30 * (30 + pupil_z) * np.tan(theta), rel=1e-6)
+
+
+def test_a_numerical_aperture_is_that_of_the_marginal_ray():
+    # Planted: at the first vertex the height of the pupil's rim, as from infinity.
+    near = dict.fromkeys(APERTURES) | {"object_na": 0.03, "object_distance_mm": 80.0}
+    system = build(load_prescription("cooke-triplet").scaled(20.0).model_copy(update=near))
+    index = system.index(np.array([system.prescription.reference_nm]))
+    axis = Launch(0.0, np.zeros((3, 1)), source=system.geometry.source(0.0))
+    height = np.array([[80 * np.tan(np.arcsin(0.03))]])
+    through = system.geometry.stop + 1
+    rays = trace(system.geometry, index, axis, np.zeros((1, 1)), height, through=through)
+    assert rays.y[-1, 0, 0] == pytest.approx(system.stop_radius_mm, rel=1e-12)
 
 
 def first_sag(r):

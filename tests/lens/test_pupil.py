@@ -60,6 +60,7 @@ def on_device(
             "fold_um": fold_um,
             "focus_mm": focus_mm,
             "apodisation": apodisation,
+            "least": 0.0,
         },
         {
             "grids": packed(grids),
