@@ -45,6 +45,12 @@ def small_banks(monkeypatch: pytest.MonkeyPatch, computed: dict[str, Bank]):
         return computed[name]
 
     monkeypatch.setattr(cli_lens, "cached_bank", small)
+    without_figures(monkeypatch)
+
+
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let pages do without their figures, which take half a minute: see test_lens_plots.py."""
+    monkeypatch.setattr(cli_lens, "studied", lambda *asked: [])
 
 
 @pytest.fixture
@@ -184,6 +190,7 @@ def test_a_lens_without_axis_has_a_page_over_both_directions(
         )
 
     monkeypatch.setattr(plane_bank, "cached_plane_bank", small)
+    without_figures(monkeypatch)
     ran = gpusim("lens", tilted, "--out", tmp_path / f"lens.{suffix}")
     assert ran.code == 0, ran.err
     assert "image of the axis" in ran.out

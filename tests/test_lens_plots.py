@@ -216,6 +216,7 @@ def test_the_command_writes_figures_and_numbers(tmp_path, small_bank):
     ran = gpusim(
         *demo, "--with", "f-number=11,focus-shift=5", "--frequency", "60", "--json", numbers,
         "--figures", tmp_path / "figures", "--csv", tmp_path / "csv",
+        "--out", tmp_path / "lens.html",
     )  # fmt: skip
     assert ran.code == 0, ran.err
     assert {file.stem for file in (tmp_path / "figures").iterdir()} == {p.name for p in PLOTS}
@@ -223,6 +224,8 @@ def test_the_command_writes_figures_and_numbers(tmp_path, small_bank):
     assert {file.stem for file in (tmp_path / "csv").iterdir()} == {
         name for plot in PLOTS for name in plot.tables
     }
+    page = (tmp_path / "lens.html").read_text()
+    assert page.count('class="sheet"') == 1 + len(PLOTS)
     found = json.loads(numbers.read_text())
     assert [one["label"] for one in found["lenses"]] == [
         "double-gauss, f = 8.3 mm, f/8",

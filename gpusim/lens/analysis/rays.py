@@ -88,7 +88,7 @@ class Spot:
     x_um, y_um : ndarray, shape (L, R)
         From the chief ray of the primary wavelength; NaN where a ray does not pass.
     centroid_um : ndarray, shape (2,)
-        Mean of all wavelengths' rays.
+        Mean of all wavelengths' rays, by the share of the stop that each stands for.
     rms_um, geometric_um : float
         Root mean square and largest distance from the centroid.
     """
@@ -100,29 +100,38 @@ class Spot:
     geometric_um: float
 
 
-def hexapolar(rings: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a point in the middle and 6 k on ring k of a unit disc: as good as even in area."""
-    radius = np.concatenate([[0.0], *(np.full(6 * k, k / rings) for k in range(1, rings + 1))])
+def hexapolar(rings: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points of a unit disc, one in the middle and 6 k on ring k, and their shares of it.
+
+    A point stands for the area nearest to its ring: those of the rim for half as much as others.
+    """
+    numbers = np.concatenate([[0], *(np.full(6 * k, k) for k in range(1, rings + 1))])
     angle = np.concatenate(
         [[0.0], *(np.arange(6 * k) * np.pi / (3 * k) for k in range(1, rings + 1))]
     )
-    return radius * np.cos(angle), radius * np.sin(angle)
+    edges = np.clip((np.arange(rings + 2) - 0.5) / rings, 0, 1)
+    area = np.diff(edges**2) / np.maximum(6 * np.arange(rings + 1), 1)
+    radius = numbers / rings
+    return radius * np.cos(angle), radius * np.sin(angle), area[numbers]
 
 
 def spot_diagram(system: System, wavelengths_nm: np.ndarray, primary: int, field: Field) -> Spot:
     """Return where rays land that fill the stop evenly; each wavelength weighs the same."""
-    samples = rays_at(system, wavelengths_nm, field, *hexapolar(SPOT_RINGS))
+    *points, area = hexapolar(SPOT_RINGS)
+    samples = rays_at(system, wavelengths_nm, field, *points)
     blocked = np.where(passes(samples), 0.0, np.nan)
     away_x, away_y = _from_primary(samples, primary)
     x = 1e3 * (samples.landing_x_mm + away_x) + blocked
     y = 1e3 * (samples.landing_y_mm + away_y) + blocked
-    centroid = np.array([np.nanmean(x), np.nanmean(y)])
+    share = np.where(np.isfinite(x), area, 0.0)
+    share /= share.sum()
+    centroid = np.array([np.nansum(share * x), np.nansum(share * y)])
     distance = np.hypot(x - centroid[0], y - centroid[1])
     return Spot(
         x_um=x,
         y_um=y,
         centroid_um=centroid,
-        rms_um=float(np.sqrt(np.nanmean(distance**2))),
+        rms_um=float(np.sqrt(np.nansum(share * distance**2))),
         geometric_um=float(np.nanmax(distance)),
     )
 
