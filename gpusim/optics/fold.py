@@ -21,7 +21,9 @@ from gpusim.sensor.sensor import Sensor
 PLANCK_J_S = 6.62607015e-34  # SI (2019), exact
 LIGHT_M_S = 299792458.0  # SI (2019), exact
 ROUNDING = 1e-9  # far above the rounding of a decomposition in float64, far below any tolerance
-MAX_PLANES = 8  # coefficients per material that shaders/optics/paint carries
+# Planes that a scene may need: one more than a spectral scene's 31 bands of 10 nm. Time, and room
+# for kernels, go with their number.
+MAX_PLANES = 32
 # The root mean square of the errors over spectra and channels, as a part of the largest allowed: a
 # scene of few colours may show the worst of them everywhere.
 RMS_SHARE = 0.1
@@ -141,6 +143,7 @@ def camera_basis(
     common_first: np.ndarray,
     place_error: float,
     wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
+    mixtures: np.ndarray | None = None,
 ) -> Basis:
     """Find the fewest planes that give what a camera sees of scene spectra, at every place.
 
@@ -157,16 +160,25 @@ def camera_basis(
         How much of a plane's light the weights elsewhere may leave out: see `PlaceWeights`.
     wavelengths_nm : ndarray (K,)
         Samples of the spectra.
+    mixtures : ndarray (P, M), optional
+        Coefficients of what the scene shows, where that is less than the spectra could make: planes
+        are for these. None of a scene that shows its spectra as they are.
     """
+    shown = spectra if mixtures is None else mixtures @ spectra
+    order = common_first if mixtures is None else np.arange(len(shown))
     weights = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
     edges = edge_responses(bank)
     if sensor.eqe_map is None:
-        basis = reduce_spectra(spectra, weights, edges, tolerance, common_first)
+        basis = reduce_spectra(shown, weights, edges, tolerance, order)
+        if mixtures is not None:
+            basis = replace(basis, coefficients=_projected(spectra, shown, basis, weights, edges))
         return replace(basis, wavelengths_nm=wavelengths_nm)
     response = AngularResponse(bank, sensor, wavelengths_nm)
     others = spectral_weights(bank, sensor, response.everywhere(), wavelengths_nm)
     everywhere = np.concatenate([weights, others.reshape(-1, *weights.shape[1:])])
-    basis = reduce_spectra(spectra, everywhere, edges, tolerance, common_first)
+    basis = reduce_spectra(shown, everywhere, edges, tolerance, order)
+    if mixtures is not None:
+        basis = replace(basis, coefficients=_projected(spectra, shown, basis, everywhere, edges))
     alike = np.ones((1, 1, wavelengths_nm.size))
     per_photon = spectral_weights(bank, sensor, alike, wavelengths_nm)[0]
     return replace(
@@ -238,6 +250,25 @@ def reduce_spectra(
         spectra=turn.T @ vectors.T @ (material_scale[:, None] * spectra),
         response=weights,
     )
+
+
+def _projected(
+    spectra: np.ndarray, shown: np.ndarray, basis: Basis, weights: np.ndarray, edges: np.ndarray
+) -> np.ndarray:
+    """Return coefficients (M, J) of spectra in the planes of a basis that is for mixtures (P, K).
+
+    By least squares over edge responses, as the decomposition weighs them. Of the mixtures
+    themselves that gives what the decomposition gave.
+    """
+    seen = np.einsum("clw,mw->mcl", weights, spectra)
+    of_planes = np.einsum("clw,jw->jcl", weights, basis.spectra)
+    signal = np.einsum("clw,mw->mc", weights, shown).max(axis=0)
+    scale = 1 / np.maximum(signal, np.finfo(float).tiny)[:, None]
+    responses, of_planes = (
+        np.einsum("xcl,lf->xcf", one * scale, edges).reshape(len(one), -1)
+        for one in (seen, of_planes)
+    )
+    return np.linalg.lstsq(of_planes.T, responses.T, rcond=ROUNDING)[0].T
 
 
 def _commonest_first(coefficients: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -30,6 +31,7 @@ SIGMA = 0.8
 # that is not about to fold squeezes the Gaussian so much that 100 do not suffice.
 SMALL_DISC, MOST_STRIPS = 16.0, 100
 RECTANGLE_KIND, DISC_KIND, SMALL_DISC_KIND = 0, 1, 2
+PLANES = 8  # that a dispatch of it paints
 TILE = 16  # side of the tiles of shaders/optics/paint, samples
 REACH = 8.0  # sim samples beyond which the Gaussian edge of a primitive (6 sigma) is zero, and more
 
@@ -279,19 +281,27 @@ class Paint:
         rows, steps = with_steps(coefficients, own, chart.under)
         for place, (shape, step) in enumerate(zip(chart.primitives, steps, strict=True)):
             table[place] = primitive_row(shape, step, scale.pitch_um, scale.sigma, least_stretch)
-        materials = np.zeros((len(rows), 8), np.float32)
-        materials[:, : rows.shape[1]] = rows
+        groups = range(0, coefficients.shape[1], PLANES)
+        materials = np.zeros((len(groups), len(rows), PLANES), np.float32)
+        for first, of_group in zip(groups, materials, strict=True):
+            part = rows[:, first : first + PLANES]
+            of_group[:, : part.shape[1]] = part
         self.seen, self.needed = primitives_by_block(
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
-        self.materials = device.resident("paint materials", materials)
+        self.materials = [device.resident("paint materials", of_group) for of_group in materials]
         self.terms = device.resident("paint terms", chief_ray.terms(scale.pitch_um))
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
         self.lists: tuple[Resident, ...] = ()
-        size = {"BX": self.grid.block[0], "BY": self.grid.block[1], "J": coefficients.shape[1]}
+        size = {"BX": self.grid.block[0], "BY": self.grid.block[1]}
         size |= {"AXIS": chief_ray.has_axis, "DISTORTION": chief_ray.distortion}
-        self.kernels = [Kernel("optics/paint", **size, EDGES=edges) for edges in (False, True)]
+        counts = [min(PLANES, coefficients.shape[1] - first) for first in groups]
+        made = {
+            count: [Kernel("optics/paint", **size, J=count, EDGES=edges) for edges in (False, True)]
+            for count in set(counts)
+        }
+        self.kernels = [made[count] for count in counts]
 
     def prepare(self, blocks: Sequence[tuple[int, int]]) -> None:
         """List the tiles of blocks, unless that was done before; the lists stay on the device."""
@@ -316,7 +326,7 @@ class Paint:
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.primitives, self.materials, self.terms, *self.lists):
+        for resident in (self.primitives, *self.materials, self.terms, *self.lists):
             resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
@@ -325,10 +335,11 @@ class Paint:
         tiles, chosen = self.lists
         first, plain, with_edges = self.ranges[block]
         corner = np.array(grid.block_origin(block)) + 0.5
-        for kernel, start, count in zip(
-            self.kernels, (first, first + plain), (plain, with_edges), strict=True
-        ):
-            kernel.record(
+        tiles_of = (first, plain), (first + plain, with_edges)
+        groups = -(-max(self.needed[block], 1) // PLANES)
+        for group, edges in product(range(groups), (0, 1)):
+            start, count = tiles_of[edges]
+            self.kernels[group][edges].record(
                 rec,
                 groups=(count, 1, 1),
                 params={
@@ -336,10 +347,11 @@ class Paint:
                     "origin": corner - grid.centre,
                     "sigma": self.sigma,
                     "first": start,
+                    "plane": PLANES * group,
                 },
                 primitives=self.primitives,
                 chosen=chosen,
-                materials=self.materials,
+                materials=self.materials[group],
                 tiles=tiles,
                 terms=self.terms,
                 planes=planes,

@@ -84,6 +84,8 @@ MODES_SHARE = 0.5  # of the tolerance; with that of the nodes in the squares, 0.
 MODES_REACH = 32
 MODES_CELLS = (6, 4)
 MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
+FEW_SPECTRA = 3  # of a photograph in colour, whose planes are for each by itself
+SHOWN = 500  # samples of a spectral photograph that its planes are made for
 LATERAL = "lateral"  # the stage of lateral colour
 DIRECT_STRIDE = 8  # sim samples from a site to the next, at most: shaders/optics/direct
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
@@ -170,6 +172,8 @@ def plans_optics(
 
     aliases: dict[tuple[int, int], float] = {}
 
+    shown = shown_mixtures(scene)
+
     def attempt(tolerance: float) -> _Attempt:
         basis = camera_basis(
             bank,
@@ -179,6 +183,7 @@ def plans_optics(
             _commonest_first(scene),
             ANGLE_SHARE * tolerance,
             scene.wavelengths_nm,
+            shown,
         )
         asked = replace(relative, tolerance=tolerance)
         if lens is not None:
@@ -202,7 +207,7 @@ def alias_of(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) 
     """Return what predicts the errors of sim grids, as the planner makes it for a tolerance."""
     core, allowed = bank.levels[0], WORST_TO_RMS * accuracy.tolerance
     given = allowed, _commonest_first(scene), ANGLE_SHARE * allowed, scene.wavelengths_nm
-    basis = camera_basis(core, sensor, scene.spectra, *given)
+    basis = camera_basis(core, sensor, scene.spectra, *given, shown_mixtures(scene))
     return _Problem(core, sensor, scene, accuracy, LAVAPIPE, basis, (), bank.levels).alias
 
 
@@ -276,8 +281,8 @@ class _Attempt:
             return self.lens.density.why
         if self._planes >= chosen.excess:
             return (
-                f"the planes of the scene's spectra cannot err by less: the shaders carry "
-                f"{MAX_PLANES}, and this camera tells more spectra of this scene apart"
+                f"the planes of the scene's spectra cannot err by less: there are {MAX_PLANES} at "
+                f"most, and this camera tells more spectra of this scene apart"
             )
         if chosen.worst == "alias":
             return (
@@ -739,8 +744,10 @@ class _Problem:
         block = grid.block[0] * grid.block[1]
         if not self.is_chart:
             return {"warp": self.costs.seconds("warp", block * sum(needed.values()))}
-        lit = sum(count > 0 for count in needed.values())
-        return {"paint": self.costs.seconds("paint", block * lit) + edges_s}
+        # The shader paints so many planes at once, each time all of the outlines.
+        groups = [-(-count // paint.PLANES) for count in needed.values()]
+        painted = self.costs.seconds("paint", block * sum(groups))
+        return {"paint": painted + edges_s * max(groups, default=0)}
 
     # The PSFs
 
@@ -852,6 +859,24 @@ class _Problem:
 
 def _samples(oversampling: int) -> str:
     return f"{oversampling} sample{'s' * (oversampling > 1)}"
+
+
+def shown_mixtures(scene: Scene) -> np.ndarray | None:
+    """Return coefficients (P, M) of samples of a spectral photograph; None of other scenes.
+
+    Of a lattice of them, and for each spectrum the one with the largest share of it. A scene of
+    bands shows smooth spectra: far fewer planes keep these apart than the bands themselves.
+    """
+    if isinstance(scene.source, Chart) or len(scene.spectra) <= FEW_SPECTRA:
+        return None
+    planes = scene.source.planes.reshape(len(scene.spectra), -1)
+    total = planes.sum(axis=0, dtype=np.float64)
+    lit = np.flatnonzero(total > 0)
+    if not len(lit):
+        return None
+    share = planes[:, lit] / total[lit]
+    lattice = np.linspace(0, len(lit) - 1, min(SHOWN, len(lit))).astype(int)
+    return planes[:, lit[np.union1d(lattice, share.argmax(axis=1))]].T.astype(np.float64)
 
 
 def _commonest_first(scene: Scene) -> np.ndarray:

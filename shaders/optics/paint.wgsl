@@ -13,14 +13,14 @@
 // The kernels of the convolution divide the Gaussian out again: it only keeps the samples free of aliases.
 // Units: samples from the optical axis; coefficients in radiance units of the basis.
 // The block is painted in tiles of 16 x 16 samples, of each of which the host has listed the primitives with an edge in it.
-// Output planes (J, BY, BX). Dispatch: one workgroup of 16 x 4 a tile, four samples an invocation, which
+// Output planes (J, BY, BX), of which a dispatch paints up to eight, from `plane` on. Dispatch: one workgroup of 16 x 4 a tile, four samples an invocation, which
 // share the loads of the primitives; tiles with edges and tiles without apart.
 #include "normal"
 #include "chief_ray"
 
 override BX: u32 = 336u;       // block width, samples
 override BY: u32 = 336u;       // block height, samples
-override J: u32 = 3u;          // coefficient planes, 1 to 8
+override J: u32 = 3u;          // coefficient planes of the dispatch, 1 to 8
 override EDGES: bool = true;   // the tiles see edges, of primitives or of the image circle
 override AXIS: bool = true;     // the chief-ray map is that of a lens with an axis, see common/chief_ray
 override DISTORTION: bool = true;   // the ideal and the real image differ
@@ -35,6 +35,7 @@ struct Params {
     pieces: f32,              // of the chief-ray map, see common/chief_ray
     sigma: f32,
     first: u32,               // of the dispatch's tiles
+    plane: u32,               // the first
 }
 
 struct Primitive {
@@ -55,7 +56,7 @@ struct Tile {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> primitives: array<Primitive>;
 @group(0) @binding(2) var<storage, read> chosen: array<u32>;
-@group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two a row: up to 8 coefficients; then steps
+@group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two a row: the dispatch's coefficients; then steps
 @group(0) @binding(4) var<storage, read> tiles: array<Tile>;
 @group(0) @binding(5) var<storage, read> terms: array<vec4f>;       // of the chief-ray map, see common/chief_ray
 @group(0) @binding(6) var<storage, read_write> planes: array<f32>;
@@ -132,13 +133,14 @@ fn lit(s: Sample) -> Sample {
     return Sample(s.at, s.x, s.ideal, share * s.low, share * s.high);
 }
 
-// `needed` comes with the tile: of a branch on params alone, lavapipe compiles a new shader for each dispatch (4 ms).
+// `needed` of the dispatch's planes. It comes with the tile: of a branch on params alone, lavapipe compiles a new shader for each
+// dispatch (4 ms).
 fn keep(s: Sample, needed: u32) {
     if (s.at.x >= BX || s.at.y >= BY) {
         return;
     }
-    let d = s.at.y * BX + s.at.x;
-    planes[d] = s.low.x;
+    let d = (params.plane * BY + s.at.y) * BX + s.at.x;
+    if (needed > 0u) { planes[d] = s.low.x; }
     if (J > 1u && needed > 1u) { planes[d + BX * BY] = s.low.y; }
     if (J > 2u && needed > 2u) { planes[d + 2u * BX * BY] = s.low.z; }
     if (J > 3u && needed > 3u) { planes[d + 3u * BX * BY] = s.low.w; }
@@ -153,7 +155,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local
     let tile = tiles[params.first + group.x];
     let at = vec2u(tile.corner % 65536u, tile.corner / 65536u) + local.xy;
     let ground = 2u * (tile.ground % 65536u);
-    let needed = tile.ground / 65536u;
+    let needed = max(tile.ground / 65536u, params.plane) - params.plane;
     var a = begin(at, materials[ground], materials[ground + 1u]);
     var b = begin(at + vec2u(0u, 4u), a.low, a.high);
     var c = begin(at + vec2u(0u, 8u), a.low, a.high);

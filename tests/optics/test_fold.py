@@ -7,15 +7,18 @@ import pytest
 from harness import assert_close
 from optics.made import BLUE, FLAT, RED, bank, monochrome, sensor
 
+from gpusim.optics import fold
 from gpusim.optics.fold import (
     MAX_PLANES,
     RMS_SHARE,
+    camera_basis,
     edge_responses,
     reduce_spectra,
     spectral_weights,
 )
 from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker
 from gpusim.sensor.qe import QuantumEfficiency
+from gpusim.sensor.sensor import Sensor
 
 LENS = bank(fields=5)
 CAMERA = sensor()
@@ -161,12 +164,40 @@ def test_a_black_material_has_no_coefficients():
     assert not basis.coefficients[1, 1:].any()
 
 
-def test_the_shader_carries_no_more_planes_than_it_can_and_the_residual_says_so():
+def test_there_are_no_more_planes_than_may_be_and_the_residual_says_so(monkeypatch):
+    monkeypatch.setattr(fold, "MAX_PLANES", 8)  # three channels and three lines tell nine apart
     spectra = np.random.default_rng(4).uniform(0, 1e-3, (30, 61))
     basis = reduced(spectra, 1e-12)
-    assert basis.coefficients.shape[1] == MAX_PLANES == 8
+    assert basis.coefficients.shape[1] == 8
     assert check_honest(spectra, basis) == pytest.approx(basis.residual, rel=1e-6)
     assert basis.residual > 1e-12
+
+
+@pytest.mark.parametrize("camera", [CAMERA, monochrome()], ids=["bayer", "monochrome"])
+def test_planes_are_for_what_a_spectral_scene_shows(camera: Sensor):
+    """Bands of 10 nm, of which samples are smooth mixtures: fewer planes than bands do, signed."""
+    lens = bank(
+        sigma_um=tuple(np.linspace(0.9, 1.3, 13)), lateral=tuple(np.linspace(-4, 4, 13) / 1e3)
+    )
+    middles = np.linspace(400, 700, 31)[:, None]
+    bands = 1e-3 * np.maximum(1 - np.abs(WAVELENGTHS_NM - middles) / 10, 0)
+    rng = np.random.default_rng(8)
+    bumps = np.exp(-((np.linspace(0, 1, 31) - rng.uniform(0, 1, (4, 1))) ** 2) / 0.1)
+    shown = rng.uniform(0.01, 1, (60, 4)) @ bumps
+    order, tolerance = np.arange(31), 5e-3
+    given = bands, tolerance, order, 0.0, WAVELENGTHS_NM
+    basis = camera_basis(lens, camera, *given, shown)
+    planes = basis.coefficients.shape[1]
+    whole = camera_basis(lens, camera, *given).coefficients.shape[1]
+    assert planes < whole <= 31 and planes <= 12
+    assert basis.coefficients.shape == (31, planes) and (basis.coefficients < 0).any()
+    mixed = replace(basis, coefficients=shown @ basis.coefficients)
+    found = check_honest(shown @ bands, mixed, lens, camera)
+    assert found <= tolerance
+    assert found == pytest.approx(basis.residual, rel=1e-3)
+    # The planes' spectra are what their weights say.
+    weights = np.einsum("clw,jw->jcl", spectral_weights(lens, camera), basis.spectra)
+    assert_close(basis.weights, weights, atol=1e-12 * np.abs(weights).max())
 
 
 def test_a_scene_that_no_channel_sees_is_one_black_plane():

@@ -95,6 +95,7 @@ def on_device(
             "pieces": len(distortion) - 3 if general else len(distortion),
             "sigma": sigma,
             "first": 2,
+            "plane": 0,
         },
         {
             "primitives": rows.view(np.uint32),
@@ -349,7 +350,7 @@ def test_the_defaults_are_of_the_default_grid(device: Device):
         device, scene().source.placed(50.0), np.ones((4, 3)), scale, chief_ray_map(bank())
     )
     stage.release()
-    plain, with_edges = stage.kernels
+    ((plain, with_edges),) = stage.kernels
     assert Kernel("optics/paint").overrides == with_edges.overrides
     assert plain.overrides == with_edges.overrides | {"EDGES": False}
     assert plain.workgroup_size == (16, 4, 1)
@@ -360,17 +361,21 @@ GRID = SimGrid(48, 64, 4, 2, 256, 104, (2, 1))  # blocks of 48 samples, well bey
 PITCH_UM = 0.775
 
 
-def test_the_host_paints_blocks_of_the_real_plane(device: Device):
+@pytest.mark.parametrize("count", [2, 8, 19])
+def test_the_host_paints_blocks_of_the_real_plane(device: Device, count: int):
+    """Planes by eights, and none that a block does not need."""
     chief_ray = chief_ray_map(LENS)
     chart = scene(shapes()).source.placed(48 * 1.55 / 2)
-    coefficients = np.array([[1.0, 0.0], [0.3, 0.0], [0.5, 0.5], [0.2, -0.4]])
+    coefficients = np.random.default_rng(count).uniform(-0.4, 0.4, (4, count))
+    coefficients[:, :2] = [[1.0, 0.0], [0.3, 0.0], [0.5, 0.5], [0.2, -0.4]]
     stage = Paint(
         device, chart, coefficients, Scale("test", GRID, PITCH_UM, SIGMA, NO_KERNELS), chief_ray
     )
     for block in [(2, 3), (3, 2)]:
         stage.prepare([block])  # the second time the lists of both are made
         rec = Recording(device)
-        out = rec.buffer("planes", (2, GRID.block[1], GRID.block[0]), F32)
+        out = rec.buffer("planes", (count, GRID.block[1], GRID.block[0]), F32)
+        assert stage.needed[block] == count
         stage.record(rec, block, out)
         label = rec.download(out)
         found = rec.run()[label]
