@@ -176,8 +176,8 @@ def _map(figure: Figure, place: tuple[float, float], study: Study, number: int) 
     axes.set_title(field_name(study, number), fontsize=8.5, pad=3)
     scale = panel(figure, place[0] + 0.12, place[1] - 0.1, _CELL - 0.24, 0.07)
     bar = figure.colorbar(shown, cax=scale, orientation="horizontal")
-    end = float(f"{reach:.1g}") if float(f"{reach:.1g}") <= reach else reach
-    bar.set_ticks([-end, 0, end], labels=[f"\N{MINUS SIGN}{end:.2g}", "0", f"{end:.2g}"])
+    end = round_near(0.6 * reach, (1, 2, 5))  # away from the labels of the map beside it
+    bar.set_ticks([-end, 0, end], labels=[f"\N{MINUS SIGN}{end:g}", "0", f"{end:g}"])
     bar.ax.tick_params(labelsize=8, length=2, pad=1)
     bar.outline.set_visible(False)
     text = f"P\N{EN DASH}V {wave.peak_to_valley_waves:.3g}\nRMS {wave.rms_waves:.3g} waves"

@@ -12,10 +12,11 @@ from gpusim.lens.system import build
 from gpusim.lens.transfer import DIRECTIONS, field_pupils
 
 
-@pytest.mark.parametrize("field_deg", [0.0, 12.0])
+@pytest.mark.parametrize("field_deg", [0.0, 20.0])
 def test_it_is_the_mtf_of_the_fields_own_transfer_function(field_deg: float):
-    system = build(load_prescription("double-gauss").scaled(8.3).stopped(2.8))
-    light, theta, frequency = white_light(system), np.radians(field_deg), np.array([40.0, 300.0])
+    # Lateral colour of 27 um: at 20 cycles/mm it takes away much of the tangential MTF.
+    system = build(load_prescription("tessar").stopped(8))
+    light, theta, frequency = white_light(system), np.radians(field_deg), np.array([10.0, 20.0])
     found = field_contrast(system, theta, WHITE_NM, light, frequency)
     exact = field_pupils(system, theta, WHITE_NM, light, reference=WHITE_REFERENCE)
     expected = [np.abs(exact.otf(frequency, way)) for way in DIRECTIONS]
