@@ -108,6 +108,22 @@ def given(error: float) -> Density:
     )
 
 
+def test_what_is_expected_of_the_sensor_is_the_mean_square_over_its_area():
+    """A cubic's error between its nodes, e (1 - 4 t^2) (9 - 4 t^2) / 9, over rings."""
+    t = np.linspace(-0.5, 0.5, 10001)
+    of_cubic = np.mean(((1 - 4 * t**2) * (9 - 4 * t**2) / 9) ** 2)
+    assert given(6e-4).rms == pytest.approx(6e-4 * np.sqrt(of_cubic), rel=1e-3)
+    assert given(6e-4).worst == 6e-4 and given(0.0).rms == 0
+    rings = replace(
+        given(0.0),
+        height_um=np.array([0.0, 100.0, 200.0, 300.0]),
+        fields_error=np.array([1e-4, 4e-4, 0.0]),  # beyond the sensor's corners: none
+        pupil_error=2e-4,
+    )
+    expected = of_cubic * (1e-8 + 3 * 16e-8) / 4 + 4e-8
+    assert rings.rms == pytest.approx(np.sqrt(expected), rel=1e-3)
+
+
 def test_the_engine_gets_what_the_bank_leaves():
     class Beyond:
         beyond_energy = np.full((2, 1), 2e-5)
