@@ -119,8 +119,8 @@ class Squares:
     ----------
     real_um : ndarray (N, 2)
         Centres; x, y from the axis.
-    size_um : float
-        Side on the ideal plane.
+    size_um : ndarray (N,)
+        Sides on the ideal plane.
     slopes : ndarray (N, 2, 2)
         d(real)/d(ideal).
     light : ndarray (N, M)
@@ -128,17 +128,18 @@ class Squares:
     """
 
     real_um: np.ndarray
-    size_um: float
+    size_um: np.ndarray
     slopes: np.ndarray
     light: np.ndarray
 
 
-def largest_um(bank: FieldBank, change: float) -> float:
-    """Return the side of squares from one side of which to the other so much of a PSF changes.
+def largest_um(bank: FieldBank, change: float, real_um: np.ndarray) -> np.ndarray:
+    """Return the sides (N,) of squares across which so much of a PSF changes, at points (N, 2).
 
-    By the PSFs of neighbouring fields, at the reference wavelength: half of the sum of their
+    By the PSFs of the fields around each, at the reference wavelength: half of the sum of their
     differences' sizes over how far they are apart; and of each PSF turned by a quarter of a turn,
-    over the quarter of a circle.
+    over the quarter of a circle. In a halo it changes twenty times as fast near the rim as half-way
+    to it. Of a lens without an axis, where it changes fastest.
     """
 
     def psf(number: int) -> np.ndarray:
@@ -146,15 +147,23 @@ def largest_um(bank: FieldBank, change: float) -> float:
         return found / found.sum()
 
     fields, places = bank.places(bank.image_circle_um)
-    most = 0.0
-    for one, other, apart_um in places.neighbours:
-        most = max(most, np.abs(psf(fields[one]) - psf(fields[other])).sum() / 2 / apart_um)
+    steps = {
+        (one, other): np.abs(psf(fields[one]) - psf(fields[other])).sum() / 2 / apart_um
+        for one, other, apart_um in places.neighbours
+    }
+    most = np.full(len(real_um), max(steps.values(), default=0.0))
     if isinstance(places, Heights):
+        # At a field: its own turn, and the change to the fields next to it.
+        rates = np.zeros(len(places.radius_um))
         for number, radius_um in enumerate(places.radius_um[1:], start=1):
             found = psf(fields[number])[1:, 1:]  # about the middle
-            turn = np.abs(found - np.rot90(found)).sum() / 2
-            most = max(most, turn / (np.pi / 2 * radius_um))
-    return change / most if most > 0 else math.inf
+            rates[number] = np.abs(found - np.rot90(found)).sum() / 2 / (np.pi / 2 * radius_um)
+        for pair, step in steps.items():
+            rates[list(pair)] = np.maximum(rates[list(pair)], step)
+        before = np.searchsorted(places.radius_um, np.hypot(*real_um.T), "right") - 1
+        after = np.minimum(before + 1, len(rates) - 1)
+        most = np.maximum(rates[before], rates[after])
+    return change / np.maximum(most, np.finfo(float).tiny)
 
 
 def squares_on_sensor(
@@ -162,24 +171,32 @@ def squares_on_sensor(
     sensor: Sensor,
     highlights: Highlights,
     reach_um: float,
-    most_um: float = math.inf,
+    change: float = math.inf,
 ) -> Squares:
     """Place highlights on the real plane; those that no pixel sees are left out.
 
-    They are cut up into squares of at most `most_um`.
+    They are cut up into squares across which at most the share `change` of a PSF changes.
     """
     pitch = sensor.pixel_pitch_um
-    cuts = max(1, math.ceil(highlights.size_um / most_um))
-    size = highlights.size_um / cuts
-    line = (np.arange(cuts) - (cuts - 1) / 2) * size
-    inner = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    ideal = (highlights.centre_um[:, None] + inner).reshape(-1, 2)
-    excess = np.repeat(highlights.excess, len(inner), axis=0)
-    real, slopes, lit = real_points(bank, ideal)
+    cuts = np.ones(len(highlights), int)
+    if change < math.inf:
+        most_um = largest_um(bank, change, real_points(bank, highlights.centre_um)[0])
+        cuts = np.maximum(np.ceil(highlights.size_um / most_um), 1).astype(int)
+    ideal, size, excess = [], [], []
+    for count in np.unique(cuts):
+        own = np.flatnonzero(cuts == count)
+        side = highlights.size_um / count
+        line = (np.arange(count) - (count - 1) / 2) * side
+        inner = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        ideal.append((highlights.centre_um[own, None] + inner).reshape(-1, 2))
+        size.append(np.full(len(ideal[-1]), side))
+        excess.append(np.repeat(highlights.excess[own], len(inner), axis=0))
+    sizes = np.concatenate(size)
+    real, slopes, lit = real_points(bank, np.concatenate(ideal))
     half = np.array([sensor.cols, sensor.rows]) * pitch / 2
     seen = lit & np.all(np.abs(real) < half + reach_um, axis=1)
-    light = excess * (size**2 * np.abs(np.linalg.det(slopes)))[:, None]
-    return Squares(real[seen], size, slopes[seen], light[seen])
+    light = np.concatenate(excess) * (sizes**2 * np.abs(np.linalg.det(slopes)))[:, None]
+    return Squares(real[seen], sizes[seen], slopes[seen], light[seen])
 
 
 class Tables:
@@ -393,8 +410,7 @@ class Splat:
         reach_um = bank.psf.shape[-1] * bank.pitch_um + bank.lateral_um
         self.fields, places = bank.places(float(np.hypot(*half_um)) + reach_um)
         finer = np.sqrt(1e-3 / tolerance)
-        most_um = largest_um(bank, CHANGE / finer)
-        self.squares = squares_on_sensor(bank, sensor, highlights, reach_um, most_um)
+        self.squares = squares_on_sensor(bank, sensor, highlights, reach_um, CHANGE / finer)
         self.groups: list[np.ndarray] = []
         if not len(self.squares.light):
             return
@@ -423,7 +439,7 @@ class Splat:
         self.opposite = np.isin(self.used[:, 0], places.opposite)
         # The map changes slowly: those that share a table share the mean of their shapes in it.
         self.shapes = np.zeros((len(self.used), 2, 2))
-        own = turned(squares.slopes, mixed.axis) * squares.size_um
+        own = turned(squares.slopes, mixed.axis) * squares.size_um[:, None, None]
         np.add.at(self.shapes, self.tables, own[:, None])
         self.shapes /= np.bincount(self.tables.ravel())[:, None, None]
         self.position = squares.real_um / sensor.pixel_pitch_um
@@ -643,8 +659,8 @@ class Mixture(NamedTuple):
 
     Attributes
     ----------
-    keys : ndarray (N, K, 2) of int
-        Tables, by place of their field in the list and by angle.
+    keys : ndarray (N, K, 3) of int
+        Tables, by place of their field in the list, by angle, and by the number of the size.
     shares : ndarray (N, K)
         Of the tables; sum 1.
     axis : ndarray (N, 2)
@@ -663,14 +679,15 @@ def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixt
     """
     around = turns * bins
     found, axis = [], np.empty((len(squares.real_um), 2))
-    for own, (x, y) in zip(axis, squares.real_um, strict=True):
+    sizes = np.unique(squares.size_um, return_inverse=True)[1].tolist()
+    for own, (x, y), size in zip(axis, squares.real_um, sizes, strict=True):
         blend = places.at(x, y)
         angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % float(turns) * bins
         before = int(angle)
         two = ((before % around, 1 - (angle - before)), ((before + 1) % around, angle - before))
         found.append(
             [
-                ((field, bin_), weight * share)
+                ((field, bin_, size), weight * share)
                 for field, weight in zip(blend.fields, blend.weights, strict=True)
                 for bin_, share in two
                 if weight * share != 0
@@ -691,8 +708,8 @@ def turned(slopes: np.ndarray, axis: np.ndarray) -> np.ndarray:
 
 
 def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the keys (T, 2) that occur among (N, K, 2), in order, and where each is (N, K)."""
-    used, where = np.unique(keys.reshape(-1, 2), axis=0, return_inverse=True)
+    """Return the keys (T, 3) that occur among (N, K, 3), in order, and where each is (N, K)."""
+    used, where = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
     return used, where.reshape(keys.shape[:2])
 
 

@@ -6,6 +6,8 @@ test_warp). Two weights of 5 roundings a product, 16 + 4 + 4 sums: 36 of C. Coef
 and shares add up to 1 here, or are counted; N highlights are added one after another.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.fft
@@ -296,22 +298,49 @@ def test_boxes_are_the_spline_averaged_over_aperture_and_square(shaped: bool):
     assert found.sum() == pytest.approx(1, abs=1e-12)
 
 
+# On the axis, half-way to the corner, and at it.
+ACROSS = np.array([[0.0, 0.0], [60.0, 0.0], [0.0, 120.0]])
+
+
 def test_squares_are_as_large_as_the_psf_lets_them():
     """Half as large where it changes twice as much, and where half as much is allowed."""
-    size = largest_um(LENS, 0.01)
-    assert largest_um(LENS, 0.005) == pytest.approx(size / 2)
-    fast, slow = (bank(coma_um=2.0, circle_um=circle) for circle in (82.5, 165.0))
-    assert largest_um(fast, 0.01) == pytest.approx(largest_um(slow, 0.01) / 2, rel=0.02)
-    assert largest_um(bank(coma_um=0.0), 0.01) > 5 * size
+    size = largest_um(LENS, 0.01, ACROSS)
+    assert largest_um(LENS, 0.005, ACROSS) == pytest.approx(size / 2)
+    lenses = (bank(coma_um=2.0, circle_um=circle) for circle in (82.5, 165.0))
+    fast, slow = (largest_um(lens, 0.01, ACROSS).min() for lens in lenses)
+    assert fast == pytest.approx(slow / 2, rel=0.02)
+    assert largest_um(bank(coma_um=0.0), 0.01, ACROSS).min() > 5 * size.min()
     # A grid of fields in both directions says the same of the same PSFs.
-    assert 1.0 < largest_um(plane_bank(coma_um=2.0), 0.01) < 100.0
+    assert 1.0 < largest_um(plane_bank(coma_um=2.0), 0.01, ACROSS).max() < 100.0
+
+
+def test_highlights_are_cut_up_where_the_psf_changes_and_nowhere_else():
+    at = np.arange(LENS.psf.shape[-1]) - LENS.psf.shape[-1] // 2
+    round_ = np.exp(-(at**2 + at[:, None] ** 2) / 18)
+    psf = LENS.psf.copy()
+    psf[:3] = round_ / round_.sum()  # alike out to the third field of five
+    lens = replace(LENS, psf=psf)
+    heights = lens.real_height_um[:, lens.reference]
+    near, far = heights[1] / 2, (heights[2] + heights[3]) / 2 / np.sqrt(2)
+    two = Highlights(np.array([[near, 0.0], [far, far]]), 12.0, np.array([[1.0, 0, 0], [0, 1, 0]]))
+    alone = squares_on_sensor(lens, sensor(), two, 200.0)
+    cut = squares_on_sensor(lens, sensor(), two, 200.0, CHANGE)
+    of_near, of_far = (cut.light[:, number] > 0 for number in (0, 1))
+    assert of_near.sum() == 1 and of_far.sum() > 4 and len(cut.light) == 1 + of_far.sum()
+    assert_close(cut.size_um[of_near], np.array([12.0]), atol=0)
+    assert_close(cut.size_um[of_far] ** 2 * of_far.sum(), np.full(of_far.sum(), 144.0), rtol=1e-12)
+    # Distortion differs a little between the parts.
+    assert_close(cut.light.sum(axis=0), alone.light.sum(axis=0), rtol=1e-3)
+    # Tables hold the kernel of one shape: those of other sizes are others.
+    keys = mixture(lens.places(300.0)[1], cut, 8).keys
+    assert set(keys[of_near][..., 2].flat).isdisjoint(keys[of_far][..., 2].flat)
 
 
 def test_a_large_highlight_is_cut_up(device: Device):
     """A square of 12 um with the PSF of each of its parts."""
     camera = sensor()
     big = Highlights(np.array([[-40.0, 28.0]]), 12.0, np.array([[1e6, 0.0, 2e6]]))
-    assert big.size_um > largest_um(LENS, CHANGE)
+    assert big.size_um > largest_um(LENS, CHANGE, big.centre_um)[0]
     pixels = around(camera, LENS, big.centre_um[0], (-7, -5, -4, -2, 3, 4))
     expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(big, pixels)
     found = on_sensor(device, camera, big)[pixels[:, 0], pixels[:, 1]].astype(float)
@@ -395,7 +424,7 @@ def test_shares_are_those_of_fields_and_angles(bins: int):
     radii = LENS.real_height_um[:, 1]
     squares = squares_on_sensor(LENS, sensor(), many(200), 20.0)
     keys, shares, axis = mixture(LENS.places(150.0)[1], squares, bins)
-    assert keys.shape == (len(squares.light), 8, 2)
+    assert keys.shape == (len(squares.light), 8, 3)
     assert_close(shares.sum(axis=1), np.ones(len(shares)), atol=1e-12)
     assert keys.min() >= 0 and keys[..., 0].max() <= 4 and keys[..., 1].max() < bins
     radius = np.hypot(*squares.real_um.T)
