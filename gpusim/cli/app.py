@@ -135,6 +135,12 @@ def render(
             metavar="NAME", help="Light on a chart: D50, A, FL2, ..., or a blackbody: 5100K."
         ),
     ] = None,
+    illumination: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Map of uneven light on a photograph: a grey EXR, relative."
+        ),
+    ] = None,
     projection: Annotated[
         str,
         typer.Option(
@@ -241,6 +247,7 @@ def render(
         temperature_c=temperature,
         luminance_cd_m2=luminance,
         illuminant=illuminant,
+        illumination=illumination,
         projection=projection,
         tolerance=tolerance,
         probes=certify,

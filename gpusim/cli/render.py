@@ -30,6 +30,7 @@ from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs, planned_costs
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
+from gpusim.scene.illumination import illuminated, read_illumination
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,6 +49,7 @@ def run(
     temperature_c: float | None,
     luminance_cd_m2: float | None,
     illuminant: str | None,
+    illumination: Path | None,
     projection: str,
     tolerance: str,
     probes: int,
@@ -90,6 +92,8 @@ def run(
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection=projection)
+    if illumination is not None:
+        scene = illuminated(scene, read_illumination(illumination), illumination.name)
     costs = None if plan is None else planned_costs(plan)
     device = default_device()
     if dry_run:

@@ -313,16 +313,22 @@ class Prescription(Strict):
 
     @property
     def known(self) -> tuple[Known, ...]:
-        """Over which wavelengths its glasses and its coating are known: those that end first."""
+        """Over which wavelengths its glasses and coatings are known: those that end first."""
         from gpusim.lens.glass import surface_known
 
         found = [
             surface_known(surface, number, self.glass_catalogues, file=self.file)
             for number, surface in enumerate(self.surfaces, start=1)
         ]
-        if self.coating is not None:
-            lines = self.coating.wavelength_nm
-            found.append(Known("the lens's coating", lines[0], lines[-1]))
+        coatings = {"the lens's coating": self.coating} | {
+            f"the coating of surface {number}": surface.coating
+            for number, surface in enumerate(self.surfaces, start=1)
+        }
+        found += [
+            Known(what, one.wavelength_nm[0], one.wavelength_nm[-1])
+            for what, one in coatings.items()
+            if isinstance(one, Coating)
+        ]
         some = [one for one in found if one is not None]
         if not some:
             return ()

@@ -135,7 +135,11 @@ def describe(
 
     source = f"{planes} of {len(scene.spectra)} spectra are told apart by the camera"
     return (
-        PlanStage("illumination", False, "the target is lit evenly"),
+        PlanStage(
+            "illumination",
+            bool(scene.illumination),
+            scene.illumination or "no map was given: the target is lit evenly",
+        ),
         PlanStage(
             "paint",
             is_chart,

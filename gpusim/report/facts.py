@@ -130,6 +130,7 @@ def _scene(scene: Scene) -> dict[str, Any]:
         **content,
         "spectra": len(scene.spectra),
         "illuminant": scene.illuminant,
+        "illumination": scene.illumination,
         "white_luminance_cd_m2": scene.white_luminance_cd_m2,
     }
 

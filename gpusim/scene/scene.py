@@ -61,6 +61,8 @@ class Scene:
         Spectra and white at any wavelengths, of a scene that is known beyond its grid.
     made_of : tuple of Known
         How far what the light is made of is known.
+    illumination : str
+        What uneven light is in the source's coefficients, in words; empty where there is none.
     """
 
     name: str
@@ -73,6 +75,7 @@ class Scene:
     wavelengths_nm: np.ndarray = field(default_factory=lambda: WAVELENGTHS_NM)
     light: Light | None = None
     made_of: tuple[Known, ...] = ()
+    illumination: str = ""
 
     @property
     def known(self) -> tuple[Known, ...]:

@@ -7,7 +7,8 @@ from changes import changed
 from lens.made import lens, model
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription, presets
+from gpusim.known import Known
+from gpusim.lens.prescription import Coating, load_prescription, presets
 from gpusim.lens.system import build, failed_checks, first_order, with_clear_apertures
 from gpusim.lens.wavefront import sample_rays
 
@@ -17,6 +18,17 @@ def test_every_preset_reproduces_the_figures_of_its_source(name):
     prescription = load_prescription(name)
     assert prescription.checks
     assert failed_checks(prescription) == []
+
+
+def test_a_lens_is_known_as_far_as_its_glasses_and_coatings_are(double_gauss):
+    # H-LAK1 of CDGM and N-BAF10 of Schott end the data of the others.
+    assert max(one.first_nm for one in double_gauss.known) == 370
+    assert min(one.last_nm for one in double_gauss.known) == 2325
+    curve = {"wavelength_nm": [420.0, 950.0], "reflectance": [0.01, 0.02]}
+    surfaces = list(double_gauss.surfaces)
+    surfaces[2] = surfaces[2].model_copy(update={"coating": Coating(**curve)})
+    coated = double_gauss.model_copy(update={"surfaces": tuple(surfaces)})
+    assert coated.known == (Known("the coating of surface 3", 420.0, 950.0),)
 
 
 def test_a_wrong_digit_fails_the_check(double_gauss):
