@@ -121,7 +121,7 @@ def test_the_splat_adds_to_what_the_rest_of_the_scene_gives(monkeypatch):
     filled = Raster(planes).split.planes
     plain, _ = shot(filled, tolerance=1e-2)
     monkeypatch.setattr(
-        splat, "spectral_weights", lambda *some: 0 * np.ones((3, 3, WAVELENGTHS_NM.size))
+        splat, "spectral_weights", lambda *some, **grid: np.zeros((3, 3, WAVELENGTHS_NM.size))
     )
     dimmed, placed = shot(planes, tolerance=1e-2)
     assert len(placed.highlights) == 81
