@@ -205,7 +205,7 @@ def look(
     if density is None and isinstance(lens, Prescription):
         sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
-    return Look(band, scene, density, bank)
+    return Look(band, scene.before(bank.efl_mm), density, bank)
 
 
 class Renderer:
@@ -982,6 +982,8 @@ def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
     if isinstance(scene.source, Chart):
         scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
         return replace(scene, source=scene.source.placed(scale))
+    if scene.source.half_um is not None:
+        return scene
     return replace(scene, source=replace(scene.source, half_um=half))
 
 

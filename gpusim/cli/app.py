@@ -145,7 +145,8 @@ def render(
         str,
         typer.Option(
             metavar="NAME",
-            help="How the scene lies: rectilinear, to 85 degrees off the axis; or angular, to 180.",
+            help="How the scene lies: rectilinear, to 85 degrees off the axis; angular, to 180; "
+            "equirectangular, for a photograph that is a panorama.",
         ),
     ] = "rectilinear",
     tolerance: Annotated[

@@ -221,12 +221,14 @@ class Raster:
     """Coefficient planes (M, rows, cols), float32, of a scene's spectra; none negative.
 
     ``whole``: bright outliers are samples like others; for what blurs them far beyond a sample.
-    ``half_um``: half the width and height that it covers, whatever the sensor's.
+    ``half_um``: half the width and height that it covers, whatever the sensor's; ``half_efl``: the
+    same in focal lengths, before a lens is known.
     """
 
     planes: np.ndarray
     whole: bool = False
     half_um: tuple[float, float] | None = None
+    half_efl: tuple[float, float] | None = None
 
     @functools.cached_property
     def split(self) -> Split:

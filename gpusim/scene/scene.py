@@ -11,9 +11,10 @@ import numpy as np
 from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.known import Known
-from gpusim.lens.projection import PROJECTIONS, RECTILINEAR, Projection
+from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
 from gpusim.scene.charts import CHARTS, known_reflectances, reflectances_at
+from gpusim.scene.panorama import PANORAMA, by_angle
 from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import (
     WAVELENGTHS_NM,
@@ -104,6 +105,20 @@ class Scene:
             spectra = np.stack(rows)
         return replace(self, spectra=spectra, white=white, wavelengths_nm=wavelengths_nm)
 
+    def before(self, efl_mm: float) -> Scene:
+        """Return the scene before a lens: what is laid by angle gets its size on the image plane.
+
+        Parameters
+        ----------
+        efl_mm : float
+            Focal length.
+        """
+        source = self.source
+        if isinstance(source, Chart) or source.half_efl is None:
+            return self
+        half_um = tuple(1e3 * efl_mm * half for half in source.half_efl)
+        return replace(self, source=replace(source, half_um=half_um, half_efl=None))
+
     @property
     def white_luminance_cd_m2(self) -> float:
         """Luminance of the scene's white, cd/m^2."""
@@ -131,7 +146,8 @@ def make_scene(
         under D65.
     projection : str
         How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
-        to the sides.
+        to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
+        in whose middle the camera stands and at whose centre it looks.
 
     Raises
     ------
@@ -146,14 +162,22 @@ def make_scene(
             value=luminance_cd_m2,
             allowed="above 0",
         )
-    if projection not in PROJECTIONS:
+    panorama = projection == PANORAMA
+    if projection not in PROJECTIONS and not panorama:
         raise UserError(
             "there is no such projection",
             field="projection",
             value=projection,
-            allowed=", ".join(PROJECTIONS),
+            allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
         )
-    name, plane = str(name_or_path), PROJECTIONS[projection]
+    name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
+    if name in CHARTS and panorama:
+        raise UserError(
+            "a chart is no panorama",
+            field="projection",
+            value=projection,
+            allowed=f"{', '.join(PROJECTIONS)} for charts",
+        )
     if name in CHARTS:
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
         lamp = illuminant or DEFAULT_ILLUMINANT
@@ -177,7 +201,11 @@ def make_scene(
                 value=illuminant,
                 allowed="none with a photograph; with a chart any",
             )
-        return replace(_photograph(path, luminance_cd_m2), projection=plane)
+        scene = replace(_photograph(path, luminance_cd_m2), projection=plane)
+        if panorama:
+            whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
+            scene = replace(scene, source=whole)
+        return scene
     raise UserError(
         f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
