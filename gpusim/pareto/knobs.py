@@ -18,13 +18,12 @@ from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
 from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of
-from gpusim.plan.predict import cut_error
+from gpusim.plan.predict import GUARD, cut_error
 
 TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 NODE_FACTORS = (0.25, 0.5, 0.7, 1.4, 2.0)  # of the chosen cells along each axis
 OVERSAMPLINGS = (2, 4)
 CUTS_UM = (6.0, 10.0, 16.0, 24.0)
-GUARD = 8  # sim samples around the kernels, as in gpusim.plan.layout
 TRANSFORMS = (256, 512, 1024)
 RUNNERS_UP = 3  # plans that the planner takes for the next cheapest
 CHOSEN = "planner"

@@ -10,6 +10,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu.pool import MAX_BINDING_BYTES
 from gpusim.optics.grid import SimGrid
+from gpusim.plan.predict import GUARD
 from gpusim.sensor.sensor import Sensor
 
 # Of the kernels around one block: half of the 1 GiB that the device may use.
@@ -98,9 +99,7 @@ def cheapest_grid(
         When none fits.
     """
     aligned = max(stride, 4)  # see SimGrid.alignment
-    # 8 samples: half an aperture, half a sample to the pixel's centre, and the ringing of the
-    # band's end.
-    half_size = int(np.ceil((reach + 8) / aligned)) * aligned
+    half_size = int(np.ceil((reach + GUARD) / aligned)) * aligned
     best = None
     for length in TRANSFORMS:
         largest = (length - 2 * half_size) // aligned * aligned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cache
 from itertools import product
@@ -25,6 +26,9 @@ from gpusim.sensor.sensor import Sensor
 NODE_GAIN = 2.45
 EVEN = 128  # places over the sensor at which even scenes are looked at
 PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
+# Reaches of kernels to choose from, sim samples; around them is room for the pixel's aperture, half
+# a sample to its centre, and the ringing of the band's end.
+RINGS, GUARD = (16, 24, 32, 40), 8
 SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
 
 
@@ -171,9 +175,15 @@ def _moments(kernels: FieldKernels) -> np.ndarray:
     images = kernels.splines[:, 0]
     n = images.shape[-1]
     at = (np.arange(n) - n // 2) * kernels.pitch_um
+    squared = at**2
+    if kernels.ringing:
+        # What rings has no moments, but a spectrum: that of the PSFs, wherever the band is whole.
+        # Its slope and curvature are those between 0 and the first frequency.
+        turn = 2 * np.pi / (n * kernels.pitch_um)
+        at, squared = np.sin(turn * at) / turn, 2 * (1 - np.cos(turn * at)) / turn**2
     along_x, along_y = images.sum(axis=-2, dtype=float), images.sum(axis=-1, dtype=float)
     mixed = np.einsum("fcyx,y,x->fc", images, at, at, optimize=True)
-    parts = [along_x.sum(axis=-1), along_x @ at, along_y @ at, along_x @ at**2, along_y @ at**2]
+    parts = [along_x.sum(axis=-1), along_x @ at, along_y @ at, along_x @ squared, along_y @ squared]
     return np.stack([*parts, mixed], axis=1)
 
 
@@ -191,6 +201,60 @@ def _turned(of_fields: np.ndarray, blend: Blend) -> np.ndarray:
             c * s * (xx - yy) + (c * c - s * s) * xy,
         ]
     )
+
+
+def held_within(
+    kernels: FieldKernels,
+    pitch_um: float,
+    reach_um: float,
+    half_um: tuple[float, float],
+    allowed: float,
+) -> tuple[float, float]:
+    """Return how far kernels are to be kept, um, and the share of their sums that is lost there.
+
+    Kernels end at the Nyquist frequency of the sim grid. Those of PSFs that pass light there, for
+    they are narrower than its samples, ring far beyond the PSFs.
+
+    Parameters
+    ----------
+    kernels : FieldKernels
+    pitch_um : float
+        Of the sim grid.
+    reach_um : float
+        As far as the PSFs go.
+    half_um : (float, float)
+        Half the sensor's width and height.
+    allowed : float
+        Share of the sums that may be lost.
+    """
+    least = reach_um / pitch_um
+    reaches = [least, *(ring for ring in RINGS if ring > least)]
+    if not kernels.ringing or len(reaches) == 1:
+        return reach_um, 0.0
+    size = RINGS[-1] + GUARD
+    sums = np.array(
+        [
+            [_sums(kernel, math.ceil(reach) + GUARD) for reach in reaches]
+            for fraction in (0.0, 0.5, 1.0)
+            for kernel in [
+                sampled_kernels(kernels, *(fraction * h for h in half_um), pitch_um, size, 1)[0]
+            ]
+        ]
+    )
+    whole = np.where(sums[:, -1:], sums[:, -1:], 1.0)  # a halo's level may hold nothing so near
+    lost = np.abs(sums / whole - 1).max(axis=(0, 2))
+    # The last is what the others are compared with. Of a point, it lacks a fifth of what the one
+    # before does.
+    lost[-1] = lost[-2] / 5
+    chosen = next((n for n, share in enumerate(lost) if share <= allowed), len(reaches) - 1)
+    return reaches[chosen] * pitch_um, float(lost[chosen])
+
+
+def _sums(kernels: np.ndarray, half: int) -> np.ndarray:
+    """Return the sums of kernels (C, n, n) as far from their middles."""
+    middle = kernels.shape[-1] // 2
+    within = slice(middle - half + 1, middle + half)
+    return kernels[:, within, within].sum(axis=(1, 2))
 
 
 def cells_within(

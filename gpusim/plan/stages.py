@@ -209,7 +209,7 @@ def _convolution_stages(chosen: Candidate, cost: Callable[[str], float]) -> tupl
     errors = {
         "rows": chosen.errors["alias"],
         "modes": chosen.errors.get("modes"),
-        "columns": chosen.errors["nodes"],
+        "columns": math.hypot(chosen.errors["nodes"], chosen.errors["ringing"]),
         "direct": chosen.errors.get("support"),
     }
     if not transformed:  # else they are counted there, of both scales
