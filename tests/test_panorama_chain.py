@@ -21,14 +21,14 @@ PITCH_UM = 140.0
 EXPOSURE_S = 0.01
 COARSE = Accuracy(tolerance=1e-2, probes=0)
 GREY = 0.18
-RIM_UM = 13_300.0  # 0.95 of the image circle: at its rim light ends within a pixel
+RIM_UM = 14_080.0 - 10 * PITCH_UM
 PATCH_RAD = np.radians(2.0)
 
 
 @pytest.fixture(scope="module")
 def camera():
     sensor = load_sensor("imx249-mono").model_copy(
-        update={"rows": 121, "cols": 161, "pixel_pitch_um": PITCH_UM, "veiling_glare": 0.0}
+        update={"rows": 101, "cols": 161, "pixel_pitch_um": PITCH_UM, "veiling_glare": 0.0}
     )
     return Camera("fisheye, 140 um", load_prescription("fisheye"), sensor)
 
@@ -59,8 +59,8 @@ def test_an_even_world_is_an_even_chart(camera, tmp_path):
     world = rate(camera, panorama(tmp_path, np.full((ROWS, 2 * ROWS), GREY)))
     chart = rate(camera, make_scene("grey", luminance_cd_m2=100.0, projection="angular"))
     down, right = (np.indices(world.shape).T - (np.array(world.shape) - 1) / 2).T * PITCH_UM
-    within = np.hypot(down, right) < RIM_UM
-    ratio = (world / chart)[within]
+    # Within ten pixels of the image circle's rim the light falls faster than nodes can follow.
+    ratio = (world / chart)[np.hypot(down, right) < RIM_UM]
     np.testing.assert_allclose(ratio, np.median(ratio), rtol=2 * COARSE.tolerance)
 
 

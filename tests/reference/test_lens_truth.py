@@ -38,7 +38,7 @@ def sensor(lit_nm: float | None = None):
         pixel_pitch_um=PITCH_UM,
         fill_factor=1.0,
         cfa=SimpleNamespace(pattern=[["W"]]),
-        qe={"W": qe},
+        qe_at=lambda table_nm: {"W": np.interp(table_nm, WAVELENGTHS_NM, qe)},
     )
 
 
