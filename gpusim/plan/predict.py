@@ -28,7 +28,7 @@ EVEN = 128  # places over the sensor at which even scenes are looked at
 PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
 # Reaches of kernels to choose from, sim samples; around them is room for the pixel's aperture, half
 # a sample to its centre, and the ringing of the band's end.
-RINGS, GUARD = (16, 24, 32, 40), 8
+RINGS, GUARD = (16, 24), 8
 SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
 
 
@@ -243,9 +243,9 @@ def held_within(
     )
     whole = np.where(sums[:, -1:], sums[:, -1:], 1.0)  # a halo's level may hold nothing so near
     lost = np.abs(sums / whole - 1).max(axis=(0, 2))
-    # The last is what the others are compared with. Of a point, it lacks a fifth of what the one
-    # before does.
-    lost[-1] = lost[-2] / 5
+    # The last is what the others are compared with. Of a point, 32 samples lack a third of what 24
+    # do.
+    lost[-1] = lost[-2] / 3
     chosen = next((n for n, share in enumerate(lost) if share <= allowed), len(reaches) - 1)
     return reaches[chosen] * pitch_um, float(lost[chosen])
 
