@@ -63,9 +63,10 @@ ASYMMETRY = 1e-6
 # The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a
 # sharp end would ring.
 BAND_EDGE = 0.85
-# Sim samples as far as which kernels are held: those of PSFs narrower than a sample ring. Of a
-# point, 4e-4 of the light is missed within 32 samples, 4e-3 within 16, 6.5e-2 within 8.
-RINGING = 36
+# Sim samples as far as which kernels are held: those of PSFs narrower than a sample ring. What
+# rings farther is folded back, for transforms are periodic: their spectra are right at the
+# frequencies of the period, and so are their sums.
+RINGING = 24
 # Transfer at the middle of the band's edge from which on a part rings.
 RINGS_FROM = 0.02
 # Where the core of a PSF is cut from its tail, a raised cosine falls from this fraction of the

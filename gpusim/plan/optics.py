@@ -20,6 +20,7 @@ from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import (
+    RINGING,
     FieldKernels,
     core_window,
     distances_um,
@@ -44,7 +45,7 @@ from gpusim.plan.layout import (
     planes_at_nodes,
     planes_at_points,
 )
-from gpusim.plan.predict import RINGS, cells_within, cut_error, held_within
+from gpusim.plan.predict import GUARD, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
@@ -65,7 +66,6 @@ NODE_SHARE = 0.7
 # neighbouring pixels err alike. It is the mean over the sensor: within 40 pixels of the rim of the
 # phone lens's image circle four times as much was found.
 TONE_SHARE = 0.1
-RINGING_SHARE = 0.1  # of the tolerance, for what kernels lose where they are cut off
 # Of a plane's light, by which the terms of a quantum efficiency that goes with the azimuth may err.
 ANGLE_SHARE = 0.05
 TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
@@ -435,8 +435,8 @@ class _Problem:
         # Of a core 20 um hold 98 % of the energy at f/2.8; a halo's levels are as much wider as
         # their samples.
         first = self._first(weights[0], pitch_um)
-        reach_um, ringing = self._held(first, pitch_um, cut_um or self.reach_um)
-        most_um = max(20.0 * max(self.bank.pitch_um / PITCH_UM, 1.0), RINGS[0] * pitch_um)
+        reach_um = held_um(first, pitch_um, cut_um or self.reach_um)
+        most_um = max(20.0 * max(self.bank.pitch_um / PITCH_UM, 1.0), (RINGING - GUARD) * pitch_um)
         cells, nodes = cells_within(
             first,
             pitch_um,
@@ -446,8 +446,8 @@ class _Problem:
             reach_um,
             self.has_edges,
         )
-        errors = {"alias": alias, "nodes": nodes, "ringing": ringing}
-        limits = {knob: tolerance for knob in ("nodes", "modes", "ringing")}
+        errors = {"alias": alias, "nodes": nodes}
+        limits = {knob: tolerance for knob in ("nodes", "modes")}
         limits["alias"] = ALIAS_SHARE * tolerance
         limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
         tail = None
@@ -494,7 +494,7 @@ class _Problem:
         """Return the cheapest way to convolve the tails, or why there is none."""
         found = []
         pitch_um = self.coarse_pitch_um
-        reach_um, _ = self._held(self._first(weight, pitch_um), pitch_um, self.reach_um)
+        reach_um = held_um(self._first(weight, pitch_um), pitch_um, self.reach_um)
         where = (self.coarse_stride, pitch_um, reach_um, weight, cells)
         for method in methods:
             try:
@@ -845,11 +845,6 @@ class _Problem:
         images = self.images[:, :1]
         return field_kernels(images, self.places, self.bank.pitch_um, pitch_um, weight)
 
-    def _held(self, kernels: FieldKernels, pitch_um: float, reach_um: float) -> tuple[float, float]:
-        """Return how far kernels are kept, and the share of an even scene that is lost there."""
-        allowed = RINGING_SHARE * self.accuracy.tolerance
-        return held_within(kernels, pitch_um, reach_um, self.half_um, allowed)
-
     def _tail_nodes(self, cut_um: float) -> tuple[float, tuple[int, int]]:
         """Return the error that the tails' nodes leave, and the fewest cells between them."""
         weight = self._parts(cut_um)[1]
@@ -866,6 +861,11 @@ class _Problem:
             self.reach_um,
         )
         return lag * share, few
+
+
+def held_um(kernels: FieldKernels, pitch_um: float, reach_um: float) -> float:
+    """Return how far kernels of PSFs that reach so far are sampled: as they ring."""
+    return max(reach_um, (RINGING - GUARD) * pitch_um) if kernels.ringing else reach_um
 
 
 def _samples(oversampling: int) -> str:

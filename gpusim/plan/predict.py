@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import cache
 from itertools import product
@@ -26,9 +25,9 @@ from gpusim.sensor.sensor import Sensor
 NODE_GAIN = 2.45
 EVEN = 128  # places over the sensor at which even scenes are looked at
 PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
-# Reaches of kernels to choose from, sim samples; around them is room for the pixel's aperture, half
-# a sample to its centre, and the ringing of the band's end.
-RINGS, GUARD = (16, 24), 8
+# Sim samples around the kernels: room for the pixel's aperture, half a sample to its centre, and
+# the ringing of the band's end.
+GUARD = 8
 SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
 
 
@@ -203,60 +202,6 @@ def _turned(of_fields: np.ndarray, blend: Blend) -> np.ndarray:
     )
 
 
-def held_within(
-    kernels: FieldKernels,
-    pitch_um: float,
-    reach_um: float,
-    half_um: tuple[float, float],
-    allowed: float,
-) -> tuple[float, float]:
-    """Return how far kernels are to be kept, um, and the share of their sums that is lost there.
-
-    Kernels end at the Nyquist frequency of the sim grid. Those of PSFs that pass light there, for
-    they are narrower than its samples, ring far beyond the PSFs.
-
-    Parameters
-    ----------
-    kernels : FieldKernels
-    pitch_um : float
-        Of the sim grid.
-    reach_um : float
-        As far as the PSFs go.
-    half_um : (float, float)
-        Half the sensor's width and height.
-    allowed : float
-        Share of the sums that may be lost.
-    """
-    least = reach_um / pitch_um
-    reaches = [least, *(ring for ring in RINGS if ring > least)]
-    if not kernels.ringing or len(reaches) == 1:
-        return reach_um, 0.0
-    size = RINGS[-1] + GUARD
-    sums = np.array(
-        [
-            [_sums(kernel, math.ceil(reach) + GUARD) for reach in reaches]
-            for fraction in (0.0, 0.5, 1.0)
-            for kernel in [
-                sampled_kernels(kernels, *(fraction * h for h in half_um), pitch_um, size, 1)[0]
-            ]
-        ]
-    )
-    whole = np.where(sums[:, -1:], sums[:, -1:], 1.0)  # a halo's level may hold nothing so near
-    lost = np.abs(sums / whole - 1).max(axis=(0, 2))
-    # The last is what the others are compared with. Of a point, 32 samples lack a third of what 24
-    # do.
-    lost[-1] = lost[-2] / 3
-    chosen = next((n for n, share in enumerate(lost) if share <= allowed), len(reaches) - 1)
-    return reaches[chosen] * pitch_um, float(lost[chosen])
-
-
-def _sums(kernels: np.ndarray, half: int) -> np.ndarray:
-    """Return the sums of kernels (C, n, n) as far from their middles."""
-    middle = kernels.shape[-1] // 2
-    within = slice(middle - half + 1, middle + half)
-    return kernels[:, within, within].sum(axis=(1, 2))
-
-
 def cells_within(
     kernels: FieldKernels,
     pitch_um: float,
@@ -287,7 +232,7 @@ def cells_within(
             widest = max(side / count for side, count in zip(sides, cells, strict=True))
             return cells, trial * (widest / trial_um) ** 2
         error = even_error(kernels, half_um, sides, cells)
-        if error <= allowed or spacing_um <= least_um:
+        if error <= allowed or spacing_um <= least_um / 2:
             return cells, error
         # No more than a quarter of what it was, for wide cells do not tell how sums curve.
-        spacing_um = max(spacing_um * np.clip(np.sqrt(allowed / error), 0.25, 0.9), least_um)
+        spacing_um = max(spacing_um * np.clip(np.sqrt(allowed / error), 0.25, 0.9), least_um / 2)

@@ -209,7 +209,7 @@ def _convolution_stages(chosen: Candidate, cost: Callable[[str], float]) -> tupl
     errors = {
         "rows": chosen.errors["alias"],
         "modes": chosen.errors.get("modes"),
-        "columns": math.hypot(chosen.errors["nodes"], chosen.errors["ringing"]),
+        "columns": chosen.errors["nodes"],
         "direct": chosen.errors.get("support"),
     }
     if not transformed:  # else they are counted there, of both scales

@@ -51,7 +51,7 @@ def slow_bank(exit_pupil_mm: float) -> Bank:
 def white(bank: Bank, sensor: Sensor) -> np.ndarray:
     """Return electrons/s (rows, cols) of an even white scene."""
     scene = Scene("white", FLAT[None], Chart(("white",), 0, ()), "E", FLAT)
-    return rate_of(camera_of(bank, sensor), scene, tolerance=4e-3)
+    return rate_of(camera_of(bank, sensor), scene, tolerance=1e-3)
 
 
 def chief_ray(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:

@@ -94,7 +94,7 @@ def test_rays_through_wild_surfaces_obey_snell_or_are_marked():
         px, py = rng.uniform(-6, 6, (2, 2, 60))
         rays = trace(geometry, index, launch, px, py)
         for array in vars(rays).values():
-            assert np.isfinite(array).all()
+            assert array is None or np.isfinite(array).all()  # crossings were not asked for
         np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=0), 1, rtol=0, atol=1e-12)
         for line in (0, 1):
             count = obeys_snell(geometry, index, launch, rays, line)
@@ -176,7 +176,7 @@ def test_rays_that_fail_within_the_stop_are_counted_in_the_bank():
     in_stop = samples.margin[-1] < 0
     assert (~samples.ok & in_stop).sum() == pytest.approx(in_stop.sum() / 6, rel=0.2)
     for array in vars(samples).values():
-        assert np.isfinite(array).all()
+        assert array is None or np.isfinite(array).all()  # a lens without coatings loses nothing
     bank = compute_bank(ball, [550.0], [0.0, 2.0], size=64, pitch_um=0.15)
     assert (bank.failed_rays[:, 0] > 50).all()
     for name in ("psf", "real_height_um", "relative_illumination", "fit_residual_waves"):

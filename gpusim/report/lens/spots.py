@@ -177,7 +177,8 @@ def _map(figure: Figure, place: tuple[float, float], study: Study, number: int) 
     scale = panel(figure, place[0] + 0.12, place[1] - 0.1, _CELL - 0.24, 0.07)
     bar = figure.colorbar(shown, cax=scale, orientation="horizontal")
     end = round_near(0.6 * reach, (1, 2, 5))  # away from the labels of the map beside it
-    bar.set_ticks([-end, 0, end], labels=[f"\N{MINUS SIGN}{end:g}", "0", f"{end:g}"])
+    # 0 is the middle, and would touch longer numbers.
+    bar.set_ticks([-end, end], labels=[f"\N{MINUS SIGN}{end:g}", f"{end:g}"])
     bar.ax.tick_params(labelsize=8, length=2, pad=1)
     bar.outline.set_visible(False)
     text = f"P\N{EN DASH}V {wave.peak_to_valley_waves:.3g}\nRMS {wave.rms_waves:.3g} waves"
