@@ -526,6 +526,67 @@ def noise(
         raise typer.Exit(code)
 
 
+@measure.command()
+def sfr(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PICTURE",
+            help="A raw frame (DNG and what LibRaw reads), .exr, .npy, .png, .jpg or .tif.",
+        ),
+    ],
+    roi: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,W,H",
+            help="A region with one slanted edge, pixels; may be given again. Without it edges are "
+            "sought.",
+        ),
+    ] = None,
+    channel: Annotated[
+        str | None,
+        typer.Option(metavar="R,G,...", help="Channels, by comma; by default all of the picture."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for sfr.json, sfr.csv, sfr.html and sfr.png."),
+    ] = None,
+    linear: Annotated[
+        bool,
+        typer.Option("--linear", help="Codes of a PNG, JPEG or TIFF are linear, not sRGB."),
+    ] = False,
+    pitch_um: Annotated[
+        float | None, typer.Option(min=1e-3, metavar="UM", help="Pixel pitch: for lp/mm and Q.")
+    ] = None,
+    f_number: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            metavar="N",
+            help="With --pitch-um: Q, the area over that of a diffraction-limited lens.",
+        ),
+    ] = None,
+    wavelength_nm: Annotated[
+        float, typer.Option(min=100, max=20000, metavar="NM", help="Of the diffraction limit.")
+    ] = 550.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
+) -> None:
+    """Measure sharpness from slanted edges: SFR of ISO 12233, MTF50, angle, with uncertainties."""
+    from gpusim.cli.sfr import sfr as run
+
+    run(
+        path,
+        roi or [],
+        channel,
+        out,
+        linear=linear,
+        pitch_um=pitch_um,
+        f_number=f_number,
+        wavelength_nm=wavelength_nm,
+        as_json=as_json,
+    )
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
