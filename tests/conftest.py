@@ -39,7 +39,7 @@ def expected_adapter() -> None:
 @pytest.fixture(scope="session", autouse=True)
 def same_plans() -> Iterator[None]:
     """Make every plan from one table of rates, so that no test depends on the machine's speed."""
-    with mock.patch("gpusim.chain.adapter_costs", lambda device, **more: LAVAPIPE):
+    with mock.patch("gpusim.render.renderer.adapter_costs", lambda device, **more: LAVAPIPE):
         yield
 
 

@@ -8,12 +8,12 @@ import numpy as np
 
 from gpusim.camera import load_camera
 from gpusim.certify import Certificate, Probe
-from gpusim.chain import Capture
 from gpusim.isp.optics import Optics
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
 from gpusim.plan.band import Band, Unknown
 from gpusim.plan.candidates import RunnerUp
+from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 

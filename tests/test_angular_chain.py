@@ -7,11 +7,11 @@ import pytest
 from optics.angled import angled, eqe_map, following, lens, plane_lens, round_pixel, unlike
 from optics.made import FLAT, RED, StubCamera, bank, scene, sensor, shapes
 
-from gpusim.chain import Capture, Renderer
 from gpusim.optics.angular import AngularResponse, TurnedHeights
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.signal import brightest_e
+from gpusim.render import Capture, Renderer
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 

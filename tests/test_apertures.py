@@ -8,9 +8,9 @@ from changes import sensor_file
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, shapes
 
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.sensor.aperture import Aperture, Part, Response, transfer_along
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor

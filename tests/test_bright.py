@@ -10,11 +10,10 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, sensor
 
-from gpusim import chain
-from gpusim.chain import Capture, Renderer
 from gpusim.optics import splat
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
+from gpusim.render import Capture, Renderer, renderer
 from gpusim.scene import highlights
 from gpusim.scene.exr import write_exr
 from gpusim.scene.raster import Raster
@@ -187,7 +186,7 @@ def test_a_further_frame_costs_the_sensor_alone():
 
 
 def test_light_is_kept_only_as_far_as_a_share_of_the_budget_goes(monkeypatch):
-    monkeypatch.setattr(chain, "KEPT_SHARE", 1 << 20)
+    monkeypatch.setattr(renderer, "KEPT_SHARE", 1 << 20)
     with rendering(scenery(1e9), tolerance=1e-2) as one:
         assert [one.capture(0.01).work["blocks"] > 0 for _ in range(2)] == [True, True]
         assert not one.kept

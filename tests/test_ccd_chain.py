@@ -18,7 +18,6 @@ from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from PIL import Image
 
-from gpusim.chain import Capture, Renderer
 from gpusim.cli.render import write
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
@@ -27,6 +26,7 @@ from gpusim.reference.crosstalk import crosstalk
 from gpusim.reference.cti import cti
 from gpusim.reference.smear import smear
 from gpusim.reference.traps import traps
+from gpusim.render import Capture, Renderer
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.frame import Border, Overscan

@@ -12,10 +12,10 @@ from optics.made import FLAT, StubCamera, bank, monochrome, scene, sensor
 
 from gpusim.certify import certify, choose_probes
 from gpusim.certify import engine as certify_module
-from gpusim.chain import Renderer
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.optics import convolve
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.chart import Rect
 
 # Where it looks

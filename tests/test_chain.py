@@ -17,13 +17,13 @@ from harness import assert_close
 from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.special import ndtr
 
-from gpusim.chain import Capture, Renderer, capture
 from gpusim.errors import UserError
 from gpusim.gpu import Device, DeviceLostError, Recording
 from gpusim.optics import paint
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
+from gpusim.render import Capture, Renderer, capture
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene

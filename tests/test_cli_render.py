@@ -18,12 +18,12 @@ from command_line import Ran, assert_refused, gpusim, process
 from fake_capture import COLS, ROWS, fake_capture
 from PIL import Image
 
-from gpusim import chain
 from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE, content_of
+from gpusim.render import renderer
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -340,7 +340,7 @@ def test_a_tolerance_that_cannot_be_met_is_refused_before_the_render(
 ):
     """At f/2.8 before filters of 7.8 um, of which eight samples are 1 um apart: edges alias."""
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
-    monkeypatch.setattr(chain, "adapter_costs", lambda device, **more: LAVAPIPE)
+    monkeypatch.setattr(renderer, "adapter_costs", lambda device, **more: LAVAPIPE)
     file = tmp_path / "camera.yaml"
     large = "kodak-vga, rows: 32, cols: 48"
     file.write_text(CAMERA.replace("imx477, rows: 96, cols: 128", large))

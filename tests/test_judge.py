@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera, load_camera
-from gpusim.chain import Renderer
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.transfer import field_pupils
 from gpusim.plan import Accuracy
 from gpusim.reference.backward import chief_back, trace_back
 from gpusim.reference.lens_truth import REFERENCE_NM, Judge, view
+from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance

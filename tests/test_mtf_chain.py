@@ -8,11 +8,11 @@ from optics.made import FLAT, monochrome, scene, sensor, shapes
 from scipy.interpolate import CubicSpline
 
 from gpusim.camera import Camera
-from gpusim.chain import Renderer
 from gpusim.lens.mtf import Curve
 from gpusim.lens.ready import load_ready
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.chart import Rect
 
 PITCH_UM = 1.55

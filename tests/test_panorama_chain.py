@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera
-from gpusim.chain import Renderer
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.exr import write_exr
 from gpusim.scene.scene import make_scene
 from gpusim.sensor.load import load_sensor

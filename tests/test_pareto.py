@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from optics.made import FLAT, StubCamera, bank, monochrome, scene
 
-from gpusim.chain import Renderer
 from gpusim.cli import pareto as command
 from gpusim.cli.pareto import region, regret_in_words, table, write
 from gpusim.errors import UserError
@@ -24,6 +23,7 @@ from gpusim.gpu import default_device
 from gpusim.pareto import CHOSEN, Point, Sweep, Variant, knobs, sweep, turns, variants
 from gpusim.pareto.turns import KINDS, ROUNDS, _Run
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.report.pareto_figure import draw, placed, png
 from gpusim.scene.chart import Rect
 

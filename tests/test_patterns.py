@@ -7,8 +7,8 @@ import pytest
 from harness import assert_close
 from optics.made import StubCamera, bank, scene, sensor, shapes
 
-from gpusim.chain import Renderer
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.qe import QuantumEfficiency

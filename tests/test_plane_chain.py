@@ -23,13 +23,13 @@ from optics.made import (
     shapes,
 )
 
-from gpusim.chain import Capture, Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.lens.places import Blend, FieldGrid
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
+from gpusim.render import Capture, Renderer
 from gpusim.scene.chart import Disc
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene

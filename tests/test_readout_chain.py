@@ -15,11 +15,11 @@ from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from PIL import Image
 
-from gpusim.chain import Capture, Renderer, capture
 from gpusim.cli.render import write
 from gpusim.errors import UserError
 from gpusim.isp.dng import write_dng
 from gpusim.plan import Accuracy
+from gpusim.render import Capture, Renderer, capture
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.frame import MAX_BORDER, Border
 from gpusim.sensor.load import load_sensor

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from optics.made import FLAT, StubCamera, bank, sensor
 
-from gpusim.chain import Renderer
 from gpusim.optics.fold import camera_basis
 from gpusim.optics.kernels import field_images, field_kernels
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -23,7 +23,6 @@ from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
 from gpusim.certify import choose_probes, compare, glare_at, true_rates
-from gpusim.chain import Capture, Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.bank import Bank, bank_of, default_fields_deg
@@ -54,6 +53,7 @@ from gpusim.reference.noise import noise
 from gpusim.reference.paint import paint
 from gpusim.reference.rows import rows
 from gpusim.reference.warp import warp
+from gpusim.render import Capture, Renderer
 from gpusim.scene import Chart, Disc, PlacedRaster, Raster, Scene, make_scene
 from gpusim.scene.spectra import rgb_reflectances, white_radiance
 from gpusim.sensor.adc import record_adc

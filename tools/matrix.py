@@ -27,7 +27,6 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.camera import Camera
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR, Projection
@@ -35,6 +34,7 @@ from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
 from gpusim.reference.lens_truth import Judge, View, view
+from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance

@@ -15,8 +15,6 @@ from PIL import Image
 
 from gpusim import report
 from gpusim.camera import load_camera
-from gpusim.chain import capture as take
-from gpusim.chain import look
 from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
@@ -28,6 +26,8 @@ from gpusim.isp.rawfile import read_raw
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs, planned_costs
+from gpusim.render import capture as take
+from gpusim.render import look
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import illuminated, read_illumination
@@ -35,7 +35,7 @@ from gpusim.scene.illumination import illuminated, read_illumination
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from gpusim.chain import Capture
+    from gpusim.render import Capture
 
 KEPT_PLANES = ("electrons", "rate")
 

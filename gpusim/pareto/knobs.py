@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.lens.places import Places
 from gpusim.optics.convolve import Scale
@@ -19,6 +18,7 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
 from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of
 from gpusim.plan.predict import GUARD, cut_error
+from gpusim.render import Renderer
 
 TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 NODE_FACTORS = (0.25, 0.5, 0.7, 1.4, 2.0)  # of the chosen cells along each axis

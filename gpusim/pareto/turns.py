@@ -19,13 +19,13 @@ import numpy as np
 from gpusim.camera import Camera
 from gpusim.certify import Certificate, Share, compare, glare_at
 from gpusim.certify.budget import WORST_TO_RMS
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
 from gpusim.pareto import knobs
 from gpusim.pareto.knobs import Variant, predicted_parts
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.calibrate import adapter_costs
+from gpusim.render import Renderer
 from gpusim.scene.scene import Scene
 
 ROUNDS = 3  # at least: the fewest of which a median leaves out one that was disturbed

@@ -22,9 +22,9 @@ from gpusim.scene.spectra import STEP_NM
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
-    from gpusim.chain import Capture
     from gpusim.plan import Plan
     from gpusim.plan.band import Band
+    from gpusim.render import Capture
     from gpusim.scene import Scene
 
 # The packages whose version can change a sample of the result.

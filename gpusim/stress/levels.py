@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gpusim.chain import Renderer
 from gpusim.gpu import Recording, default_device
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.adc import record_adc

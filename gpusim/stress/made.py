@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import ndtr
 
 from gpusim.camera import Camera
-from gpusim.chain import Renderer
 from gpusim.lens.bank import Bank
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.camera import load_camera
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.lens.bank import Bank
@@ -24,6 +23,7 @@ from gpusim.lens.sampling import default_pitch_um
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart
 from gpusim.scene.exr import write_exr

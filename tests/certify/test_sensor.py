@@ -19,12 +19,11 @@ import pytest
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.stats import binom
 
-from gpusim import chain
 from gpusim.certify import Certificate, MeanSignal, Placed, engine, sensor_share
 from gpusim.certify import sensor as module
-from gpusim.chain import Renderer
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer, frames, renderer
 from gpusim.sensor import cti
 from gpusim.sensor.adc_model import DualGain
 from gpusim.sensor.cfa import ColourFilterArray
@@ -198,7 +197,7 @@ def test_the_note_says_what_was_covered():
 
 def test_without_a_certificate_nothing_of_it_is_done(monkeypatch):
     asked = []
-    for kind in (chain._Shot, chain._ShiftedShot):
+    for kind in (frames.CmosFrame, frames.CcdFrame):
         right = kind.__init__
 
         def spy(self, renderer, rect, names, folder, shot, right=right):
@@ -316,8 +315,10 @@ def test_an_inefficiency_five_percent_off_turns_it_red(monkeypatch, direction: s
 
 def test_a_stage_that_the_plan_forgets_turns_it_red(monkeypatch):
     """What the sensor has, its file says: the plan is judged as well."""
-    right = chain.Plan.runs
-    monkeypatch.setattr(chain.Plan, "runs", lambda plan, name: name != "prnu" and right(plan, name))
+    right = renderer.Plan.runs
+    monkeypatch.setattr(
+        renderer.Plan, "runs", lambda plan, name: name != "prnu" and right(plan, name)
+    )
     found = certificate(made(prnu_percent=5.0))
     assert not found.met and found.sensor_rms == pytest.approx(0.05, rel=0.5)
 

@@ -14,12 +14,12 @@ import pytest
 from optics.made import FLAT, StubCamera, bank, monochrome
 
 from gpusim.certify import certify
-from gpusim.chain import Renderer
 from gpusim.gpu import Device
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.plan.optics import alias_of
+from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene

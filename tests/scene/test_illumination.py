@@ -7,9 +7,9 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, RED, StubCamera, bank, sensor
 
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
+from gpusim.render import Renderer
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import illuminated, read_illumination

@@ -12,12 +12,12 @@ from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.stats import norm
 
-from gpusim.chain import Renderer
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.plan import Accuracy
 from gpusim.plan.tiles import aligned
 from gpusim.reference.crosstalk import autocorrelation, crosstalk, crosstalk_at
+from gpusim.render import Renderer
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.crosstalk import ROWS, grown, reach, record_crosstalk
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels

@@ -1,46 +1,23 @@
-"""The chain: scene -> lens -> optics -> sensor -> raw digital numbers, and what it cost."""
+"""The chain: scene -> lens -> optics -> sensor -> raw digital numbers."""
 
 from __future__ import annotations
 
 import math
-import os
 import time
-from collections import defaultdict, deque
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
-from gpusim.certify import (
-    Certificate,
-    MeanSignal,
-    Placed,
-    Share,
-    bank_share,
-    certify,
-    sensor_share,
-)
+from gpusim.certify import Share, bank_share, certify, sensor_share
 from gpusim.errors import UserError
-from gpusim.gpu import (
-    Array,
-    Device,
-    OutOfMemoryError,
-    Recording,
-    Resident,
-    Result,
-    default_device,
-)
-from gpusim.gpu.pool import mebibytes
+from gpusim.gpu import Device, OutOfMemoryError, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
-from gpusim.isp.optics import Optics, optics_of
-from gpusim.lens.bank import default_lines_nm
-from gpusim.lens.field_bank import FieldBank, seen_as
-from gpusim.lens.prescription import Prescription
+from gpusim.isp.optics import optics_of
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
@@ -51,161 +28,36 @@ from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy, Plan, plans_optics
-from gpusim.plan.band import Band, band_of, with_band
+from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
-from gpusim.plan.density import Density, bank_density
 from gpusim.plan.tiles import (
     RESERVE_BYTES,
     SMALLEST_PX,
-    STRIP_SHARE,
     Rect,
     aligned,
-    halves,
     strip_bytes,
-    strips,
     tile_bytes,
     tiles_of,
 )
+from gpusim.render.capture import Capture
+from gpusim.render.coarse import CoarseCamera, seen_by
+from gpusim.render.frames import Reader, frame_of, lit_for
+from gpusim.render.highlights import SplattedLight
+from gpusim.render.lighting import Lighting
+from gpusim.render.look import look
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.ccd import ReadOut, needed, record_tile, taking
-from gpusim.sensor.frame import overlap, parts_around
+from gpusim.sensor.frame import overlap
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, noise_seed, record_readout, rects_of
+from gpusim.sensor.readout import Shot, noise_seed, rects_of
 from gpusim.sensor.sensor import Sensor
 
 Progress = Callable[[str, int, int], None]
 
 KEPT_SHARE = 4  # of the budget, a quarter at most of the host's memory for the light of a frame
-
-
-@dataclass(frozen=True)
-class Capture:
-    """One frame and how it was made.
-
-    Attributes
-    ----------
-    raw : ndarray (rows, cols), uint16
-        Digital numbers: of all that is read out, or of the rectangle that was asked for.
-    rate, electrons : ndarray (rows, cols), float32, or None
-        Electrons/s before the exposure, and electrons before the ADC, where they were kept.
-    white_e : dict of str to float
-        Mean electrons that the scene's white makes on the axis, by channel.
-    transmission : ndarray (61,)
-        Of the lens, at WAVELENGTHS_NM.
-    optics : Optics
-        What files say of the lens.
-    notes : tuple of str
-        How the scene was read and placed.
-    plan : Plan
-    times_s : dict of str to float
-        Seconds by stage, on the device's clock.
-    wall_s : float
-        From the recording of the first tile to the last byte of the raw; without preparation and
-        certificate.
-    prepare_s : dict of str to float
-        Seconds spent before the first tile, which further frames of the same scene do not spend.
-        Kernels that the memory does not hold all at once are made within the render: see
-        ``times_s["kernels"]``.
-    memory : dict of str to int
-        Of the device, bytes: ``budget_bytes``, and ``peak_bytes`` that were held at most.
-    work : dict of str to int
-        How many ``tiles`` were rendered and ``blocks`` convolved, and of how many PSF nodes the
-        kernels were made (``nodes``).
-    rect : (int, int, int, int)
-        First row and column, rows and columns of the raw, counted from the first lit pixel: the
-        border of optical black has negative numbers.
-    device : dict
-        Adapter, driver and limits.
-    certificate : Certificate or None
-    camera, scene, seed, frame, exposure_s, accuracy
-        What was asked for.
-    temperature_c : float
-        Of the sensor.
-    costs : Costs or None
-        The rates that the plan was made from: with them it is made again.
-    band : Band
-        The wavelengths that were rendered, and what no data describe.
-    """
-
-    raw: np.ndarray
-    rate: np.ndarray | None
-    electrons: np.ndarray | None
-    white_e: dict[str, float]
-    transmission: np.ndarray
-    optics: Optics
-    notes: tuple[str, ...]
-    plan: Plan
-    times_s: dict[str, float]
-    wall_s: float
-    prepare_s: dict[str, float]
-    memory: dict[str, int]
-    work: dict[str, int]
-    rect: Rect
-    device: dict
-    certificate: Certificate | None
-    camera: Camera
-    scene: Scene
-    seed: int
-    frame: int
-    exposure_s: float
-    accuracy: Accuracy
-    temperature_c: float
-    band: Band
-    costs: Costs | None = None
-
-    @property
-    def lit(self) -> Rect:
-        """The pixels that see light: their first row and column, rows and columns."""
-        return overlap(self.rect, self.camera.sensor.frame.lit)
-
-    @property
-    def active_area(self) -> Rect:
-        """Where these lie in the raw: first row and column, rows and columns."""
-        row, col, rows, cols = self.lit
-        return row - self.rect[0], col - self.rect[1], rows, cols
-
-    @property
-    def masked_areas(self) -> list[Rect]:
-        """Where pixels shielded from light lie in the raw."""
-        shielded = parts_around(self.lit, overlap(self.rect, self.camera.sensor.frame.pixels))
-        first_row, first_col = self.rect[:2]
-        return [(row - first_row, col - first_col, *size) for row, col, *size in shielded]
-
-
-class Look(NamedTuple):
-    """What a camera sees of a scene: its wavelengths, the scene at these, and the lens's PSFs."""
-
-    band: Band
-    scene: Scene
-    density: Density | None
-    bank: FieldBank
-
-
-def look(
-    camera: Camera,
-    scene: Scene,
-    accuracy: Accuracy,
-    exposure_s: float = math.inf,
-    progress: Callable[[int, int], None] | None = None,
-) -> Look:
-    """Choose wavelengths, fields and lines for a tolerance, and trace the lens.
-
-    ``exposure_s``: the longest that will be captured; ``progress``: called with (done, total).
-    """
-    # A camera that brings a bank along may have no lens to ask.
-    lens, sensor = getattr(camera, "lens", None), camera.sensor
-    band = band_of(lens, sensor, scene, accuracy)
-    scene = scene.on(band.wavelengths_nm)
-    density = bank_density(lens, sensor, scene, accuracy, exposure_s, progress)
-    sampling = {} if density is None else density.sampling
-    if density is None and isinstance(lens, Prescription):
-        sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
-    bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
-    return Look(band, scene.before(bank.efl_mm), density, bank)
 
 
 class Renderer:
@@ -272,7 +124,7 @@ class Renderer:
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolution] = []
         self.splat: Splat | None = None
-        self.splatted: _Splatted | None = None
+        self.splatted: SplattedLight | None = None
         self.kept: dict[Rect, np.ndarray] = {}  # electrons/s of the planes, by tile
         self.halo: Halo | None = None
         self.tight = False  # the adapter has less than the budget: kernels of one block at a time
@@ -442,16 +294,19 @@ class Renderer:
         if temperature_c is None:
             temperature_c = sensor.reference_temperature_c
         sensor.dark_current_at(temperature_c)  # refuses what is none
-        kind = _ShiftedShot if sensor.is_ccd else _Shot
         own_seed = noise_seed(seed, exposure_s, sensor.analogue_gain)
         taken = Shot(exposure_s, own_seed, frame, temperature_c)
-        shot = kind(self, rect, names, folder, taken)
+        # The seconds of the light and of the read-out are counted together.
+        lighting = Lighting(self, rect, lambda *light: shot.take(*light))
+        shot = frame_of(self.reader(lighting.run), rect, names, folder, taken)
+        lighting.rect = shot.rect
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
         with self.device.pool.within(self.memory_bytes):
             self._hold(shot.rect, tile_px, report)
             started = time.perf_counter()
-            shot.render(tile_px, lambda done, total: report("render", done, total))
+            lighting.render(tile_px, lambda done, total: report("render", done, total))
+            shot.finish()
             wall_s = time.perf_counter() - started
             self.peak_bytes = max(self.peak_bytes, self.device.pool.peak)
 
@@ -508,13 +363,13 @@ class Renderer:
             optics=optics_of(self.camera.lens.title, self.bank),
             notes=self.scene.notes
             + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
-            + tuple(shot.notes),
+            + tuple(lighting.notes),
             plan=self.plan,
-            times_s=dict(shot.times_s),
+            times_s=dict(lighting.times_s),
             wall_s=wall_s,
             prepare_s=dict(self.prepare_s),
             memory={"budget_bytes": self.memory_bytes, "peak_bytes": self.peak_bytes},
-            work={**shot.work, "nodes": sum(c.made for c in self.convolutions) - made},
+            work={**lighting.work, "nodes": sum(c.made for c in self.convolutions) - made},
             rect=rect,
             device=self.device.report(),
             certificate=certificate,
@@ -607,19 +462,19 @@ class Renderer:
         return self.camera.sensor.frame.read
 
     def lit(self, rect: Rect) -> Rect:
-        """Return the lit pixels that a rectangle needs; of one without any, the pixel next to it.
+        """Return the lit pixels that a rectangle needs: see `lit_for`."""
+        return lit_for(rect, self.camera.sensor, self.plan.runs)
 
-        So that there always are planes of the sites, of which the border then takes nothing.
-        """
-        _, rect = rects_of(rect, self.camera.sensor, self.plan.runs)
-        sides = []
-        for first, count, size in zip(
-            rect[:2], rect[2:], self.camera.sensor.frame.lit[2:], strict=True
-        ):
-            begin = min(max(first, 0), size - 1)
-            sides.append((begin, max(min(first + count, size) - begin, 1)))
-        (row, rows), (col, cols) = sides
-        return row, col, rows, cols
+    def reader(self, run: Callable[[Recording], Result]) -> Reader:
+        """Return what reads the light out; `run` runs its recordings."""
+        return Reader(
+            self.device,
+            self.camera.sensor,
+            self.plan.runs,
+            self.resident_glare,
+            self.memory_bytes,
+            run,
+        )
 
     @property
     def _around(self) -> int:
@@ -676,7 +531,7 @@ class Renderer:
         ):
             report("halo", done, len(banks))
             renderer = Renderer(
-                _CoarseCamera(bank, grid.sensor),
+                CoarseCamera(bank, grid.sensor),
                 seen_by(self.scene, sensor, grid.sensor),
                 level.accuracy,
                 self.device,
@@ -699,18 +554,27 @@ class Renderer:
         self.splatted = None
         tiles = tiles_of(rect, self.period, self.memory_bytes, None, self.layers)
         light = self.splat.light(tiles, lambda done, total: report("splat", done, total))
-        self.splatted = _Splatted(rect, self.period, tiles, light)
+        self.splatted = SplattedLight(rect, self.period, tiles, light)
 
     def light(self, rect: Rect) -> np.ndarray:
         """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
 
         Whole periods of the filter pattern; without veiling glare.
         """
-        shot = _Light(self, rect, {}, None, Shot(1.0, 0, 0))
+        period, (row, col, rows, cols) = self.period, aligned(rect, self.period)
+        size = self.plan.scales[0].grid.sites, rows // period, cols // period
+        found = np.empty(size, np.float32)
+
+        def take(tile: Rect, rates: Resident, whole: Rect) -> None:
+            top, left = (whole[0] - row) // period, (whole[1] - col) // period
+            high, wide = whole[2] // period, whole[3] // period
+            found[:, top : top + high, left : left + wide] = self.device.read(rates)
+
+        lighting = Lighting(self, rect, take)
         with self.device.pool.within(self.memory_bytes):
             self._hold(rect, None, lambda what, done, total: None)
-            shot.render(None, lambda done, total: None)
-        return shot.found
+            lighting.render(None, lambda done, total: None)
+        return found
 
     def _white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
@@ -721,406 +585,6 @@ class Renderer:
             name: float(value * exposure_s)
             for name, value in zip(sensor.channels, white, strict=True)
         }
-
-
-class _Shot:
-    """One frame, or a rectangle of it, on its way from the scene to the host."""
-
-    def __init__(
-        self,
-        renderer: Renderer,
-        rect: Rect,
-        names: dict[str, type],
-        folder: Path | None,
-        shot: Shot,
-    ) -> None:
-        self.renderer, self.rect, self.shot = renderer, rect, shot
-        self.planes = {
-            name: _on_host(name, self._area(name, rect)[2:], dtype, folder)
-            for name, dtype in names.items()
-        }
-        self.times_s: dict[str, float] = defaultdict(float)
-        self.work = {"tiles": 0, "blocks": 0}
-        self.notes: list[str] = []
-
-    def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
-        """Render tile after tile; where the memory runs out, halve the tile and go on."""
-        renderer = self.renderer
-        period = renderer.period
-        self._check_memory()
-        tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px, renderer.layers))
-        wanted = {aligned(renderer.lit(tile), period) for tile in tiles}
-        renderer.kept = {tile: one for tile, one in renderer.kept.items() if tile in wanted}
-        done, left = 0, sum(map(self._steps, tiles))
-
-        def advance() -> None:
-            nonlocal done, left
-            done, left = done + 1, left - 1
-            progress(done, done + left)
-
-        while tiles:
-            tile = tiles.popleft()
-            try:
-                self._tile(tile, advance)
-            except OutOfMemoryError as error:
-                parts = halves(tile, period)
-                if not parts:
-                    raise self._too_little(error.value) from error
-                renderer.drop()
-                renderer.tight = True
-                tiles.extendleft(reversed(parts))
-                left = sum(map(self._steps, tiles))
-                # The last such note stands for those of the halves before it.
-                self.notes = [
-                    f"GPU memory ran out: tiles of at most {parts[0][3]} x {parts[0][2]} pixels"
-                ]
-
-    def _steps(self, tile: Rect) -> int:
-        renderer = self.renderer
-        whole = aligned(renderer.lit(tile), renderer.period)
-        return 1 + (0 if whole in renderer.kept else sum(1 for _ in renderer.lines(whole)))
-
-    def _check_memory(self) -> None:
-        pool = self.renderer.device.pool
-        held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
-        if self.renderer.least_bytes() > pool.budget - pool.in_use + held:
-            others = pool.in_use - held
-            raise self._too_little(f"{mebibytes(pool.budget)}, {mebibytes(others)} of it in use")
-
-    def _too_little(self, found: object) -> UserError:
-        self.renderer.drop()
-        others = self.renderer.device.pool.in_use
-        return UserError(
-            "The GPU memory does not hold the smallest tile: the kernels around one block, the "
-            "block, and the scene that it sees.",
-            field="memory",
-            value=found,
-            allowed=f"at least {mebibytes(self.renderer.least_bytes() + others)}: a larger "
-            "--memory, another adapter, or a looser tolerance",
-        )
-
-    def _tile(self, tile: Rect, advance: Callable[[], None]) -> None:
-        """Render one tile: each block that it needs, from source to sites; highlights; sensor."""
-        renderer = self.renderer
-        device, period = renderer.device, renderer.period
-        whole = aligned(renderer.lit(tile), period)
-        count = renderer.plan.scales[0].grid.sites
-        sites = (count, whole[2] // period, whole[3] // period)
-        rates = device.empty("rates", sites, np.float32)
-        try:
-            if whole in renderer.kept:
-                rec = Recording(device)
-                rec.upload(rates, renderer.kept[whole])
-                rec.run()
-            else:
-                self._lit(rates, whole, advance)
-                renderer.keep_light(whole, rates)
-            self._finish(tile, rates, whole)
-            advance()
-        finally:
-            rates.destroy()
-        self.work["tiles"] += 1
-
-    def _lit(self, rates: Resident, whole: Rect, advance: Callable[[], None]) -> None:
-        """Bring the light to the planes of the sites of a rectangle: blocks, highlights, halo."""
-        renderer = self.renderer
-        rec = Recording(renderer.device)
-        if renderer.splatted is None:
-            rec.clear(rates)
-        else:
-            rec.upload(rates, renderer.splatted.on(whole))
-        rec.run()
-        for number, line in renderer.lines(whole):
-            parts = deque(self._parts(number, line))
-            while parts:
-                blocks = parts.popleft()
-                try:
-                    self._load(number, blocks)
-                except OutOfMemoryError:
-                    if len(blocks) == 1:
-                        raise
-                    parts.extendleft([blocks[len(blocks) // 2 :], blocks[: len(blocks) // 2]])
-                else:
-                    self._blocks(number, blocks, rates, whole)
-            advance()
-        if renderer.halo is not None:
-            rec = Recording(renderer.device)
-            renderer.halo.record(rec, rates, whole)
-            self._run(rec)
-
-    def _parts(self, number: int, line: list[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
-        """Cut a line of blocks into parts whose kernels fit the memory together."""
-        convolve, source = self.renderer.convolutions[number], self.renderer.sources[number]
-        while line:
-            count = 1 if self.renderer.tight else len(line)
-            while count > 1 and self.renderer.room() < (
-                source.load_bytes(line[:count]) + convolve.load_bytes(line[:count])
-            ):
-                count = -(-count // 2)
-            yield line[:count]
-            line = line[count:]
-
-    def _load(self, number: int, blocks: list[tuple[int, int]]) -> None:
-        """Bring scene and kernels of blocks onto the device."""
-        renderer = self.renderer
-        renderer.sources[number].load(blocks)
-        if renderer.convolutions[number].missing_bytes(blocks):
-            started = time.perf_counter()
-            renderer.load(number, blocks)
-            self.times_s["kernels"] += time.perf_counter() - started
-
-    def _blocks(
-        self, number: int, blocks: list[tuple[int, int]], rates: Resident, rect: Rect
-    ) -> None:
-        """Add blocks to the planes (S, rows, cols) of the sites of a rectangle."""
-        renderer = self.renderer
-        source = renderer.sources[number]
-        rec = Recording(renderer.device)
-        convolve = renderer.convolutions[number]
-        scratch = convolve.scratch(rec, renderer.plan.basis.coefficients.shape[1])
-        for block in blocks:
-            source.record(rec, block, scratch.planes)
-            convolve.record(rec, block, source.needed[block], scratch, rates, rect)
-        self._run(rec)
-        self.work["blocks"] += len(blocks)
-
-    def _finish(self, tile: Rect, rates: Resident, whole: Rect) -> None:
-        """Take the light on a tile to digital numbers, strip by strip."""
-        for strip in strips(tile, self.renderer.memory_bytes):
-            self._strip(strip, rates, whole)
-
-    def _strip(self, strip: Rect, rates: Resident, tile: Rect) -> None:
-        """Take a strip of rows from the planes of the sites to digital numbers, and to the host."""
-        renderer = self.renderer
-        rec = Recording(renderer.device)
-        outputs = self._outputs(rec, strip, rates, tile)
-        # Without noise the electrons are their own mean: one buffer, which comes once.
-        for array in {outputs[name].label: outputs[name] for name in self.planes}.values():
-            rec.download(array)
-        result = self._run(rec)
-        for name, plane in self.planes.items():
-            part = _part(plane, self._area(name, self.rect), self._area(name, strip))
-            part[...] = result[outputs[name].label]
-
-    def _area(self, name: str, rect: Rect) -> Rect:
-        """Return what a plane holds of a rectangle: also the pixels around it that it needs."""
-        collecting, taking = rects_of(rect, self.renderer.camera.sensor, self.renderer.plan.runs)
-        return {"rate": taking, "mean": collecting}.get(name, rect)
-
-    def on_rect(self, name: str) -> np.ndarray:
-        """Return a plane, of the rectangle alone."""
-        return _part(self.planes[name], self._area(name, self.rect), self.rect)
-
-    def mean_signal(self) -> MeanSignal:
-        """Return the light and the mean electrons that the certificate compares."""
-        placed = [Placed(self.planes[n], self._area(n, self.rect)) for n in ("rate", "mean")]
-        return MeanSignal(*placed)
-
-    def _outputs(
-        self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
-    ) -> dict[str, Array]:
-        """Record what becomes of a strip."""
-        renderer = self.renderer
-        return record_readout(
-            rec,
-            rates,
-            renderer.resident_glare,
-            renderer.camera.sensor,
-            strip,
-            tile,
-            self.shot,
-            renderer.plan.runs,
-        )
-
-    def _run(self, rec: Recording) -> Result:
-        result = rec.run()
-        for stage, seconds in result.times_s.items():
-            self.times_s[stage.rpartition("/")[2]] += seconds
-        return result
-
-
-class _Splatted:
-    """The light of highlights on a rectangle of lit pixels, electrons/s of the planes, by tile."""
-
-    def __init__(self, rect: Rect, period: int, tiles: list[Rect], light: list[np.ndarray]) -> None:
-        self.rect, self.period = rect, period
-        _, _, rows, cols = aligned(rect, period)
-        self.light = np.empty((len(light[0]), rows // period, cols // period), np.float32)
-        for tile, part in zip(tiles, light, strict=True):
-            self._part(tile)[...] = part
-
-    def covers(self, rect: Rect) -> bool:
-        """Return whether the light on a rectangle is there."""
-        return overlap(self.rect, rect) == rect
-
-    def on(self, rect: Rect) -> np.ndarray:
-        """Return the light (S, rows, cols) on a rectangle of whole periods."""
-        return np.ascontiguousarray(self._part(rect))
-
-    def _part(self, rect: Rect) -> np.ndarray:
-        period = self.period
-        row, col = (
-            (own - first) // period for own, first in zip(rect[:2], self.rect[:2], strict=True)
-        )
-        return self.light[:, row : row + -(-rect[2] // period), col : col + -(-rect[3] // period)]
-
-
-@dataclass(frozen=True)
-class _CoarseCamera:
-    """A level of a halo before a coarse sensor."""
-
-    level: FieldBank
-    sensor: Sensor
-
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        return self.level
-
-
-def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
-    """Return the scene as a coarse sensor of another size sees it: where the real one does."""
-    half = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
-    if isinstance(scene.source, Chart):
-        scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
-        return replace(scene, source=scene.source.placed(scale))
-    if scene.source.half_um is not None:
-        return scene
-    return replace(scene, source=replace(scene.source, half_um=half))
-
-
-class _Light(_Shot):
-    """The light on a rectangle, and no more."""
-
-    def __init__(self, *given) -> None:
-        super().__init__(*given)
-        period = self.renderer.period
-        self.first = self.rect[0] // period, self.rect[1] // period
-        _, _, rows, cols = aligned(self.rect, period)
-        count = self.renderer.plan.scales[0].grid.sites
-        self.found = np.empty((count, rows // period, cols // period), np.float32)
-
-    def _finish(self, tile: Rect, rates: Resident, whole: Rect) -> None:
-        period = self.renderer.period
-        row, col = (own // period - first for own, first in zip(whole, self.first, strict=False))
-        rows, cols = whole[2] // period, whole[3] // period
-        self.found[:, row : row + rows, col : col + cols] = self.renderer.device.read(rates)
-
-
-class _ShiftedShot(_Shot):
-    """One frame of a CCD: the tiles bring the light, then charge goes by columns and by rows."""
-
-    def __init__(
-        self,
-        renderer: Renderer,
-        rect: Rect,
-        names: dict[str, type],
-        folder: Path | None,
-        shot: Shot,
-    ) -> None:
-        sensor = renderer.camera.sensor
-        tiled = needed(rect, sensor, renderer.plan.runs)
-        light = {"light": np.float32}
-        if "rate" in names and renderer.plan.runs("crosstalk"):
-            light["rate"] = np.float32
-        within = (
-            None if folder is None else folder / "light"
-        )  # beside what is wanted of the same name
-        if within is not None:
-            within.mkdir(exist_ok=True)
-        super().__init__(renderer, tiled, light, within, shot)
-        self.folder = folder
-        self.charge = self._charge("charge")
-        self.wanted = rect
-        self.found = {
-            name: _on_host(name, rect[2:], dtype, folder)
-            for name, dtype in names.items()
-            if name != "mean"  # made when it is asked for
-        }
-
-    def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
-        """Render the light of all tiles; then read out."""
-        super().render(tile_px, progress)
-        read_out = self._read_out(self._run)
-        read_out.columns(self.planes["light"], self.rect, self.charge)
-        drawn = {name: plane for name, plane in self.found.items() if name != "rate"}
-        read_out.rows(self.charge, self.rect[1], self.wanted, drawn)
-        if "rate" in self.found:  # none in the overscan
-            seen = overlap(self.wanted, self.rect)
-            self.found["rate"][...] = 0
-            _part(self.found["rate"], self.wanted, seen)[...] = _part(*self._light, seen)
-
-    @property
-    def _light(self) -> Placed:
-        """The rate of the pixels."""
-        name = "rate" if "rate" in self.planes else "light"
-        return Placed(self.planes[name], self._area(name, self.rect))
-
-    def _area(self, name: str, rect: Rect) -> Rect:
-        sensor, runs = self.renderer.camera.sensor, self.renderer.plan.runs
-        return taking(rect, sensor, runs) if name == "rate" else rect
-
-    def _charge(self, name: str) -> np.ndarray:
-        """Return room for the charge of whole columns."""
-        size = self.renderer.camera.sensor.frame.read[2], self.rect[3]
-        return _on_host(name, size, np.float32, self.folder)
-
-    def _read_out(
-        self, run: Callable[[Recording], Result], without: Collection[str] = ()
-    ) -> ReadOut:
-        renderer, runs = self.renderer, self.renderer.plan.runs
-        return ReadOut(
-            renderer.device,
-            renderer.camera.sensor,
-            self.shot,
-            lambda name: name not in without and runs(name),
-            renderer.memory_bytes // STRIP_SHARE,
-            run,
-        )
-
-    def on_rect(self, name: str) -> np.ndarray:
-        """Return a plane, of the rectangle alone."""
-        return self.found[name]
-
-    def mean_signal(self) -> MeanSignal:
-        """Return light, mean charge of whole columns, and mean electrons that arrive.
-
-        The light goes through the read-out once more, and no noise is drawn.
-        """
-        read = self.renderer.camera.sensor.frame.read
-        columns = read[0], self.rect[1], read[2], self.rect[3]
-        charge = self._charge("mean_charge")
-        self._read_out(Recording.run, ("noise",)).columns(self.planes["light"], self.rect, charge)
-        # Whole rows: the serial register is as long as the frame itself found it.
-        seen = overlap(self.wanted, self.rect)
-        rows = seen[0], self.rect[1], seen[2], self.rect[3]
-        mean = _on_host("mean", rows[2:], np.float32, self.folder)
-        later = ("noise", "coupling", "defects")  # what comes once the charge has arrived
-        self._read_out(Recording.run, later).rows(charge, rows[1], rows, {"electrons": mean})
-        return MeanSignal(self._light, Placed(mean, rows), Placed(charge, columns))
-
-    def _outputs(
-        self, rec: Recording, strip: Rect, rates: Resident, tile: Rect
-    ) -> dict[str, Array]:
-        renderer = self.renderer
-        glare, sensor = renderer.resident_glare, renderer.camera.sensor
-        return record_tile(rec, rates, glare, sensor, strip, tile, renderer.plan.runs)
-
-
-def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None) -> np.ndarray:
-    """Return an array in memory, or in a file of a folder."""
-    if folder is None:
-        return np.empty(shape, dtype)
-    file = folder / f"{name}.npy"
-    array = np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape)
-    if hasattr(os, "posix_fallocate"):  # a full disk is told here, and kills nothing later
-        with file.open("r+b") as opened:
-            os.posix_fallocate(opened.fileno(), 0, file.stat().st_size)
-    return array
-
-
-def _part(plane: np.ndarray, area: Rect, rect: Rect) -> np.ndarray:
-    """Return the part of a plane, which is that of an area, on a rectangle of it."""
-    row, col = rect[0] - area[0], rect[1] - area[1]
-    return plane[row : row + rect[2], col : col + rect[3]]
 
 
 def _rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:

@@ -1,0 +1,7 @@
+"""The render: light brought to the photosites tile by tile, and read out."""
+
+from gpusim.render.capture import Capture
+from gpusim.render.look import Look, look
+from gpusim.render.renderer import Renderer, capture
+
+__all__ = ["Capture", "Look", "Renderer", "capture", "look"]

@@ -1,0 +1,111 @@
+"""What one frame is, with all that tells how it was made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.camera import Camera
+from gpusim.certify import Certificate
+from gpusim.isp.optics import Optics
+from gpusim.plan import Accuracy, Plan
+from gpusim.plan.band import Band
+from gpusim.plan.costs import Costs
+from gpusim.plan.tiles import Rect
+from gpusim.scene.scene import Scene
+from gpusim.sensor.frame import overlap, parts_around
+
+
+@dataclass(frozen=True)
+class Capture:
+    """One frame and how it was made.
+
+    Attributes
+    ----------
+    raw : ndarray (rows, cols), uint16
+        Digital numbers: of all that is read out, or of the rectangle that was asked for.
+    rate, electrons : ndarray (rows, cols), float32, or None
+        Electrons/s before the exposure, and electrons before the ADC, where they were kept.
+    white_e : dict of str to float
+        Mean electrons that the scene's white makes on the axis, by channel.
+    transmission : ndarray (61,)
+        Of the lens, at WAVELENGTHS_NM.
+    optics : Optics
+        What files say of the lens.
+    notes : tuple of str
+        How the scene was read and placed.
+    plan : Plan
+    times_s : dict of str to float
+        Seconds by stage, on the device's clock.
+    wall_s : float
+        From the recording of the first tile to the last byte of the raw; without preparation and
+        certificate.
+    prepare_s : dict of str to float
+        Seconds spent before the first tile, which further frames of the same scene do not spend.
+        Kernels that the memory does not hold all at once are made within the render: see
+        ``times_s["kernels"]``.
+    memory : dict of str to int
+        Of the device, bytes: ``budget_bytes``, and ``peak_bytes`` that were held at most.
+    work : dict of str to int
+        How many ``tiles`` were rendered and ``blocks`` convolved, and of how many PSF nodes the
+        kernels were made (``nodes``).
+    rect : (int, int, int, int)
+        First row and column, rows and columns of the raw, counted from the first lit pixel: the
+        border of optical black has negative numbers.
+    device : dict
+        Adapter, driver and limits.
+    certificate : Certificate or None
+    camera, scene, seed, frame, exposure_s, accuracy
+        What was asked for.
+    temperature_c : float
+        Of the sensor.
+    costs : Costs or None
+        The rates that the plan was made from: with them it is made again.
+    band : Band
+        The wavelengths that were rendered, and what no data describe.
+    """
+
+    raw: np.ndarray
+    rate: np.ndarray | None
+    electrons: np.ndarray | None
+    white_e: dict[str, float]
+    transmission: np.ndarray
+    optics: Optics
+    notes: tuple[str, ...]
+    plan: Plan
+    times_s: dict[str, float]
+    wall_s: float
+    prepare_s: dict[str, float]
+    memory: dict[str, int]
+    work: dict[str, int]
+    rect: Rect
+    device: dict
+    certificate: Certificate | None
+    camera: Camera
+    scene: Scene
+    seed: int
+    frame: int
+    exposure_s: float
+    accuracy: Accuracy
+    temperature_c: float
+    band: Band
+    costs: Costs | None = None
+
+    @property
+    def lit(self) -> Rect:
+        """The pixels that see light: their first row and column, rows and columns."""
+        return overlap(self.rect, self.camera.sensor.frame.lit)
+
+    @property
+    def active_area(self) -> Rect:
+        """Where these lie in the raw: first row and column, rows and columns."""
+        row, col, rows, cols = self.lit
+        return row - self.rect[0], col - self.rect[1], rows, cols
+
+    @property
+    def masked_areas(self) -> list[Rect]:
+        """Where pixels shielded from light lie in the raw."""
+        shielded = parts_around(self.lit, overlap(self.rect, self.camera.sensor.frame.pixels))
+        first_row, first_col = self.rect[:2]
+        return [(row - first_row, col - first_col, *size) for row, col, *size in shielded]

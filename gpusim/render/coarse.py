@@ -1,0 +1,34 @@
+"""The halo of a render: light that lands beyond the window of the PSFs, on coarser grids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from gpusim.lens.field_bank import FieldBank
+from gpusim.scene.chart import Chart
+from gpusim.scene.scene import Scene
+from gpusim.sensor.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class CoarseCamera:
+    """A level of a halo before a coarse sensor."""
+
+    level: FieldBank
+    sensor: Sensor
+
+    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
+        """Return the level."""
+        return self.level
+
+
+def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
+    """Return the scene as a coarse sensor of another size sees it: where the real one does."""
+    half = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
+    if isinstance(scene.source, Chart):
+        scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
+        return replace(scene, source=scene.source.placed(scale))
+    if scene.source.half_um is not None:
+        return scene
+    return replace(scene, source=replace(scene.source, half_um=half))

@@ -1,0 +1,48 @@
+"""What a camera sees of a scene: wavelengths, fields and lines for a tolerance, and the PSFs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from gpusim.camera import Camera
+from gpusim.lens.bank import default_lines_nm
+from gpusim.lens.field_bank import FieldBank, seen_as
+from gpusim.lens.prescription import Prescription
+from gpusim.plan import Accuracy
+from gpusim.plan.band import Band, band_of
+from gpusim.plan.density import Density, bank_density
+from gpusim.scene.scene import Scene
+
+
+class Look(NamedTuple):
+    """What a camera sees of a scene: its wavelengths, the scene at these, and the lens's PSFs."""
+
+    band: Band
+    scene: Scene
+    density: Density | None
+    bank: FieldBank
+
+
+def look(
+    camera: Camera,
+    scene: Scene,
+    accuracy: Accuracy,
+    exposure_s: float = math.inf,
+    progress: Callable[[int, int], None] | None = None,
+) -> Look:
+    """Choose wavelengths, fields and lines for a tolerance, and trace the lens.
+
+    ``exposure_s``: the longest that will be captured; ``progress``: called with (done, total).
+    """
+    # A camera that brings a bank along may have no lens to ask.
+    lens, sensor = getattr(camera, "lens", None), camera.sensor
+    band = band_of(lens, sensor, scene, accuracy)
+    scene = scene.on(band.wavelengths_nm)
+    density = bank_density(lens, sensor, scene, accuracy, exposure_s, progress)
+    sampling = {} if density is None else density.sampling
+    if density is None and isinstance(lens, Prescription):
+        sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
+    bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
+    return Look(band, scene.before(bank.efl_mm), density, bank)
