@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from dataclasses import replace
 from itertools import combinations
@@ -15,6 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from optics.made import FLAT, StubCamera, bank, monochrome, scene
+from rich.console import Console
 
 from gpusim.cli import pareto as command
 from gpusim.cli.pareto import region, regret_in_words, table, write
@@ -276,6 +278,21 @@ def test_files_and_table_hold_the_points(found: Sweep, tmp_path):
     assert facts["camera"] == "one" and len(facts["points"]) == len(rows)
     shown = table(found.points, "relative")
     assert shown.row_count == len(found.points) + len({p.family for p in found.points})
+
+
+@pytest.mark.parametrize("width", [100, 80, 70])
+def test_the_table_cuts_nothing_on_narrow_terminals(width: int):
+    # The longest that there are: names of the planner's plans, times in ms, errors that are marked.
+    times = {name: 0.1234 for name in ("frame_s", "frame_low_s", "frame_high_s", "first_s")}
+    point = Point(
+        CHOSEN, "tolerance 0.0003", True, 3e-4, "", 2.3e-4, 1.2e-3, 1.2e-2, regret=1.23, **times
+    )
+    console = Console(width=width, file=io.StringIO())
+    console.print(table((point,), "relative"))
+    shown = console.file.getvalue()
+    assert "…" not in shown
+    for figure in ("123 ms", "1.2e-03 !", "1.2e-02", "2.3e-04", "1.23", "0.0003", "predicted"):
+        assert figure in shown
 
 
 def test_the_regret_in_words():

@@ -159,11 +159,11 @@ def table(points: tuple[Point, ...], unit: str) -> Table:
     do not meet their own tolerance.
     """
     head = ("", "plan", "frame", "spread", "first", "RMS", "worst", "predicted", "regret")
-    shown = Table(*head, box=None, header_style="bold", pad_edge=False)
-    for column in shown.columns:
-        column.no_wrap = True
+    shown = Table(*head, box=None, header_style="bold", pad_edge=False, padding=(0, 1, 0, 0))
+    # Figures are not cut: on narrow terminals the names are folded.
+    shown.columns[1].overflow = "fold"
     for column in shown.columns[2:]:
-        column.justify = "right"
+        column.justify, column.no_wrap = "right", True
     say = _say(unit)
     family = None
     for point in points:

@@ -16,7 +16,7 @@ from gpusim.optics.kernels import core_window, distances_um, field_images, field
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
-from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of
+from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of, held_um
 from gpusim.plan.predict import GUARD, cut_error
 from gpusim.render import Renderer
 
@@ -207,6 +207,7 @@ def _fine(
     pitch_um = sensor.pixel_pitch_um / oversampling
     images, places = _images(renderer)
     kernels = field_kernels(images, places, renderer.core.pitch_um, pitch_um, part)
+    reach_um = held_um(kernels, pitch_um, reach_um)  # on a coarser grid sharp PSFs ring farther
     stride = oversampling * renderer.period
     grid = _grid(renderer, stride, reach_um / pitch_um, first.grid.cells)
     return Scale(name, grid, pitch_um, first.sigma, kernels)

@@ -99,11 +99,14 @@ class Alias:
         x, y = np.meshgrid(origin[0] + line, origin[1] + line)
         shares = self._scene(x, y, step)
         f = scipy.fft.fftfreq(fine, step)
+        # The first sample lies half a step from the corner.
+        turn = np.exp(-1j * np.pi * f * step)
         worst = []
         for channel, rates in enumerate(self._rates):
             values = np.tensordot(rates, shares, axes=1)
             mean = float(values.mean())
             spectrum = scipy.fft.fft2(_window(fine) * (values - mean), workers=2) / fine**2
+            spectrum *= turn * turn[:, None]
             if isinstance(self.placed, Chart):
                 blur = np.exp(2 * (np.pi * FINE_SIGMA * step * f) ** 2)
                 spectrum *= blur * blur[:, None]
