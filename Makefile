@@ -11,9 +11,12 @@ demo: ## one full capture into out/demo/
 	@tools/setup.sh
 	@.venv/bin/gpusim render demo demo --exposure 1/12 --certify 64 --memory 512MiB --out out/demo
 
-test: ## the whole test suite; ARGS="tests/gpu -x" narrows it
+# Two processes, each with one thread for lavapipe and one for OpenBLAS: most tests keep one core busy
+# and more threads than cores only wait for one another. Neither changes a result.
+test: ## the whole test suite; ARGS="tests/gpu -x" narrows it, ARGS="-n 0" takes one process
 	@tools/setup.sh test
-	@.venv/bin/python -m pytest $(ARGS)
+	@LP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+		.venv/bin/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 bench: ## time a job, warm: NAME=render-demo; without a name, list the jobs
 	@tools/setup.sh
