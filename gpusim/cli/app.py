@@ -587,6 +587,50 @@ def sfr(
     )
 
 
+Picture = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PICTURE",
+        help="A raw frame (DNG and what LibRaw reads), .exr, .npy, .png, .jpg or .tif.",
+    ),
+]
+Linear = Annotated[
+    bool, typer.Option("--linear", help="Codes of a PNG, JPEG or TIFF are linear, not sRGB.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, no table.")]
+Channels = Annotated[
+    str | None,
+    typer.Option(
+        "--channel", metavar="R,G,...", help="Channels, by comma; by default all of the picture."
+    ),
+]
+OutFolder = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder for the files: .json, .csv, .html and .png."),
+]
+
+
+@measure.command()
+def distortion(
+    path: Picture,
+    channel: Channels = None,
+    centre: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y",
+            help="Where the lens's axis meets the picture, px; by default its middle.",
+        ),
+    ] = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure distortion (LGD of ISO 17850) and lateral colour from a checkerboard or dots."""
+    from gpusim.cli.distortion import distortion as run
+
+    run(path, channel, centre, out, linear=linear, as_json=as_json)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,

@@ -50,7 +50,7 @@ def sfr(
 ) -> int:
     """Measure the edges of a picture, those given or all that are found; return the exit code."""
     planes = read_picture(path, linear=linear)
-    names = _channels(planes, channels, path)
+    names = channels_of(planes, channels, path)
     if boxes:
         regions = [region_of(box) for box in boxes]
     else:
@@ -104,7 +104,7 @@ def sfr(
     return 0
 
 
-def _channels(planes: dict[str, Plane], channels: str | None, path: Path) -> list[str]:
+def channels_of(planes: dict[str, Plane], channels: str | None, path: Path) -> list[str]:
     """Return the channels to measure: those asked for, or all."""
     if channels is None:
         return list(planes)

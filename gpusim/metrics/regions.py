@@ -41,7 +41,7 @@ def find_regions(plane: Plane, progress: Callable[[int, int], None] | None = Non
     progress : callable, optional
         Called with (done, total) ridges.
     """
-    values = _filled(plane)
+    values = filled(plane)
     smooth = gaussian_filter(values, SMOOTH_PX)
     down, across = np.gradient(smooth)
     size = np.hypot(down, across)
@@ -70,7 +70,7 @@ def find_regions(plane: Plane, progress: Callable[[int, int], None] | None = Non
     return found[:MOST]
 
 
-def _filled(plane: Plane) -> np.ndarray:
+def filled(plane: Plane) -> np.ndarray:
     """Return the values with other photosites replaced by the mean of their neighbours."""
     values = np.nan_to_num(np.asarray(plane.values, np.float64))
     if plane.sites is None:
