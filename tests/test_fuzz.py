@@ -34,6 +34,7 @@ from gpusim.errors import UserError
 from gpusim.lens.ready import load_ready
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.scene import make_scene
+from gpusim.scene.patterns import Frame
 from gpusim.sensor.eqe_model import read_eqe
 from gpusim.sensor.isetcam import read_isetcam
 from gpusim.sensor.load import PRESETS, load_sensor
@@ -116,6 +117,31 @@ def exr_files(at: Path) -> list[Path]:
     return [at / "a.exr"]
 
 
+def chart_files(at: Path) -> list[Path]:
+    """Write a chart of shapes, with a spectrum beside it."""
+    (at / "leaf.csv").write_text("nm,reflectance\n400,0.1\n500,0.3\n700,0.4\n")
+    (at / "chart.yaml").write_text(
+        "title: a chart\nunit: mm\nheight: 100\nfills: {leaf: {spectrum: leaf.csv}, dark: 0.05}\n"
+        "background: 0.5\nshapes:\n"
+        "- {shape: polygon, at: [0, 30], corners: [[0, 0], [9, 9], [0, 5], [-9, 9]], fill: red}\n"
+        "- {shape: edge, at: [30, 0], size: [20, 20], angle_deg: 5, fills: [leaf, dark]}\n"
+        "- {shape: star, at: [-40, 0], sectors: 9, diameter: 20, inner_diameter: 2, fill: dark}\n"
+        "- {shape: patches, at: [0, -30], pitch: 9, patch: 8, carrier: dark, rows: [[0.3, cyan]]}\n"
+        "- shape: grid\n  pitch: [9, 9]\n  count: [5, 3]\n  clear: 1\n"
+        "  of: {shape: disc, diameter: 4, fill: {density: 1.2}}\n"
+    )
+    return [at / "chart.yaml", at / "leaf.csv"]
+
+
+def pattern_file(at: Path) -> list[Path]:
+    """Write a chart that is drawn on samples."""
+    (at / "chart.yaml").write_text(
+        "title: a pattern\nbackground: 0.5\n"
+        "pattern: {pattern: dead-leaves, radii: [0.05, 0.5], seed: 3, samples: 64, fills: [0, 1]}\n"
+    )
+    return [at / "chart.yaml"]
+
+
 def zemax_files(at: Path) -> list[Path]:
     """Write Zemax's exports."""
     write_zemax(at)
@@ -160,6 +186,8 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
     "zemax": (zemax_files, lambda at: load_ready(at / "lens.yaml").bank()),
     "isetcam lens": (isetcam_folder, lambda at: load_ready(at).bank()),
     "photograph": (exr_files, lambda at: make_scene(at / "a.exr")),
+    "chart": (chart_files, lambda at: make_scene(at / "chart.yaml")),
+    "pattern": (pattern_file, lambda at: make_scene(at / "chart.yaml", frame=Frame(48, 1.5))),
     "speos": (speos_folder, lambda at: read_speos(at / "camera.yaml").sensor({})),
     "isetcam": (
         lambda at: [isetcam_files.written(at)],

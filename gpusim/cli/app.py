@@ -116,7 +116,9 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 @app.command()
 def render(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or an .exr.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     exposure: Annotated[
         str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")
@@ -281,7 +283,7 @@ def render(
 
 @app.command()
 def chart(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],
 ) -> None:
     """Draw a test chart."""
@@ -438,7 +440,9 @@ def develop(
 @app.command()
 def pareto(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
-    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or an .exr.")
+    ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     exposure: Annotated[
         str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")

@@ -31,6 +31,7 @@ from gpusim.render import look
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import illuminated, read_illumination
+from gpusim.scene.patterns import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -91,7 +92,7 @@ def run(
         camera = replace(camera, sensor=camera.sensor.at_iso(iso))
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection=projection)
+    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection, Frame.of(camera.sensor))
     if illumination is not None:
         scene = illuminated(scene, read_illumination(illumination), illumination.name)
     costs = None if plan is None else planned_costs(plan)

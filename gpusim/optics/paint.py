@@ -11,7 +11,7 @@ from gpusim.gpu import Array, Device, Kernel, Recording, Resident
 from gpusim.optics.chief_ray import ChiefRayMap, block_bounds_um
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
-from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.chart import Chart, Disc, Polygon, Primitive
 
 PRIMITIVE = np.dtype(
     [
@@ -30,7 +30,7 @@ SIGMA = 0.8
 # first order in s/R is off by 3e-4 at most. 5 + 2.5 R/s strips leave 3e-6 of the integral; no map
 # that is not about to fold squeezes the Gaussian so much that 100 do not suffice.
 SMALL_DISC, MOST_STRIPS = 16.0, 100
-RECTANGLE_KIND, DISC_KIND, SMALL_DISC_KIND = 0, 1, 2
+RECTANGLE_KIND, DISC_KIND, SMALL_DISC_KIND, POLYGON_KIND = 0, 1, 2, 3
 PLANES = 8  # that a dispatch of it paints
 TILE = 16  # side of the tiles of shaders/optics/paint, samples
 REACH = 8.0  # sim samples beyond which the Gaussian edge of a primitive (6 sigma) is zero, and more
@@ -109,17 +109,27 @@ def samples_at_edges(chart: Chart, half_um: tuple[float, float], pitch_um: float
     near_um = (TILE / np.sqrt(2) + 6 * SIGMA) * pitch_um
     area = 0.0
     for shape in chart.primitives:
-        disc = isinstance(shape, Disc)
-        half = (shape.radius, shape.radius) if disc else (shape.half_w, shape.half_h)
-        band = 4.0 * np.prod([side + near_um for side in half])
-        band -= 4.0 * np.prod([max(side - near_um, 0.0) for side in half])
+        band = _band(shape, near_um)
         # Of its box, what lies in the frame.
         box = [
             (min(at + shape.reach, end) - max(at - shape.reach, -end)) / (2 * shape.reach)
             for at, end in zip((shape.cx, shape.cy), half_um, strict=True)
         ]
-        area += band * (np.pi / 4 if disc else 1.0) * max(box[0], 0.0) * max(box[1], 0.0)
+        area += band * max(box[0], 0.0) * max(box[1], 0.0)
     return float(area) / pitch_um**2
+
+
+def _band(shape: Primitive, near: float) -> float:
+    """Return about the area that is nearer than that to a shape's outline."""
+    if isinstance(shape, Polygon):
+        ways = np.diff(shape.corners(), axis=0, append=shape.points[:1])
+        most = 4.0 * (shape.reach + near) ** 2
+        return float(min(2 * near * np.hypot(*ways.T).sum(), most))
+    disc = isinstance(shape, Disc)
+    half = (shape.radius, shape.radius) if disc else (shape.half_w, shape.half_h)
+    band = 4.0 * np.prod([side + near for side in half])
+    band -= 4.0 * np.prod([max(side - near, 0.0) for side in half])
+    return float(band) * (np.pi / 4 if disc else 1.0)
 
 
 def tiles_by_block(
@@ -216,13 +226,13 @@ def with_steps(
 
 
 def primitive_row(
-    shape: Rect | Disc, step: int, pitch_um: float, sigma: float, least_stretch: float
+    shape: Primitive, step: int, pitch_um: float, sigma: float, least_stretch: float, first: int = 0
 ) -> tuple:
     """Return a primitive as a row of `PRIMITIVE`.
 
     Parameters
     ----------
-    shape : Rect or Disc
+    shape : Rect, Disc or Polygon
         In um.
     step : int
         Row of the step from what is around it to its own material.
@@ -232,8 +242,12 @@ def primitive_row(
         Of the Gaussian, sim samples.
     least_stretch : float
         Of the chief-ray map.
+    first : int
+        Of a polygon's corners in the list of all.
     """
     centre = (shape.cx / pitch_um, shape.cy / pitch_um)
+    if isinstance(shape, Polygon):
+        return (centre, (first, len(shape.points)), (1.0, 0.0), POLYGON_KIND, step)
     if not isinstance(shape, Disc):
         size = (shape.half_w / pitch_um, shape.half_h / pitch_um)
         axis = (np.cos(shape.angle_rad), np.sin(shape.angle_rad))
@@ -244,6 +258,39 @@ def primitive_row(
     strips = min(np.ceil(5 + 2.5 * radius / (sigma * least_stretch)), MOST_STRIPS)
     axis = (np.cos(np.pi / strips), np.sin(np.pi / strips))
     return (centre, (radius, strips), axis, SMALL_DISC_KIND, step)
+
+
+def table_of(
+    shapes: Sequence[Primitive],
+    steps: Sequence[int],
+    pitch_um: float,
+    sigma: float,
+    least_stretch: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of primitives, at least one, and the corners of the polygons among them.
+
+    Parameters
+    ----------
+    shapes, steps
+        Each as `primitive_row` takes it.
+    pitch_um, sigma, least_stretch : float
+        As there.
+
+    Returns
+    -------
+    rows : ndarray (P,) of `PRIMITIVE`
+    corners : ndarray (C, 2), float32
+        From each polygon's middle, sim samples; at least one.
+    """
+    rows = np.zeros(max(len(shapes), 1), PRIMITIVE)
+    corners: list[np.ndarray] = []
+    first = 0
+    for place, (shape, step) in enumerate(zip(shapes, steps, strict=True)):
+        rows[place] = primitive_row(shape, step, pitch_um, sigma, least_stretch, first)
+        if isinstance(shape, Polygon):
+            corners.append((shape.corners() - (shape.cx, shape.cy)) / pitch_um)
+            first += len(shape.points)
+    return rows, np.concatenate([*corners, np.zeros((1, 2))]).astype(np.float32)
 
 
 class Paint:
@@ -275,12 +322,11 @@ class Paint:
     ) -> None:
         self.grid, self.pitch_um, self.sigma = scale.grid, scale.pitch_um, scale.sigma
         self.device, self.chart, self.scale, self.chief_ray = device, chart, scale, chief_ray
-        table = np.zeros(max(len(chart.primitives), 1), PRIMITIVE)
-        least_stretch = chief_ray.least_stretch
         own = [shape.material for shape in chart.primitives]
         rows, steps = with_steps(coefficients, own, chart.under)
-        for place, (shape, step) in enumerate(zip(chart.primitives, steps, strict=True)):
-            table[place] = primitive_row(shape, step, scale.pitch_um, scale.sigma, least_stretch)
+        table, corners = table_of(
+            chart.primitives, steps, scale.pitch_um, scale.sigma, chief_ray.least_stretch
+        )
         groups = range(0, coefficients.shape[1], PLANES)
         materials = np.zeros((len(groups), len(rows), PLANES), np.float32)
         for first, of_group in zip(groups, materials, strict=True):
@@ -290,6 +336,7 @@ class Paint:
             chart, coefficients, scale.grid, scale.pitch_um, chief_ray
         )
         self.primitives = device.resident("paint primitives", table.view(np.uint32))
+        self.corners = device.resident("paint corners", corners)
         self.materials = [device.resident("paint materials", of_group) for of_group in materials]
         self.terms = device.resident("paint terms", chief_ray.terms(scale.pitch_um))
         self.ranges: dict[tuple[int, int], tuple[int, int, int]] = {}
@@ -326,7 +373,7 @@ class Paint:
 
     def release(self) -> None:
         """Give the device's memory back."""
-        for resident in (self.primitives, *self.materials, self.terms, *self.lists):
+        for resident in (self.primitives, self.corners, *self.materials, self.terms, *self.lists):
             resident.destroy()
 
     def record(self, rec: Recording, block: tuple[int, int], planes: Array) -> None:
@@ -350,6 +397,7 @@ class Paint:
                     "plane": PLANES * group,
                 },
                 primitives=self.primitives,
+                corners=self.corners,
                 chosen=chosen,
                 materials=self.materials[group],
                 tiles=tiles,

@@ -27,7 +27,7 @@ from scipy.special import ndtr
 from gpusim.lens.places import Places
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.kernels import low_pass
-from gpusim.scene.chart import Chart, Primitive, Rect
+from gpusim.scene.chart import Chart, Polygon, Primitive, Rect
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.aperture import Response
 from gpusim.sensor.sensor import Sensor
@@ -387,6 +387,8 @@ def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float
     """
     turns = [2.4 * (shape.cx + shape.cy) / shape.reach]  # any direction
     near = min(half_um) / RINGS
+    if isinstance(shape, Polygon):
+        return _sides(shape, half_um, near)
     if isinstance(shape, Rect):
         found = []
         whole = float(np.hypot(*half_um))
@@ -408,6 +410,23 @@ def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float
         (shape.cx + shape.radius * cos, shape.cy + shape.radius * sin, cos, sin)
         for cos, sin in ((float(np.cos(turn)), float(np.sin(turn))) for turn in turns)
     ]
+
+
+def _sides(shape: Polygon, half_um: tuple[float, float], near: float) -> list[tuple[float, ...]]:
+    """Return the same of a polygon."""
+    found = []
+    corners = shape.corners()
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.hypot(*(end - start)))
+        along = (end - start) / length
+        places = [length / 2]
+        if length > 2 * near:
+            middle = -float(start @ along)
+            reach = float(np.hypot(*half_um)) * _middles(ALONG, 1.0)
+            places += list(np.clip(middle + reach, 0.0, length))
+        out = (float(along[1]), float(-along[0]))
+        found += [(*(start + at * along).tolist(), *out) for at in places]
+    return found
 
 
 def _within(span: tuple[np.ndarray, np.ndarray], middle: float, reach: float) -> slice:

@@ -72,7 +72,7 @@ def part_of(quads: np.ndarray, shape: Any) -> tuple[np.ndarray, np.ndarray]:
     Parameters
     ----------
     quads : ndarray (N, 4, 2)
-    shape : gpusim.scene.chart.Rect or Disc
+    shape : gpusim.scene.chart.Rect, Disc or Polygon
 
     Returns
     -------
@@ -88,6 +88,8 @@ def part_of(quads: np.ndarray, shape: Any) -> tuple[np.ndarray, np.ndarray]:
         return disc_area(quads, centre, shape.radius) / whole, centre + centroid(
             inside, middle - centre
         )
+    if hasattr(shape, "points"):
+        return _part_of_polygon(quads - centre, np.asarray(shape.points) - centre, centre)
     c, s = np.cos(shape.angle_rad), np.sin(shape.angle_rad)
     turn = np.array([[c, -s], [s, c]])
     inside, local = (quads - centre) @ turn, (middle - centre) @ turn
@@ -95,6 +97,29 @@ def part_of(quads: np.ndarray, shape: Any) -> tuple[np.ndarray, np.ndarray]:
         e = np.eye(2)[axis]
         inside = clip(clip(inside, e, half), -e, half)
     return area(inside) / whole, centre + centroid(inside, local) @ turn.T
+
+
+def _part_of_polygon(
+    quads: np.ndarray, corners: np.ndarray, centre: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same of a convex polygon, both from its centre; the results not.
+
+    Quadrilaterals that the same sides cut are clipped together: each clip doubles the vertices.
+    """
+    ways = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack([ways[:, 1], -ways[:, 0]], axis=1) / np.hypot(*ways.T)[:, None]
+    outward *= np.sign(np.sum(outward * corners, axis=1))[:, None]
+    limits = np.sum(outward * corners, axis=1)
+    cut = (np.einsum("nvk,sk->nsv", quads, outward) > limits[:, None]).any(axis=2)
+    share, mass = np.zeros(len(quads)), np.zeros((len(quads), 2))
+    for which in np.unique(cut, axis=0):
+        own = np.flatnonzero((cut == which).all(axis=1))
+        inside = quads[own]
+        for side in np.flatnonzero(which):
+            inside = clip(inside, outward[side], limits[side])
+        share[own] = area(inside) / area(quads[own])
+        mass[own] = centre + centroid(inside, quads[own].mean(axis=1))
+    return share, mass
 
 
 def disc_area(quads: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:

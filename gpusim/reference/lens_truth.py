@@ -376,7 +376,7 @@ class Judge:
         shares = np.zeros((len(self.scene.spectra), *x.shape))
         shares[self.placed.background] = 1.0
         step = at[1] - at[0]
-        for shape in self.placed.primitives:
+        for shape, under in zip(self.placed.primitives, self.placed.under, strict=True):
             x1, x2, ahead = frame.of_ideal(np.array(shape.cx), np.array(shape.cy))
             # X moves by no more than the ideal plane: by cos theta and less.
             low = [int(np.floor((one - shape.reach - at[0]) / step)) - 2 for one in (x1, x2)]
@@ -392,7 +392,8 @@ class Judge:
             # A straight outline through a square: exact along the sides, 1/24 off at 45 deg.
             across = np.maximum(np.abs(slopes[0]) + np.abs(slopes[1]), 1e-12)
             share = np.clip(0.5 - distance / across, 0, 1)
-            shares[(slice(None), *part)] *= 1 - share
+            # From the one material that it lies in: outlines may touch.
+            shares[(under, *part)] -= share
             shares[(shape.material, *part)] += share
         return shares
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gpusim.reference.coverage import cross, part_of
+from gpusim.reference.coverage import NOTHING, cross, part_of
 from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.landing import landed
 from gpusim.reference.point_spread import spreads_of
@@ -219,7 +219,7 @@ class Truth:
         near = self._near(chart, middle, radius)
         material = np.full(zone.cells.shape[:3], chart.background)
         split = np.zeros(material.shape, bool)
-        for shape in near:
+        for shape, _ in near:
             distance = shape.distance(middle[:, 0], middle[:, 1])
             inside = distance < -radius
             material[inside], split[inside] = shape.material, False
@@ -236,18 +236,27 @@ class Truth:
             whole[spectrum] = whole.get(spectrum, 0.0) + factor * ((material == number) & ~split)
         return whole, self._cut_shares(chart, near, zone, centre, zone.cells[split])
 
-    def _near(self, chart: Any, middle: np.ndarray, radius: np.ndarray) -> list[Any]:
-        """Return the primitives that reach into the rectangle of some discs, in their order."""
+    def _near(self, chart: Any, middle: np.ndarray, radius: np.ndarray) -> list[tuple[Any, int]]:
+        """Return the primitives that reach into the rectangle of some discs, in their order.
+
+        Each with the material that it lies in.
+        """
         if self.bounds is None:
             bounds = [(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]
             self.bounds = np.array(bounds).reshape(-1, 3)
         low, high = (middle - radius[:, None]).min(axis=0), (middle + radius[:, None]).max(axis=0)
         at, reach = self.bounds[:, :2], self.bounds[:, 2:]
         near = np.all((at + reach >= low) & (at - reach <= high), axis=1)
-        return [chart.primitives[number] for number in np.flatnonzero(near)]
+        numbers = np.flatnonzero(near)
+        return [(chart.primitives[number], int(chart.under[number])) for number in numbers]
 
     def _cut_shares(
-        self, chart: Any, near: list[Any], zone: Zone, centre: np.ndarray, cells: np.ndarray
+        self,
+        chart: Any,
+        near: list[tuple[Any, int]],
+        zone: Zone,
+        centre: np.ndarray,
+        cells: np.ndarray,
     ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
         """Return centres of mass and areas of each spectrum's parts of cells (P, 2)."""
         side = zone.step_um / zone.split
@@ -258,7 +267,7 @@ class Truth:
         # Of each material: its share of a square, and that times the way from the square's middle
         # to the share's centre of mass.
         shares = {chart.background: (np.ones(len(t)), np.zeros((len(t), 2)))}
-        for shape in near:
+        for shape, under in near:
             distance = shape.distance(ideal[:, 0], ideal[:, 1])
             part = (distance < 0).astype(np.float64)
             moment = np.zeros((len(t), 2))
@@ -270,14 +279,13 @@ class Truth:
                 quads = self._cells(centre - t[at], side)
                 part[at], mass = part_of(quads, shape)
                 moment[at] = part[at][:, None] * _in_square(quads, mass, side)
-            for number, (share, way) in shares.items():
-                rest = (1 - part)[:, None]
-                shares[number] = share * rest[:, 0], way * rest - share[:, None] * moment
-            share, way = shares.get(shape.material, (0.0, 0.0))
-            shares[shape.material] = share + part, way + moment
+            # What it takes it takes from the one material that it lies in: outlines may touch.
+            for number, sign in ((under, -1.0), (shape.material, 1.0)):
+                share, way = shares.get(number, (0.0, 0.0))
+                shares[number] = share + sign * part, way + sign * moment
         found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
         for number, (share, way) in shares.items():
-            there = share > 0
+            there = share > NOTHING
             spectrum, factor = self.alike[number]
             # A source that lies farther right is less far from the pixel.
             places = t[there] - way[there] / share[there][:, None]

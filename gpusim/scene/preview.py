@@ -6,9 +6,11 @@ from itertools import product
 
 import numpy as np
 
-from gpusim.scene.chart import Chart
+from gpusim.scene.chart import Chart, Disc, Polygon
 from gpusim.scene.charts import HALF_WIDTH
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, rgb_to_xyz
+from gpusim.scene.patterns import OVERSCAN
+from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import xyz
 
@@ -19,9 +21,15 @@ def _material_map(chart: Chart, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the material at each node (y, x) of a grid: `Chart.material_at` by windows."""
     material = np.full((y.size, x.size), chart.background, np.uint16)
     for p in chart.primitives:
-        low, high = np.searchsorted(x, (p.cx - p.reach, p.cx + p.reach))
-        top, bottom = np.searchsorted(y, (p.cy - p.reach, p.cy + p.reach))
-        inside = p.distance(x[None, low:high], y[top:bottom, None]) <= 0
+        ends = (
+            np.array([(p.cx - p.reach, p.cy - p.reach), (p.cx + p.reach, p.cy + p.reach)])
+            if isinstance(p, Disc)
+            else p.corners()
+        )
+        low, high = np.searchsorted(x, (ends[:, 0].min(), ends[:, 0].max()))
+        top, bottom = np.searchsorted(y, (ends[:, 1].min(), ends[:, 1].max()))
+        part = x[None, low:high], y[top:bottom, None]
+        inside = p.within(*part) if isinstance(p, Polygon) else p.distance(*part) <= 0
         material[top:bottom, low:high][inside] = p.material
     return material
 
@@ -35,7 +43,7 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     Parameters
     ----------
     scene : Scene
-        Of a chart.
+        Of a chart; of one that is drawn on samples, made without a frame.
     rows : int
         Height of the result.
 
@@ -49,6 +57,8 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     seen = xyz(scene.spectra, scene.wavelengths_nm) / white[1]
     materials = np.maximum(seen @ to_rgb.T, 0.0).astype(np.float32)
     columns = round(HALF_WIDTH * rows)
+    if isinstance(scene.source, Raster):
+        return _averaged(scene.source, rows, columns) @ materials
     total = np.zeros((rows, columns, 3), np.float32)
     phases = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES
     for right, down in product(phases, phases):
@@ -56,3 +66,21 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
         y = (np.arange(rows) + down - rows / 2) / (rows / 2)
         total += materials[_material_map(scene.source, x, y)]
     return total / SUBSAMPLES**2
+
+
+def _averaged(raster: Raster, rows: int, columns: int) -> np.ndarray:
+    """Return the means (rows, columns, M) of a chart's samples in cells of its field."""
+    planes = raster.planes
+    for axis, count in ((1, rows), (2, columns)):
+        # The samples go on beyond the field: what of each lies in each cell.
+        samples = planes.shape[axis]
+        ends = (np.arange(count + 1) - count / 2) / count * samples / OVERSCAN + samples / 2
+        start = np.zeros_like(np.take(planes, [0], axis), np.float64)
+        sums = np.concatenate([start, np.cumsum(planes, axis=axis, dtype=np.float64)], axis=axis)
+        low = np.floor(ends).astype(int)
+        part = (ends - low).reshape([-1 if one == axis else 1 for one in range(3)])
+        at_ends = (1 - part) * np.take(sums, low, axis) + part * np.take(
+            sums, np.minimum(low + 1, samples), axis
+        )
+        planes = np.diff(at_ends, axis=axis) / (ends[1] - ends[0])
+    return np.moveaxis(planes, 0, -1).astype(np.float32)

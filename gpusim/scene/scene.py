@@ -13,8 +13,10 @@ from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
-from gpusim.scene.charts import CHARTS, known_reflectances, reflectances_at
+from gpusim.scene.charts import CHARTS, is_chart, load_chart
+from gpusim.scene.fills import Fill
 from gpusim.scene.panorama import PANORAMA, by_angle
+from gpusim.scene.patterns import Frame
 from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import (
     WAVELENGTHS_NM,
@@ -130,13 +132,14 @@ def make_scene(
     luminance_cd_m2: float | None = None,
     illuminant: str | None = None,
     projection: str = RECTILINEAR.name,
+    frame: Frame | None = None,
 ) -> Scene:
-    """Return a chart of the project or a photograph from an EXR file.
+    """Return a chart of the project, one of a YAML file, or a photograph from an EXR file.
 
     Parameters
     ----------
     name_or_path : str or path
-        A name in `CHARTS`, or the path of a linear RGB EXR.
+        A name in `CHARTS`, the path of a chart's YAML, or of a linear RGB EXR.
     luminance_cd_m2 : float, optional
         Luminance of the white: of a chart's perfect diffuser; of a photograph's RGB (1, 1, 1),
         where it replaces the file's own ``whiteLuminance``. Without either, 300.
@@ -148,6 +151,8 @@ def make_scene(
         How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
         to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
         in whose middle the camera stands and at whose centre it looks.
+    frame : Frame, optional
+        The sensor: for charts that count in its pixels, or are drawn on samples.
 
     Raises
     ------
@@ -171,26 +176,17 @@ def make_scene(
             allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
         )
     name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
-    if name in CHARTS and panorama:
-        raise UserError(
-            "a chart is no panorama",
-            field="projection",
-            value=projection,
-            allowed=f"{', '.join(PROJECTIONS)} for charts",
-        )
-    if name in CHARTS:
+    if is_chart(name):
+        if panorama:
+            raise UserError(
+                "a chart is no panorama",
+                field="projection",
+                value=projection,
+                allowed=f"{', '.join(PROJECTIONS)} for charts",
+            )
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
-        lamp = illuminant or DEFAULT_ILLUMINANT
-        chart, reflectances = CHARTS[name]()
-
-        def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            white = white_radiance(lamp, level, wavelengths_nm)
-            return reflectances_at(chart, reflectances, wavelengths_nm) * white, white
-
-        spectra, white = light(WAVELENGTHS_NM)
-        known = (illuminant_known(lamp), *known_reflectances(chart))
-        given = {"projection": plane, "light": light, "made_of": known}
-        return Scene(name, spectra, chart, lamp, white, **given)
+        scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
+        return replace(scene, projection=plane)
     path = Path(name_or_path)
     if path.suffix.lower() == ".exr":
         if illuminant is not None:
@@ -210,8 +206,28 @@ def make_scene(
         f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
-        allowed=f"{', '.join(CHARTS)}, or a file NAME.exr",
+        allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture's NAME.exr",
     )
+
+
+def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
+    laid = load_chart(name, frame)
+    source, fills = laid.source, laid.fills
+    if isinstance(source, Raster) and all(fill.grey for fill in fills):
+        # One spectrum, in one plane, in which points of light stand out from what is around them.
+        shares = laid.reflectances(WAVELENGTHS_NM[:1], level)[:, 0]
+        plane = sum(share * one for share, one in zip(shares, source.planes, strict=True))
+        source, fills = replace(source, planes=plane[None]), (Fill("white", 1.0),)
+
+    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        white = white_radiance(lamp, level, wavelengths_nm)
+        return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
+
+    spectra, white = light(WAVELENGTHS_NM)
+    known = dict.fromkeys((illuminant_known(lamp), *(fill.known for fill in fills)))
+    made_of = tuple(one for one in known if one is not None)
+    given = {"notes": laid.notes, "light": light, "made_of": made_of}
+    return Scene(Path(name).name, spectra, source, lamp, white, **given)
 
 
 def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:

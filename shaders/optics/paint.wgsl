@@ -9,6 +9,8 @@
 // the heat equation in polar coordinates; what is left is below 0.07 (s/R)^2 for R > 16 s. A small disc is cut into strips:
 // over q = R sin t, the Gaussian's density at q times its share in the strip's height 2 R cos t. The integrand goes on
 // periodically, so that the sum over n middles converges like a Fourier series.
+// Polygon: in samples in which the Gaussian is round and of width 1, about the sample: 1 inside, less for each side the Gaussian's
+// integral over what lies beyond it, seen from here, by Owen's T (Owen 1956, eq. 2.1 and 3.1; DiDonato & Hageman 1982).
 // Beyond the image circle the plane is black, its rim low-passed likewise.
 // The kernels of the convolution divide the Gaussian out again: it only keeps the samples free of aliases.
 // Units: samples from the optical axis; coefficients in radiance units of the basis.
@@ -27,6 +29,7 @@ override DISTORTION: bool = true;   // the ideal and the real image differ
 
 const DISC = 1u;               // kind of primitive; 0 is a rectangle
 const SMALL_DISC = 2u;
+const POLYGON = 3u;
 
 struct Params {
     circle: vec2f,            // centre of the image circle
@@ -40,7 +43,7 @@ struct Params {
 
 struct Primitive {
     centre: vec2f,
-    half_size: vec2f,         // a disc has its radius in x, a small one its number of strips n in y
+    half_size: vec2f,         // a disc has its radius in x, a small one its number of strips n in y; a polygon: its first corner, their number
     axis: vec2f,              // unit vector of the rectangle's width; of a small disc cos(pi/n), sin(pi/n)
     kind: u32,
     step: u32,                // row of `materials`: m - n
@@ -59,7 +62,8 @@ struct Tile {
 @group(0) @binding(3) var<storage, read> materials: array<vec4f>;   // two a row: the dispatch's coefficients; then steps
 @group(0) @binding(4) var<storage, read> tiles: array<Tile>;
 @group(0) @binding(5) var<storage, read> terms: array<vec4f>;       // of the chief-ray map, see common/chief_ray
-@group(0) @binding(6) var<storage, read_write> planes: array<f32>;
+@group(0) @binding(6) var<storage, read> corners: array<vec2f>;     // of polygons, clockwise as seen, from their centres
+@group(0) @binding(7) var<storage, read_write> planes: array<f32>;
 
 // sigma along the unit vector e of the ideal plane: sigma |M^T e|
 fn width_along(e: vec2f, p: IdealPoint) -> f32 {
@@ -93,8 +97,64 @@ fn strips(shape: Primitive, d: vec2f, jacobian: mat2x2f) -> f32 {
     return sum * 3.1415926535897932 / (ROOT_TWO_PI * width * max(f32(count), 1.0));
 }
 
+fn slope(scale: f32, most: f32, share: f32) -> f32 {
+    let x = most * share;
+    let square = 1.0 + x * x;
+    return exp(scale * square) / square;
+}
+
+// Owen's T(h, k / h), h and k >= 0: the share of a round Gaussian of width 1 in the part beyond h of the triangle of angle atan(k / h).
+fn beyond(h: f32, k: f32) -> f32 {
+    // Gauss-Legendre over the slope x from 0 to the smaller quotient, at most 1; the other by Owen's eq. 2.3.
+    let large = max(max(h, k), 1e-20);
+    let most = min(h, k) / large;
+    let scale = -0.5 * large * large;
+    let sum = 0.46791393457269104 * (slope(scale, most, 0.3806904069584015) + slope(scale, most, 0.6193095930415985))
+        + 0.36076157304813866 * (slope(scale, most, 0.16939530676686776) + slope(scale, most, 0.8306046932331322))
+        + 0.17132449237917036 * (slope(scale, most, 0.033765242898423986) + slope(scale, most, 0.9662347571015760));
+    let near = sum * most * 0.07957747154594767;  // 1 / (4 pi)
+    let past_h = normal_cdf(-h);
+    let past_k = normal_cdf(-k);
+    return select(near, 0.5 * (past_h + past_k) - past_h * past_k - near, k > h);
+}
+
+// Other shapes have no sides, as above.
+fn sides(shape: Primitive, d: vec2f, jacobian: mat2x2f) -> f32 {
+    let polygon = shape.kind == POLYGON;
+    let count = select(0u, u32(shape.half_size.y), polygon);
+    let first = select(0u, u32(shape.half_size.x), polygon);
+    let m = params.sigma * jacobian;
+    let inverse = mat2x2f(m[1].y, -m[0].y, -m[1].x, m[0].x) * (1.0 / (m[0].x * m[1].y - m[0].y * m[1].x));
+    var inside = 1.0;
+    var sum = 0.0;
+    var a = round_place(corners[first + max(count, 1u) - 1u] - d, inverse);
+    for (var k = 0u; k < count; k++) {
+        let b = round_place(corners[first + k] - d, inverse);
+        let e = normalize(b - a);
+        // From the nearer corner: two sides that meet there see it at one and the same place.
+        let near = select(b, a, dot(a, a) < dot(b, b));
+        let depth = near.x * e.y - near.y * e.x;
+        let start = dot(a, e);
+        let end = dot(b, e);
+        let part = sign(end) * beyond(abs(depth), abs(end)) - sign(start) * beyond(abs(depth), abs(start));
+        sum += select(-part, part, depth >= 0.0);
+        inside = select(0.0, inside, depth >= 0.0);
+        a = b;
+    }
+    return clamp(inside - sum, 0.0, 1.0);
+}
+
+// A corner where the Gaussian is round and of width 1; never at its very middle, where a side has no direction.
+fn round_place(from_sample: vec2f, inverse: mat2x2f) -> vec2f {
+    let v = inverse * from_sample;
+    return select(v, vec2f(1e-6, 0.0), dot(v, v) < 1e-12);
+}
+
 fn coverage(shape: Primitive, p: IdealPoint) -> f32 {
     let d = p.u - shape.centre;
+    if (shape.kind == POLYGON) {
+        return sides(shape, d, p.jacobian);
+    }
     if (shape.kind == SMALL_DISC) {
         return strips(shape, d, p.jacobian);
     }

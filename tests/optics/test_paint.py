@@ -10,6 +10,8 @@ cut into strips, which leave 3e-6.
 Weights act on differences of materials, and at most two shapes have an edge at one place.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from harness import assert_close, run_stage, unwritten
@@ -28,14 +30,14 @@ from gpusim.optics.paint import (
     SIGMA,
     SMALL_DISC,
     Paint,
-    primitive_row,
     primitives_by_block,
+    table_of,
     tiles_by_block,
     with_steps,
 )
 from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
-from gpusim.scene.chart import Chart, Disc, Rect, materials_under
+from gpusim.scene.chart import Chart, Disc, Polygon, Primitive, Rect, materials_under
 
 F32 = np.float32
 WEIGHT = 5e-4
@@ -50,7 +52,7 @@ def materials(count: int, planes: int) -> np.ndarray:
 
 
 def on_device(
-    shapes: list[Rect | Disc],
+    shapes: list[Primitive],
     table: np.ndarray,
     origin: tuple[float, float],
     shape: tuple[int, int],
@@ -72,8 +74,9 @@ def on_device(
     coefficients, steps = with_steps(table, [one.material for one in shapes], under)
     rows = np.zeros(len(shapes) + 3, PRIMITIVE)
     rows["half_size"] = rows["axis"] = np.nan  # of those that the block does not see
-    for at, one, step in zip(place, shapes, steps, strict=True):
-        rows[at] = primitive_row(one, step, 1.0, sigma, least_stretch)
+    made, corners = table_of(shapes, steps, 1.0, sigma, least_stretch)
+    for at, row in zip(place, made, strict=False):
+        rows[at] = row
         if rows[at]["kind"] == DISC_KIND:
             rows[at]["half_size"][1] = np.nan
     eight = np.full((len(coefficients), 8), np.nan, F32)
@@ -99,6 +102,7 @@ def on_device(
         },
         {
             "primitives": rows.view(np.uint32),
+            "corners": corners,
             "chosen": np.concatenate([np.full(5, 999), place, [998]]).astype(np.uint32),
             "materials": eight,
             "tiles": np.array([(999, 0, 0, 0), (999, 0, 0, 0), *tiles], np.uint32),
@@ -126,7 +130,9 @@ def reference(
     circle=(0.0, 0.0),
 ):
     rows = [
-        {
+        {"kind": "polygon", "points": one.points, "material": one.material, "under": under}
+        if isinstance(one, Polygon)
+        else {
             "kind": "disc" if isinstance(one, Disc) else "rectangle",
             "centre": (one.cx, one.cy),
             "half_size": (one.radius,) if isinstance(one, Disc) else (one.half_w, one.half_h),
@@ -514,3 +520,45 @@ def test_tiles_know_their_ground_and_their_edges():
                     grounds.add(int(found[0]))
         # The control: shapes that cover tiles are there, and the background is.
         assert len(grounds) >= fewest
+
+
+# Owen's T by six nodes is good to 2e-7, Phi to 1e-6; each corner has two sides: far below WEIGHT,
+# which holds for their positions as for those of rectangles.
+KITE = ((-9.3, 1.2), (2.1, -7.6), (8.8, 3.4), (-1.0, 9.7))
+
+
+@pytest.mark.parametrize("size", [0.05, 0.3, 1.0, 4.0])
+def test_polygons_of_any_size(size: float):
+    points = tuple((size * x + 1.3, size * y - 0.4) for x, y in KITE)
+    found = check([Polygon(points, 1)], materials(2, 1), (-14.5, -13.5), (31, 33))
+    if size > 0.5:
+        assert np.ptp(found) > 0.5  # both materials are there
+
+
+def test_a_polygon_of_four_right_angles_is_a_rectangle():
+    """Another way through the same shader, and samples exactly on corners and sides."""
+    for angle, half in ((0.3, (11.7, 6.2)), (0.0, (5.0, 3.0))):
+        rect = Rect(0.5, 0.5, *half, angle, 1)
+        polygon = Polygon(tuple(map(tuple, rect.corners())), 1)
+        table, place = np.array([[0.0], [1.0]]), ((-15.5, -11.5), (25, 33))
+        assert_close(
+            on_device([polygon], table, *place), on_device([rect], table, *place), atol=2e-5
+        )
+
+
+def test_sectors_that_touch_are_the_whole():
+    """Twelve triangles about one corner, on a sample: nowhere is there a seam."""
+    turn = 2 * np.pi * np.arange(13) / 12
+    rim = np.stack([30 * np.cos(turn), 30 * np.sin(turn)], axis=1)
+    sectors = [Polygon(((0.5, 0.5), tuple(a), tuple(b)), 1) for a, b in pairwise(rim)]
+    found = on_device(sectors, np.array([[0.0], [1.0]]), (-11.5, -11.5), (24, 24))
+    assert_close(found, np.ones(found.shape), atol=12 * 4e-6)
+
+
+def test_polygons_under_a_map_that_shears():
+    bend = {"distortion": pieces_of([0.95, -0.15]), "radius": 150.0}
+    middle = np.array([91.3, 66.8])
+    centre, _ = chief_ray_twin(middle, **bend)
+    points = tuple((x + centre[0], y + centre[1]) for x, y in KITE)
+    origin = tuple(middle.round() - 16)
+    check([Polygon(points, 1)], materials(2, 1), origin, (33, 34), **bend)

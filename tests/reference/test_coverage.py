@@ -5,7 +5,7 @@ import pytest
 from harness import assert_close
 
 from gpusim.reference.coverage import area, clip, disc_area, part_of
-from gpusim.scene.chart import Disc, Rect
+from gpusim.scene.chart import Disc, Polygon, Rect
 
 RNG = np.random.default_rng(77)
 SIDE = 400  # midpoints along each side of a quadrilateral
@@ -115,6 +115,18 @@ def test_inside_outside_and_around():
     assert_close(rectangle_area(square, (0, 0), (5, 5), 0.3), np.array([4.0]), atol=1e-12)
     assert_close(rectangle_area(square, (0, 0), (0.2, 0.3), 0.3), np.array([0.24]), atol=1e-12)
     assert_close(rectangle_area(square, (9, 0), (0.2, 0.3), 0.3), np.array([0.0]), atol=1e-12)
+
+
+def test_a_polygon_of_four_right_angles_is_a_rectangle():
+    rect = Rect(0.3, -0.2, 0.9, 0.4, 0.3, 0)
+    polygon = Polygon(tuple(map(tuple, rect.corners())), 0)
+    corners = np.array([[-0.5, -0.5], [0.5, -0.4], [0.6, 0.5], [-0.4, 0.4]])
+    some = RNG.uniform(-1.5, 1.5, (200, 1, 2)) + corners * RNG.uniform(0.05, 2, (200, 1, 1))
+    (share, mass), (expected, middle) = part_of(some, polygon), part_of(some, rect)
+    assert ((share > 0.01) & (share < 0.99)).sum() > 50
+    # Of numbers near 1, by other ways; nothing has no middle.
+    assert_close(share, expected, atol=1e-12)
+    assert_close(share[:, None] * mass, expected[:, None] * middle, atol=1e-12)
 
 
 def middles(some: np.ndarray, inside) -> np.ndarray:

@@ -13,7 +13,7 @@ from scipy.stats import ncx2
 from gpusim.reference import point_spread
 from gpusim.reference import truth as truth_module
 from gpusim.reference.truth import Truth
-from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.chart import Chart, Disc, Polygon, Rect
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.qe import QuantumEfficiency
@@ -121,6 +121,27 @@ def test_a_straight_edge_is_the_normal_distribution_averaged_over_the_aperture(a
     assert expected.min() < 0.05 * expected.max() or angle_deg == -130.0
     assert np.ptp(expected) > 0.2 * even_rate(lens, 0.8)
     assert_close(found, expected, atol=TURNED * even_rate(lens, 0.8))
+
+
+def test_shapes_that_touch_are_the_whole():
+    """Two rectangles, and a rectangle and polygons, in place of one: side by side, and inside."""
+    lens, camera = bank(**PLAIN), grey_sensor()
+    angle = 0.4
+    whole = Rect(11.3, -7.7, 30.0, 12.0, angle, 0)
+    along = 15.0 * np.array([np.cos(angle), np.sin(angle)])
+    left, right = (Rect(*((11.3, -7.7) + s * along), 15.0, 12.0, angle, 0) for s in (-1, 1))
+    corners = [tuple(one) for one in right.corners()]
+    thirds = (Polygon(tuple(corners[:3]), 0), Polygon((*corners[2:], corners[0]), 0))
+    inner = Rect(left.cx, left.cy, 15.0, 12.0, angle, 2)
+    rows, cols = np.meshgrid([41, 44], [68, 70, 71, 83])
+    pixels = np.stack([rows.ravel(), cols.ravel()], axis=1)
+    spectra = np.stack([FLAT, 0 * FLAT, FLAT])
+    expected = truth(lens, camera, spectra).chart(chart(whole, background=1), pixels)
+    assert np.ptp(expected) > 0.9 * even_rate(lens)
+    for shapes in ((left, right), (left, *thirds), (whole, inner)):
+        found = truth(lens, camera, spectra).chart(chart(*shapes, background=1), pixels)
+        # The parts' centres of mass lie apart, which the splines take in their own way.
+        assert_close(found, expected, atol=1e-5 * even_rate(lens))
 
 
 def test_a_small_dot_of_a_sharp_lens_is_as_dark_as_it_should_be(monkeypatch):

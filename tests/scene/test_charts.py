@@ -6,37 +6,45 @@ import numpy as np
 import pytest
 from harness import assert_close
 
-from gpusim.scene import Disc, Rect, make_scene
-from gpusim.scene.charts import CHARTS, HALF_WIDTH
-from gpusim.scene.spectra import colorchecker, illuminant, luminance_cd_m2
+from gpusim.scene import Chart, Disc, Rect, make_scene
+from gpusim.scene.charts import CHARTS, HALF_WIDTH, load_chart
+from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker, illuminant, luminance_cd_m2
 
 PIXEL = 2 / 1520  # in half-heights, on the demonstration sensor
+DRAWN = ("dead-leaves", "points", "sine-star", "sinusoid", "sweep", "zone-plate")
+OUTLINED = [name for name in CHARTS if name not in DRAWN]
 HALF_DIAGONAL = math.hypot(HALF_WIDTH, 1)
+
+
+def laid(name: str) -> tuple[Chart, np.ndarray]:
+    """Return a chart and the reflectances (M, 61) of its materials."""
+    found = load_chart(name)
+    return found.source, found.reflectances(WAVELENGTHS_NM)
 
 
 def squares(chart) -> list[Rect]:
     return [p for p in chart.primitives if isinstance(p, Rect) and p.angle_rad != 0]
 
 
-@pytest.mark.parametrize("name", CHARTS)
+@pytest.mark.parametrize("name", ["demo", "colorchecker", "slanted-edge", "dots", "grey"])
 def test_outlines_are_at_least_four_pixels_apart(name):
-    assert CHARTS[name]()[0].gap >= 4 * PIXEL
+    assert laid(name)[0].gap >= 4 * PIXEL
 
 
-@pytest.mark.parametrize("name", CHARTS)
+@pytest.mark.parametrize("name", OUTLINED)
 def test_every_material_is_used_and_is_a_reflectance(name):
-    chart, reflectances = CHARTS[name]()
+    chart, reflectances = laid(name)
     assert reflectances.shape == (len(chart.materials), 61)
     assert {chart.background, *(p.material for p in chart.primitives)} == set(
         range(len(chart.materials))
     )
     assert reflectances.min() > 0
-    assert reflectances.max() < 1
+    assert reflectances.max() <= 1
 
 
 @pytest.mark.parametrize("name", ["demo", "colorchecker"])
 def test_the_24_patches_lie_in_reading_order_six_to_a_row(name):
-    chart, reflectances = CHARTS[name]()
+    chart, reflectances = laid(name)
     patches = [p for p in chart.primitives if chart.materials[p.material] in colorchecker()]
     assert [chart.materials[p.material] for p in patches] == list(colorchecker())
     for p, reflectance in zip(patches, colorchecker().values(), strict=True):
@@ -52,7 +60,7 @@ def test_the_24_patches_lie_in_reading_order_six_to_a_row(name):
 
 @pytest.mark.parametrize(("name", "contrast"), [("demo", 4.0), ("slanted-edge", 16.0)])
 def test_slanted_edges_are_on_axis_at_half_field_and_in_the_corners(name, contrast):
-    chart, reflectances = CHARTS[name]()
+    chart, reflectances = laid(name)
     fields = []
     for square in squares(chart):
         assert square.angle_rad == pytest.approx(math.radians(5), rel=1e-12)
@@ -73,7 +81,7 @@ def test_slanted_edges_are_on_axis_at_half_field_and_in_the_corners(name, contra
 
 
 def test_the_wedge_falls_by_half_stops_from_left_to_right():
-    chart, reflectances = CHARTS["demo"]()
+    chart, reflectances = laid("demo")
     row = [p for p in chart.primitives if isinstance(p, Rect) and p.cy == -0.83][1:]
     density = -np.log10([reflectances[p.material].mean() for p in row])
     assert len(row) == 12
@@ -83,7 +91,7 @@ def test_the_wedge_falls_by_half_stops_from_left_to_right():
 
 @pytest.mark.parametrize("name", ["demo", "dots"])
 def test_dots_are_a_grid_of_whole_dots_that_leaves_no_hole(name):
-    chart, _ = CHARTS[name]()
+    chart, _ = laid(name)
     dots = [p for p in chart.primitives if isinstance(p, Disc)]
     pitch = 2 / 23
     cells = np.array([[p.cx, p.cy] for p in dots]) / pitch
@@ -108,7 +116,7 @@ def test_charts_without_colour_are_shades_of_one_spectrum(name):
 
 def test_spectra_are_reflectance_times_the_illuminant_at_the_luminance_asked_for():
     scene = make_scene("demo", luminance_cd_m2=120.0, illuminant="A")
-    _, reflectances = CHARTS["demo"]()
+    _, reflectances = laid("demo")
     lamp = illuminant("A")
     scale = 120.0 / luminance_cd_m2(lamp)
     assert_close(scene.spectra, reflectances * lamp * scale, rtol=1e-14)

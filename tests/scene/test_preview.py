@@ -5,7 +5,7 @@ import pytest
 from harness import assert_close
 
 from gpusim.scene import make_scene
-from gpusim.scene.charts import CHARTS
+from gpusim.scene.charts import load_chart
 from gpusim.scene.exr import read_exr, write_exr
 from gpusim.scene.preview import SUBSAMPLES, chart_rgb
 
@@ -22,7 +22,7 @@ def test_colorchecker_patches_have_their_published_colours():
     colour = pytest.importorskip("colour", reason="for published colours and dE2000")
     rows = 152
     rgb = chart_rgb(make_scene("colorchecker"), rows).astype(np.float64)
-    chart = CHARTS["colorchecker"]()[0]
+    chart = load_chart("colorchecker").source
     ours = [
         rgb[int((1 + p.cy) * rows / 2), int(rgb.shape[1] / 2 + p.cx * rows / 2)]
         for p in chart.primitives[1:]
@@ -50,8 +50,8 @@ def test_colorchecker_patches_have_their_published_colours():
 def test_areas_are_averaged():
     rows = 300
     rgb = chart_rgb(make_scene("slanted-edge"), rows)
-    chart, reflectances = CHARTS["slanted-edge"]()
-    white, black = reflectances[:, 0]
+    laid = load_chart("slanted-edge")
+    chart, (white, black) = laid.source, laid.reflectances(np.array([550.0]))[:, 0]
     cell = (2 / rows) ** 2
     area = sum(4 * p.half_w * p.half_h for p in chart.primitives)
     perimeter = sum(4 * (p.half_w + p.half_h) for p in chart.primitives)
