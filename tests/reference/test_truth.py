@@ -133,7 +133,7 @@ def test_shapes_that_touch_are_the_whole():
     corners = [tuple(one) for one in right.corners()]
     thirds = (Polygon(tuple(corners[:3]), 0), Polygon((*corners[2:], corners[0]), 0))
     inner = Rect(left.cx, left.cy, 15.0, 12.0, angle, 2)
-    rows, cols = np.meshgrid([41, 44], [68, 70, 71, 83])
+    rows, cols = np.meshgrid([36, 43, 44], [64, 68, 70, 71, 83])
     pixels = np.stack([rows.ravel(), cols.ravel()], axis=1)
     spectra = np.stack([FLAT, 0 * FLAT, FLAT])
     expected = truth(lens, camera, spectra).chart(chart(whole, background=1), pixels)
