@@ -423,18 +423,63 @@ def sensor(
 @app.command()
 def develop(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The picture to write, a .png.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE", help="The picture to write, a .png; 16 bits: a .tif.")
+    ],
     ev: Annotated[
-        float, typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops.")
-    ] = 0.0,
+        float | None,
+        typer.Option(metavar="STOPS", help="Show the picture brighter by so many stops."),
+    ] = None,
     binned: Annotated[
         bool, typer.Option("--binned", help="Of quad Bayer, one pixel for each cell of 2 x 2.")
     ] = False,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="libraw, or gpusim: the default where an option below is given."
+        ),
+    ] = None,
+    demosaic: Annotated[
+        str | None, typer.Option(metavar="NAME", help="bilinear, malvar or directional.")
+    ] = None,
+    white_balance: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WHITE",
+            help="as-shot, grey-world, patch:ROW,COLUMN,ROWS,COLUMNS, D65 (any illuminant), 5100K.",
+        ),
+    ] = None,
+    space: Annotated[
+        str | None, typer.Option(metavar="NAME", help="srgb, p3, rec2020 or linear.")
+    ] = None,
+    roll_off: Annotated[
+        float | None,
+        typer.Option(metavar="SHARE", help="Bend highlights into this share of the range."),
+    ] = None,
+    defects: Annotated[
+        bool | None, typer.Option("--defects/--no-defects", help="Mend pixels that stand out.")
+    ] = None,
+    shading: Annotated[
+        bool | None,
+        typer.Option("--shading/--no-shading", help="Undo the lens's shading, where known."),
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A .yaml as it is saved beside each picture."),
+    ] = None,
 ) -> None:
-    """Develop a raw file into an sRGB picture: through LibRaw, where it has the filter array."""
+    """Develop a raw file into a picture: through LibRaw, or by our own stages on the GPU."""
     from gpusim.cli.develop import run
 
-    run(raw, out, ev, binned=binned)
+    options = {
+        "demosaic": demosaic,
+        "white_balance": white_balance,
+        "space": space,
+        "roll_off": roll_off,
+        "defects": defects,
+        "shading": shading,
+    }
+    run(raw, out, engine=engine, binned=binned, ev=ev, settings_file=settings, options=options)
 
 
 @app.command()

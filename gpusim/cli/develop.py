@@ -3,15 +3,101 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from gpusim.cli.files import whole_file
+from gpusim.config.mistakes import checked
+from gpusim.errors import UserError
 from gpusim.isp.develop import develop
+from gpusim.isp.settings import Settings, read_settings, settings_text
+
+ENGINES = ("libraw", "gpusim")
+SIXTEEN_BITS = (".tif", ".tiff")
 
 
-def run(raw: Path, out: Path, ev: float, *, binned: bool) -> None:
-    """Develop a raw file into a picture."""
+def run(
+    raw: Path,
+    out: Path,
+    *,
+    engine: str | None,
+    binned: bool,
+    ev: float | None,
+    settings_file: Path | None,
+    options: dict[str, Any],
+) -> None:
+    """Develop a raw file into a picture.
+
+    Parameters
+    ----------
+    raw, out : Path
+    engine : str, optional
+        One of `ENGINES`; by default LibRaw, and ours where an option is given that is ours alone.
+    binned : bool
+    ev : float, optional
+        Stops; by default the settings file's, or 0.
+    settings_file : Path, optional
+        Of our engine.
+    options : dict
+        Fields of `Settings` and their values, None where the user gave none: they go before the
+        settings file's.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    ours = settings_file is not None or bool(given) or out.suffix.lower() in SIXTEEN_BITS
+    if engine not in (*ENGINES, None):
+        raise UserError(
+            "no such engine", field="--engine", value=engine, allowed=", ".join(ENGINES)
+        )
+    if engine == "gpusim" or (engine is None and ours):
+        _ours(raw, out, given if ev is None else given | {"ev": ev}, settings_file, binned=binned)
+        return
+    if ours:
+        named = "--settings" if settings_file else next(iter(given), "--out")
+        raise UserError(
+            "LibRaw's engine takes --ev and --binned alone, and makes .png",
+            field=named if named.startswith("--") else f"--{named.replace('_', '-')}",
+            allowed="--engine gpusim",
+        )
     with whole_file(out, (".png",)) as file:
-        Image.fromarray(develop(raw, ev, binned=binned)).save(file)
+        Image.fromarray(develop(raw, ev or 0.0, binned=binned)).save(file)
     print(out)
+
+
+def _ours(
+    raw: Path, out: Path, given: dict[str, Any], settings_file: Path | None, *, binned: bool
+) -> None:
+    from gpusim.gpu import default_device
+    from gpusim.isp.engine import develop_raw
+
+    settings = _settings(settings_file, given)
+    wide = out.suffix.lower() in SIXTEEN_BITS
+    with whole_file(out, (".png", *SIXTEEN_BITS)) as file:
+        made = develop_raw(raw, settings, default_device(), binned=binned, bits=16 if wide else 8)
+        _save(made.picture, file)
+        notes = [f"How {out.name} was developed; gpusim develop --settings reads it."]
+        notes += [f"left out: {stage}: {why}" for stage, why in made.left_out.items()]
+        file.with_suffix(".yaml").write_text(settings_text(settings, notes), encoding="utf-8")
+    print(out)
+    for stage, why in made.left_out.items():
+        print(f"  left out  {stage}: {why}")
+
+
+def _settings(file: Path | None, given: dict[str, Any]) -> Settings:
+    """Return the settings of a file, with those that were given by options."""
+    base = read_settings(file) if file else Settings()
+    try:
+        return checked(Settings, base.model_dump() | given, Path())
+    except UserError as error:  # the file's own were right
+        error.file, error.field = None, f"--{str(error.field).replace('_', '-')}"
+        raise
+
+
+def _save(picture: np.ndarray, file: Path) -> None:
+    if picture.dtype == np.uint8:
+        Image.fromarray(np.ascontiguousarray(picture)).save(file)
+        return
+    import tifffile
+
+    tifffile.imwrite(file, picture, photometric="rgb", compression="zlib", predictor=True)

@@ -45,8 +45,58 @@ class RawFile:
         return tiff.numbers(self.tags[TAGS[name]])
 
 
+@dataclass(frozen=True, eq=False)
+class CodedFile:
+    """A raw frame as it lies in its file.
+
+    Attributes
+    ----------
+    codes : ndarray (rows, cols), uint16
+        Of the lit pixels.
+    table : ndarray (codes,), uint16, optional
+        What a linear converter would have given in place of each code.
+    black : ndarray (PY, PX), float64
+        What a pixel without light has, by site from the first lit pixel: the black level and the
+        mean signal of the masked pixels, in the units of the table.
+    span_dn : float
+        From black to saturation, in the same units.
+    pattern, tags, exif
+        As in `RawFile`.
+    """
+
+    codes: np.ndarray
+    table: np.ndarray | None
+    black: np.ndarray
+    span_dn: float
+    pattern: tuple[str, ...]
+    tags: dict[int, tuple[int, object]]
+    exif: dict[int, tuple[int, object]]
+
+
 def read_raw(path: Path) -> RawFile | None:
     """Read a raw file; None where it is not as `write_dng` writes them.
+
+    Raises
+    ------
+    ValueError
+        It is, and is damaged.
+    """
+    found = read_codes(path)
+    if found is None:
+        return None
+    signal = found.codes if found.table is None else found.table[found.codes]
+    signal = signal - repeated(found.black.astype(np.float32), signal.shape)
+    return RawFile(signal, found.span_dn, found.pattern, found.tags, found.exif)
+
+
+def repeated(pattern: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return a pattern repeated over a frame, from its first pixel."""
+    row, col = (np.arange(n) % period for n, period in zip(shape, pattern.shape, strict=True))
+    return pattern[np.ix_(row, col)]
+
+
+def read_codes(path: Path) -> CodedFile | None:
+    """Read a raw file as it is; None where it is not as `write_dng` writes them.
 
     Raises
     ------
@@ -66,7 +116,7 @@ def read_raw(path: Path) -> RawFile | None:
         raise ValueError(f"a damaged raw file: {error}") from None
 
 
-def _read(path: Path, tags: dict, exif: dict, kind: int) -> RawFile:
+def _read(path: Path, tags: dict, exif: dict, kind: int) -> CodedFile:
     def whole(tag: int) -> list[int]:
         return [int(value) for value in tags[tag][1]]
 
@@ -78,24 +128,27 @@ def _read(path: Path, tags: dict, exif: dict, kind: int) -> RawFile:
         raise ValueError(f"a damaged raw file: {codes.size} of {rows * cols} pixels")
     top, left, bottom, right = whole(TAGS["ActiveArea"])
     codes = codes.reshape(rows, cols)
+    table = None
     if TAGS["LinearizationTable"] in tags:
-        codes = np.array(tags[TAGS["LinearizationTable"]][1], np.uint16)[codes]
-    black = tiff.numbers(tags[TAGS["BlackLevel"]])
-    black = black.reshape(whole(TAGS["BlackLevelRepeatDim"])).astype(np.float32)
+        table = np.array(tags[TAGS["LinearizationTable"]][1], np.uint16)
+        if codes.max(initial=0) >= table.size:
+            raise ValueError(f"a damaged raw file: codes beyond the {table.size} of its table")
+    # The pattern of black levels begins at the first lit pixel.
+    black = tiff.numbers(tags[TAGS["BlackLevel"]]).reshape(whole(TAGS["BlackLevelRepeatDim"]))
     pattern = ("W",)
     if kind != LINEAR_RAW:
         width = whole(TAGS["CFARepeatPatternDim"])[1]
         sites = "".join(CFA_LETTERS[code] for code in whole(TAGS["CFAPattern"]))
         pattern = tuple(sites[at : at + width] for at in range(0, len(sites), width))
-    # The pattern of black levels begins at the first lit pixel.
-    row, col = (
-        (np.arange(n) - first) % period
-        for n, first, period in zip(codes.shape, (top, left), black.shape, strict=True)
-    )
-    signal = codes - black[np.ix_(row, col)]
     span = whole(TAGS["WhiteLevel"])[0] - float(black.mean())
     if TAGS["MaskedAreas"] in tags:  # what shielded pixels collected, lit ones did as well
         areas = np.reshape(whole(TAGS["MaskedAreas"]), (-1, 4))
-        dark = np.concatenate([signal[r0:r1, c0:c1].ravel() for r0, c0, r1, c1 in areas]).mean()
-        signal, span = signal - dark, span - float(dark)
-    return RawFile(signal[top:bottom, left:right], span, pattern, tags, exif)
+        shielded = []
+        for r0, c0, r1, c1 in areas:
+            part = codes[r0:r1, c0:c1]
+            level = part if table is None else table[part]
+            period = np.roll(black, (top - r0, left - c0), (0, 1))
+            shielded.append((level - repeated(period, part.shape)).ravel())
+        dark = float(np.concatenate(shielded).mean())
+        black, span = black + dark, span - dark
+    return CodedFile(codes[top:bottom, left:right], table, black, span, pattern, tags, exif)

@@ -1,0 +1,279 @@
+"""A raw frame developed on the GPU, band by band, by the stages of ``shaders/isp``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.gpu import Array, Device, Recording
+from gpusim.isp.balance import record_balance
+from gpusim.isp.bilinear import record_bilinear
+from gpusim.isp.curve import record_curve
+from gpusim.isp.directional import record_directional
+from gpusim.isp.linear import record_linear
+from gpusim.isp.malvar import record_malvar
+from gpusim.isp.matrix import record_matrix
+from gpusim.isp.pack import record_pack, unpacked
+from gpusim.isp.quad import BAYER
+from gpusim.isp.repair import record_repair
+from gpusim.isp.roll_off import record_roll_off
+from gpusim.isp.settings import PATCH, Settings
+from gpusim.isp.shading import record_shading
+from gpusim.isp.source import Source
+from gpusim.isp.transfer import SPACES, record_transfer
+from gpusim.isp.white import LEAST_NEUTRAL, neutral_of, to_picture
+from gpusim.scene.spectra import white_radiance, xyz
+
+# Rows and columns around a band that its stages reach into: repair 2, directional 8. A multiple of
+# 4, as columns are.
+RIM = 12
+BAND_PIXELS = 1 << 20  # of a band, its rim not counted: 60 MB on the device
+SATURATED = 0.99  # share of the span from which on a pixel does not count for a white
+STEPS = 5  # pixels from one to the next that count for the grey world, in patterns
+
+
+@dataclass(frozen=True, eq=False)
+class Developed:
+    """A picture, and how it was made.
+
+    Attributes
+    ----------
+    picture : ndarray (rows, cols, 3), uint8 or uint16
+    left_out : dict of str to str
+        Stages that had nothing to do, and why.
+    times_s : dict of str to float
+        Seconds of each stage on the device.
+    """
+
+    picture: np.ndarray
+    left_out: dict[str, str]
+    times_s: dict[str, float]
+
+
+def demosaicing(source: Source, settings: Settings) -> str | None:
+    """Return the way colours are interpolated; None of a frame without filters.
+
+    Raises
+    ------
+    UserError
+        A method for Bayer arrays, and the frame has another.
+    """
+    if len(source.colours) == 1:
+        return None
+    bayer = _red_site(source.pattern) is not None
+    if settings.demosaic in ("malvar", "directional") and not bayer:
+        raise UserError(
+            "this method is for Bayer arrays",
+            field="demosaic",
+            value=settings.demosaic,
+            allowed="bilinear",
+        )
+    return settings.demosaic or ("directional" if bayer else "bilinear")
+
+
+def neutral_for(source: Source, settings: Settings) -> np.ndarray:
+    """Return what white makes in each colour, the largest 1.
+
+    Raises
+    ------
+    UserError
+        Nothing in the file or the picture tells.
+    """
+    wanted = settings.white_balance
+    if wanted == "as-shot":
+        if source.neutral is None:
+            raise _no_white("the file has no white balance as shot", wanted)
+        return source.neutral
+    if wanted == "grey-world":
+        return _mean_colours(source, (0, 0, *source.codes.shape), wanted, STEPS)
+    if patch := PATCH.fullmatch(wanted):
+        row, col, rows, cols = map(int, patch.groups())
+        if row + rows > source.codes.shape[0] or col + cols > source.codes.shape[1]:
+            raise _no_white("the patch lies beyond the frame", wanted)
+        return _mean_colours(source, (row, col, rows, cols), wanted, 1)
+    if not source.matrices:
+        raise _no_white("the file says nothing of the camera's colours", wanted)
+    return neutral_of(xyz(white_radiance(wanted, 1.0)), source.matrices)
+
+
+def _mean_colours(source: Source, rect: tuple, wanted: str, step: int) -> np.ndarray:
+    means = []
+    for colour in source.colours:
+        light = source.light_of(colour, rect)[::step]
+        light = light[light < SATURATED]
+        means.append(light.mean() if light.size else 0.0)
+    if min(means) <= 0:
+        raise _no_white("a colour has no light there, or is saturated", wanted)
+    return np.maximum(np.array(means) / max(means), LEAST_NEUTRAL)
+
+
+def _no_white(problem: str, wanted: str) -> UserError:
+    return UserError(problem, field="white_balance", value=wanted, allowed="another white balance")
+
+
+def _red_site(pattern: tuple[str, ...]) -> tuple[int, int] | None:
+    """Return row and column of red in a Bayer pattern; None of another."""
+    if len(pattern) != 2 or "".join(pattern) not in BAYER:
+        return None
+    row = 0 if "R" in pattern[0] else 1
+    return row, pattern[row].index("R")
+
+
+def develop_source(
+    source: Source,
+    settings: Settings,
+    device: Device,
+    bits: int = 8,
+    progress: Callable[[int, int], None] | None = None,
+) -> Developed:
+    """Develop a raw frame.
+
+    Parameters
+    ----------
+    source : Source
+    settings : Settings
+    device : Device
+    bits : int
+        Of each colour of the picture: 8 or 16.
+    progress : callable, optional
+        Called with (bands done, bands in all).
+
+    Raises
+    ------
+    UserError
+        The settings do not fit the frame.
+    """
+    chain = _Chain(source, settings, bits)
+    rows, cols = source.codes.shape
+    picture = np.empty((rows, cols, 3), np.uint8 if bits == 8 else np.uint16)
+    times: Counter[str] = Counter()
+    starts = range(0, rows, chain.band)
+    for number, start in enumerate(starts, start=1):
+        rec = Recording(device)
+        label = chain.record(rec, start)
+        result = rec.run()
+        part = unpacked(result[label])[chain.top :, chain.left : chain.left + cols]
+        picture[start : start + chain.band] = part[: min(chain.band, rows - start)]
+        times.update(result.times_s)
+        if progress is not None:
+            progress(number, len(starts))
+    return Developed(np.rot90(picture, source.turns), chain.left_out, dict(times))
+
+
+class _Chain:
+    """The stages of one frame, and the bands it is cut into."""
+
+    def __init__(self, source: Source, settings: Settings, bits: int) -> None:
+        self.source, self.settings, self.bits = source, settings, bits
+        self.left_out: dict[str, str] = {}
+        self.method = demosaicing(source, settings)
+        self.ev = settings.ev + source.ev
+        self.space = SPACES[settings.space]
+        self._colour()
+        self._listed()
+        rows, cols = source.codes.shape
+        # The mirrored rim begins such that red, of Bayer arrays, is at even rows and columns.
+        row, col = _red_site(source.pattern) or (0, 0)
+        self.top, self.left = RIM + row, RIM + col
+        period = math.lcm(2, len(source.pattern), source.black.shape[0])
+        self.band = max(BAND_PIXELS // cols // period, 1) * period
+        self.codes = np.pad(
+            source.codes,
+            ((self.top, RIM + rows % 2 + row), (self.left, RIM + -(cols + self.left) % 4)),
+            mode="reflect",
+        )
+        self.black = self._rolled(source.black)
+        sites = np.array([list(line) for line in source.pattern])
+        self.pattern = tuple("".join(line) for line in self._rolled(sites))
+
+    def _rolled(self, pattern: np.ndarray) -> np.ndarray:
+        """Return a pattern from the first pixel of the padded frame, of that of the frame."""
+        return np.roll(pattern, (self.top, self.left), (0, 1))
+
+    def _colour(self) -> None:
+        """Set the neutral, and the matrix from balanced colours to the space's."""
+        colours = self.source.colours
+        if len(colours) == 1:
+            self.neutral, self.matrix = np.ones(1), np.ones((3, 1))
+            return
+        self.neutral = neutral_for(self.source, self.settings)
+        if len(colours) < 3 or not self.source.matrices:
+            # Grey, of two colours; the camera's own, where nothing is known of them.
+            own = np.eye(3) if colours == "RGB" else np.ones((3, len(colours)))
+            self.matrix = own / own.sum(axis=1, keepdims=True)
+            return
+        self.matrix = to_picture(self.neutral, self.source.matrices, self.space.chromaticities)
+
+    def _listed(self) -> None:
+        """Note the stages that have nothing to do."""
+        source, settings = self.source, self.settings
+        if not settings.defects:
+            self.left_out["repair"] = "not asked for"
+        if source.shading is None:
+            self.left_out["shading"] = "the file says nothing of the lens's"
+        elif not settings.shading:
+            self.left_out["shading"] = "not asked for"
+        if self.method is None:
+            self.left_out |= dict.fromkeys(("balance", "demosaicing"), "there are no filters")
+        if self.ev == 0:
+            self.left_out["roll_off"] = "no stops"
+        if self.space.transfer is None:
+            self.left_out["transfer"] = "light is stored as it is"
+        if settings.curve is None:
+            self.left_out["curve"] = "not asked for"
+
+    def record(self, rec: Recording, start: int) -> str:
+        """Record the band from a row of the frame on; return the label of its picture."""
+        source, out = self.source, self.left_out
+        rows = self.band + self.top + RIM + 1
+        codes = self.codes[start : start + rows - rows % 2]
+        light = record_linear(rec, codes, self.black, source.span, table=source.table)
+        if "repair" not in out:
+            light = record_repair(rec, light, self._step(), source.noise)
+        if "shading" not in out:
+            first = start - self.top, -self.left
+            record_shading(rec, light, source.shading, source.codes.shape, first)
+        colours = self._planes(rec, light, start)
+        colours = record_matrix(rec, colours, self.matrix)
+        if "roll_off" not in out:
+            record_roll_off(rec, colours, self.ev, self.settings.roll_off)
+        if "transfer" not in out:
+            record_transfer(rec, colours, self.space.transfer)
+        if "curve" not in out:
+            record_curve(rec, colours, self.settings.curve)
+        return record_pack(rec, colours, self.bits)
+
+    def _planes(self, rec: Recording, light: Array, start: int) -> Array:
+        if self.method is None:
+            return light
+        shares = dict(zip(self.source.colours, self.neutral, strict=True))
+        gain = np.array([[1 / shares[letter] for letter in line] for line in self.pattern])
+        record_balance(rec, light, gain)
+        if self.method == "malvar":
+            return record_malvar(rec, light)
+        if self.method == "directional":
+            return record_directional(rec, light)
+        rows, cols = self.source.codes.shape
+        # What of the frame lies in this band: the rim beyond it is mirrored, and does not count.
+        top = max(self.top - start, 0)
+        last = min(rows + self.top - start, light.shape[0])
+        frame = (top, self.left, last - top, cols)
+        return record_bilinear(rec, light, self.pattern, self.source.colours, frame)
+
+    def _step(self) -> int:
+        """Return the pixels between sites of one colour, for the stage that mends defects."""
+        if self.method is None:
+            return 1
+        if _red_site(self.source.pattern) is None:
+            raise UserError(
+                "pixels that stand out are mended in Bayer arrays and without filters",
+                field="defects",
+                value=True,
+                allowed="false",
+            )
+        return 2
