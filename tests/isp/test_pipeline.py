@@ -206,8 +206,8 @@ def test_whites_are_found(device: Device, tmp_path, shoot):
         for white in ("as-shot", "A", "2856K", "patch:125,5,30,30", "grey-world", "D65")
     }
     assert_close(shown["as-shot"], true, atol=1e-6)
-    # The matrix for A keeps its white, and McCamy's formula takes A for some kelvin more: a share of
-    # 1e-3 of the other matrix. A blackbody's light and A's differ by their c2.
+    # The matrix for A keeps its white, and McCamy's formula takes A for some kelvin more: a share
+    # of 1e-3 of the other matrix. A blackbody's light and A's differ by their c2.
     assert_close(shown["A"], true, atol=5e-4)
     assert_close(shown["2856K"], true, atol=2e-3)
     # The white patch is flat to 0.02.
