@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from unittest import mock
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
@@ -40,6 +41,17 @@ def expected_adapter() -> None:
 def same_plans() -> Iterator[None]:
     """Make every plan from one table of rates, so that no test depends on the machine's speed."""
     with mock.patch("gpusim.render.renderer.adapter_costs", lambda device, **more: LAVAPIPE):
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Keep OpenBLAS to one thread.
+
+    The matrices of tests are small, and threads without work spin: beside another process a plan
+    takes 2 s of the processor with one thread and 9 s with two.
+    """
+    with threadpool_limits(1):
         yield
 
 

@@ -7,6 +7,7 @@ import json
 import re
 from html import escape
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import rawpy
 import tifffile
 from command_line import Ran, assert_refused, gpusim, process
 from fake_capture import COLS, ROWS, fake_capture
+from optics import made
 from PIL import Image
 
 from gpusim.cli import render
@@ -335,15 +337,24 @@ def test_a_best_effort_is_shown_on_the_screen_and_in_the_report(
     assert "planned for &lt;0.004&gt; in place" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.parametrize("traced", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_tolerance_that_cannot_be_met_is_refused_before_the_render(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, traced: bool
 ):
-    """At f/2.8 before filters of 7.8 um, of which eight samples are 1 um apart: edges alias."""
+    """PSFs of 0.35 um alias before filters of 12.4 um, of which eight samples are 1.6 um apart.
+
+    And so do those of a traced lens at f/2.8 before filters of 7.8 um.
+    """
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
     monkeypatch.setattr(renderer, "adapter_costs", lambda device, **more: LAVAPIPE)
     file = tmp_path / "camera.yaml"
-    large = "kodak-vga, rows: 32, cols: 48"
-    file.write_text(CAMERA.replace("imx477, rows: 96, cols: 128", large))
+    file.write_text(CAMERA.replace("imx477, rows: 96, cols: 128", "kodak-vga, rows: 32, cols: 48"))
+    if not traced:
+        large = made.sensor(32, 48).model_copy(update={"pixel_pitch_um": 12.4})
+        alike = {"coma_um": 0.0, "falloff": 0.0, "distortion": 0.0, "lateral": (0.0, 0.0, 0.0)}
+        lens = SimpleNamespace(title="Gaussians", model_dump=dict, history=())
+        camera = made.StubCamera(made.bank(sigma_um=3 * (0.35,), **alike), large, lens=lens)
+        monkeypatch.setattr(render, "load_camera", lambda *named: camera)
     given = ("render", file, "slanted-edge", "--out", tmp_path / "out", "--certify", 8)
     refused = gpusim(*given, "--tolerance", 1e-4)
     assert_refused(refused, "cannot be met", "alias of edges", "0.0001", "--best-effort")

@@ -23,6 +23,12 @@ def achromat(**fields):
     return lens(rows, glass_catalogues=["SCHOTT"], f_number=8.0, max_field_deg=0.0, **fields)
 
 
+def over_the_field(one):
+    """Return a bank of few fields, the first on the axis and the last at the edge."""
+    fields_deg = np.linspace(0.0, one.max_field_deg, 5)
+    return compute_bank(one, [450.0, 550.0, 650.0], fields_deg, size=64)
+
+
 @pytest.fixture
 def file(tmp_path):
     one = achromat()
@@ -44,7 +50,7 @@ def test_a_file_with_the_axis_alone_makes_a_bank(tmp_path, kind):
         "file: field on the axis alone: by 2 deg, a small field; a camera takes its sensor's"
     ]
     assert said[0].removeprefix("file: ") in read.history[-1]
-    bank = compute_bank(read, [450.0, 550.0, 650.0], size=64)
+    bank = compute_bank(read, [550.0], size=64)
     assert bank.field_deg[-1] == 2.0
     # f tan(theta), for a thin lens at its stop has no distortion (Welford, Aberrations of Optical
     # Systems, sec. 12.4); but the image plane is the focus of the d line, and the ideal height that
@@ -58,7 +64,7 @@ def test_a_camera_takes_such_a_lens_to_the_corners_of_its_sensor(tmp_path, file)
         camera.write_text(f"title: t\nlens: {{prescription: {file.name}}}\nsensor: {sensor}\n")
         made = load_camera(camera)
         corner_um = np.hypot(made.sensor.rows, made.sensor.cols) * made.sensor.pixel_pitch_um / 2
-        bank = compute_bank(made.lens, [450.0, 550.0, 650.0], size=64)
+        bank = over_the_field(made.lens)
         # With 2 % to spare at the reference of the lens; the bank's, 550 nm, differs by less.
         assert bank.image_circle_um == pytest.approx(1.02 * corner_um, rel=2e-3)
         assert bank.real_height_um[-1].min() > corner_um
@@ -86,8 +92,7 @@ def test_a_stop_that_is_closed_does_not_shrink_the_glass_of_such_a_lens(tmp_path
         )
         made = load_camera(camera).lens
         assert made.max_field_deg > 4 * SMALL_FIELD_DEG
-        bank = compute_bank(made, [450.0, 550.0, 650.0], size=64)
-        light.append(bank.relative_illumination)
+        light.append(over_the_field(made).relative_illumination)
     # Computed apertures touch the outermost ray: a share of 1e-3 of the pupil's cells lies there.
     np.testing.assert_allclose(light[0], light[1], rtol=1e-3)
 

@@ -14,16 +14,18 @@ from optics.made import ULP
 
 from gpusim.reference.mix import mix
 
-LENGTH, HALF, ROWS, CHANNELS = 160, 81, 20, 2
+LENGTH, HALF, CHANNELS = 160, 81, 2
 
 
-def made(side: int, per_cell: int, cells: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def made(
+    side: int, per_cell: int, cells: tuple[int, int], rows: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return random row spectra, and PSFs that differ from node to node; of each channel."""
     rng = np.random.default_rng(side + per_cell)
     blocks = cells[0] * cells[1] * per_cell**2
     spectra = rng.normal(size=(CHANNELS, blocks, side, HALF, 4)).astype(np.float32)
     psfs = np.zeros((CHANNELS, cells[0] + 1, cells[1] + 1, LENGTH, LENGTH))
-    psfs[..., :ROWS, :20] = rng.random((*psfs.shape[:3], ROWS, 20))
+    psfs[..., :rows, :20] = rng.random((*psfs.shape[:3], rows, 20))
     return spectra.view(np.complex64), psfs
 
 
@@ -39,12 +41,13 @@ def on_device(
     side: int,
     per_cell: int,
     cells: tuple[int, int],
+    rows: int,
     lines: int | None = None,
 ):
-    transformed = np.fft.rfft(psfs[..., :ROWS, :]) / LENGTH**2
+    transformed = np.fft.rfft(psfs[..., :rows, :]) / LENGTH**2
     down, across = (count * per_cell for count in cells)
     lines = CHANNELS * across * HALF if lines is None else lines
-    rows = (down - 1) * side + LENGTH
+    height = (down - 1) * side + LENGTH
     result = run_stage(
         "optics/mix",
         (-(-lines // 8), 1, 1),
@@ -53,13 +56,13 @@ def on_device(
             "spectra": paired(spectra.transpose(0, 1, 4, 2, 3)).astype(np.complex64),
             "psfs": paired(transformed).astype(np.complex64),
         },
-        {"columns": (CHANNELS * across * rows * HALF, np.complex64)},
+        {"columns": (CHANNELS * across * height * HALF, np.complex64)},
         SIDE=side,
-        ROWS=ROWS,
+        ROWS=rows,
         KEEP=per_cell == 1,
     )
-    found = result["columns"].reshape(CHANNELS, across, rows // 2, HALF, 2)
-    return found.transpose(0, 1, 3, 2, 4).reshape(CHANNELS, across, HALF, rows)
+    found = result["columns"].reshape(CHANNELS, across, height // 2, HALF, 2)
+    return found.transpose(0, 1, 3, 2, 4).reshape(CHANNELS, across, HALF, height)
 
 
 def bound(spectra: np.ndarray, psfs: np.ndarray) -> float:
@@ -70,13 +73,16 @@ def bound(spectra: np.ndarray, psfs: np.ndarray) -> float:
     return (52 * responses + 20 * LENGTH * rows) * ULP * 2 * columns
 
 
+# lavapipe compiles 9 s for each set of constants: these are those of test_blur, but for the last.
 @pytest.mark.parametrize(
-    ("side", "per_cell", "cells"),
-    [(128, 1, (1, 2)), (80, 2, (1, 1)), (80, 1, (3, 2)), (152, 1, (2, 1))],
+    ("side", "per_cell", "cells", "rows"),
+    [(128, 1, (1, 2), 32), (80, 2, (1, 1), 10), (80, 1, (3, 2), 32), (152, 1, (2, 1), 10)],
 )
-def test_columns_are_those_of_the_reference(side: int, per_cell: int, cells: tuple[int, int]):
-    spectra, psfs = made(side, per_cell, cells)
-    found = on_device(spectra, psfs, side, per_cell, cells)
+def test_columns_are_those_of_the_reference(
+    side: int, per_cell: int, cells: tuple[int, int], rows: int
+):
+    spectra, psfs = made(side, per_cell, cells, rows)
+    found = on_device(spectra, psfs, side, per_cell, cells, rows)
     across = cells[1] * per_cell
     expected = np.stack(
         [mix(*one, across, per_cell, LENGTH) for one in zip(spectra, psfs, strict=True)]
@@ -91,8 +97,8 @@ def test_columns_are_those_of_the_reference(side: int, per_cell: int, cells: tup
 
 
 def test_no_more_lines_than_asked_for_are_written():
-    spectra, psfs = made(80, 1, (1, 1))
-    found = on_device(spectra, psfs, 80, 1, (1, 1), lines=70)
+    spectra, psfs = made(80, 1, (1, 1), 32)
+    found = on_device(spectra, psfs, 80, 1, (1, 1), 32, lines=70)
     assert unwritten(found[0, 0, 70:].reshape(-1)).all()
     assert unwritten(found[1].reshape(-1)).all()
     assert not unwritten(found[0, 0, :70].reshape(-1)).any()
