@@ -9,7 +9,7 @@ import yaml
 from command_line import assert_refused, gpusim
 from metrics.made import write
 
-from gpusim.sensor.load import PRESETS
+from gpusim.sensor.load import PRESETS, load_sensor
 
 SMALL = ("--side", "64")
 
@@ -113,3 +113,22 @@ def test_bad_arguments_are_refused(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(gpusim("measure", "noise", *arguments), *words)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_sensor_file_of_what_was_measured_is_written(kept, tmp_path):
+    at, _ = kept
+    ran = gpusim("measure", "noise", at / "frames", "--sensor-out", tmp_path / "mine.yaml")
+    assert ran.code == 0, ran.err
+    assert str(tmp_path / "mine.yaml") in ran.out
+    mine, true = load_sensor(tmp_path / "mine.yaml"), load_sensor(at / "small.yaml")
+    # 64 x 64 pixels and pairs of frames: K to 0.3 %, noise to 2 %.
+    assert mine.system_gain_dn_per_e == pytest.approx(true.system_gain_dn_per_e, rel=0.02)
+    assert mine.temporal_dark_noise_e == pytest.approx(true.temporal_dark_noise_e, rel=0.1)
+    assert mine.bit_depth == true.bit_depth
+    assert (mine.rows, mine.cols) == (64, 64)
+    assert mine.pixel_pitch_um == true.pixel_pitch_um
+
+
+def test_a_simulated_sensor_has_its_file(tmp_path):
+    ran = gpusim("measure", "noise", "--sensor", "imx477", "--sensor-out", tmp_path / "a.yaml")
+    assert_refused(ran, "--sensor-out", "only with frames on disk")

@@ -539,7 +539,8 @@ def noise(
         typer.Argument(
             metavar="[PATH]",
             help="A folder of frames with their list, frames.csv: file, exposure_s, photons (per "
-            "pixel, 0 in the dark) and wavelength_nm of each. camera.json may give the pattern.",
+            "pixel, 0 in the dark) and wavelength_nm of each. camera.json may give the pattern. "
+            "Or a data set in the layout of EMVA 1288's working group, with EMVA1288_Data.txt.",
         ),
     ] = None,
     sensor: Annotated[
@@ -553,6 +554,10 @@ def noise(
     keep: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Folder for the simulated frames and their list."),
+    ] = None,
+    sensor_out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sensor file, a .yaml, to write of what was measured."),
     ] = None,
     side: Annotated[
         int, typer.Option(metavar="PX", min=32, help="Side of the part that is simulated.")
@@ -571,7 +576,7 @@ def noise(
     from gpusim.cli.measure import noise as run
 
     choose_adapter(adapter)
-    if code := run(path, sensor, out, keep, side, seed, as_json):
+    if code := run(path, sensor, out, keep, side, seed, as_json, sensor_out):
         raise typer.Exit(code)
 
 

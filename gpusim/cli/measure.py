@@ -14,10 +14,12 @@ from rich.text import Text
 
 import gpusim
 from gpusim.cli import screen
-from gpusim.cli.files import staging
+from gpusim.cli.files import staging, whole_file
+from gpusim.cli.sensor import YAML
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.metrics import flat_field, frames, loop
+from gpusim.metrics import descriptor, flat_field, frames, loop
+from gpusim.metrics.as_sensor import as_sensor
 from gpusim.metrics.emva import Characterisation, characterise
 from gpusim.metrics.figure import Figure
 from gpusim.plan.stages import sensor_runs
@@ -25,6 +27,7 @@ from gpusim.report.drawing import png
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.noise_html import noise_html
+from gpusim.sensor.conversion import sensor_text
 from gpusim.sensor.load import load_sensor
 
 FILES = ("noise.json", "noise.html", "noise.png")
@@ -38,6 +41,7 @@ def noise(
     side_px: int,
     seed: int,
     as_json: bool,
+    sensor_out: Path | None = None,
 ) -> int:
     """Measure frames on disk, or a simulated sensor; return the exit code.
 
@@ -47,7 +51,12 @@ def noise(
         raise UserError(
             "nothing to measure" if path is None else "two things to measure",
             field="PATH, --sensor",
-            allowed="a folder with frames.csv, or --sensor with a preset or a .yaml file",
+            allowed="a folder with frames.csv or EMVA1288_Data.txt, or --sensor with a preset or a "
+            ".yaml file",
+        )
+    if path is None and sensor_out is not None:
+        raise UserError(
+            "the sensor has a file", field="--sensor-out", allowed="only with frames on disk"
         )
     if path is not None and keep is not None:
         raise UserError("the frames are on disk", field="--keep", allowed="only with --sensor")
@@ -57,10 +66,20 @@ def noise(
         kept = frames.Kept(stack.enter_context(staging(keep))) if keep is not None else None
         progress = stack.enter_context(screen.progress_bar())
         if path is not None:
-            listed = frames.find_frames(path)
+            described = descriptor.find_descriptor(path)
+            listed = (
+                frames.find_frames(path)
+                if described is None
+                else descriptor.read_descriptor(described)
+            )
             title = listed.name
             found = characterise(list(frames.measure(listed, progress)), listed.sites)
             how = f"frames of {path}"
+            if sensor_out is not None:
+                size = frames.read_frame(next(iter(listed.groups.values()))[0]).shape
+                written = stack.enter_context(whole_file(sensor_out, YAML, "--sensor-out"))
+                made = as_sensor(found, listed, size)
+                written.write_text(sensor_text(made, f"Measured from {how}."), "utf-8")
         else:
             whole = load_sensor(sensor_name)
             sensor = flat_field.region(whole, side_px)
@@ -97,8 +116,9 @@ def noise(
         print(text)
     else:
         show(found, rows, f"{title}, {how}")
-        for name in FILES if out is not None else ():
-            Console().print(str(out / name), markup=False, highlight=False, soft_wrap=True)
+        paths = [out / name for name in FILES] if out is not None else []
+        for written in [*paths, *([sensor_out] if sensor_out is not None else [])]:
+            Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
     return 1 if rows is not None and loop.failed(rows) else 0
 
 

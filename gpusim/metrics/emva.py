@@ -33,6 +33,7 @@ from gpusim.metrics.nonuniformity import (
     half_saturated,
     response_nonuniformity,
 )
+from gpusim.metrics.outliers import Outlier, without_outliers
 from gpusim.metrics.statistics import Level, pooled
 from gpusim.metrics.transfer import LEAST_LEVELS, Transfer, refuse_disorder, transfer_of
 
@@ -51,6 +52,8 @@ class Channel:
     transfer : Transfer
     linearity : Linearity
     bright : Pattern or None
+    outliers : tuple of Outlier
+        Levels that contradict the others; no figure counts them.
     figures : dict of str to Figure
         ``responsivity_dn_per_photon``, ``system_gain_dn_per_e``, ``quantum_efficiency``,
         ``saturation_photons``, ``saturation_e``, ``sensitivity_threshold_photons``,
@@ -66,6 +69,7 @@ class Channel:
     transfer: Transfer
     linearity: Linearity
     bright: Pattern | None
+    outliers: tuple[Outlier, ...]
     figures: Mapping[str, Figure]
 
 
@@ -185,6 +189,8 @@ def _channel(
     transfer = curves[wavelength]
     where = "" if len(pattern) == 1 else f" of channel {name}"
     refuse_disorder(transfer, where)
+    transfer, outliers = without_outliers(transfer)
+    notes += [f"{one}{where}" for one in outliers]
     if transfer.photons.size < LEAST_LEVELS:
         notes.append(
             f"{transfer.photons.size} levels of light, the standard asks for {LEAST_LEVELS}"
@@ -234,4 +240,4 @@ def _channel(
         "linearity_error_max_percent": largest_error,
     }
     pixels = math.prod(dark[0].sites[sites[0]].shape) * len(sites)
-    return Channel(name, wavelength, pixels, transfer, straight, bright, figures)
+    return Channel(name, wavelength, pixels, transfer, straight, bright, outliers, figures)

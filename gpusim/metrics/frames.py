@@ -12,7 +12,8 @@
 light and wavelength belong together: two make a pair for the temporal variance, more also a stack
 for the non-uniformities. ``camera.json`` is optional: ``name``, ``pattern`` (of the filters from
 the first pixel, rows of channels: [["R", "G"], ["G", "B"]]; of a monochrome camera none) and
-``pixel_pitch_um``. Frames are .npy, .tif, .tiff or .dng, of whole numbers.
+``pixel_pitch_um``. Frames are .npy, .tif, .tiff, .png or .dng,
+of whole numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from gpusim.metrics.flat_field import Light
 from gpusim.metrics.statistics import Accumulator, Level
 
 LIST, CAMERA = "frames.csv", "camera.json"
-KINDS = (".npy", ".tif", ".tiff", ".dng")
+KINDS = (".npy", ".tif", ".tiff", ".dng", ".png")
 PLANCK_J_S, LIGHT_M_S = 6.62607015e-34, 299792458.0  # SI, exact
 LEAST_SIDE = 8  # photosites of a channel along each side: fewer have no statistics
 MONOCHROME = (("W",),)
@@ -54,12 +55,17 @@ class Frames:
         Filter pattern.
     groups : dict
         Files of each exposure time, number of photons and wavelength.
+    bit_depth : int or None
+        Of the frames; None where the list does not say it.
+    pixel_pitch_um : float or None
     """
 
     folder: Path
     name: str
     pattern: tuple[tuple[str, ...], ...]
     groups: dict[Key, list[Path]]
+    bit_depth: int | None = None
+    pixel_pitch_um: float | None = None
 
     @property
     def sites(self) -> tuple[str, ...]:
@@ -104,6 +110,20 @@ def find_frames(path: Path) -> Frames:
         raise UserError(
             "there are no frames", file=listed, allowed="a line for each frame below the titles"
         )
+    refuse_single(groups)
+    pattern = tuple(tuple(row) for row in camera.get("pattern", MONOCHROME))
+    name, pitch = camera.get("name", folder.resolve().name), camera.get("pixel_pitch_um")
+    return Frames(folder, name, pattern, groups, pixel_pitch_um=pitch)
+
+
+def refuse_single(groups: dict[Key, list[Path]]) -> None:
+    """Refuse a level with one frame.
+
+    Raises
+    ------
+    UserError
+        There is one.
+    """
     for (exposure, photons, _), files in groups.items():
         if len(files) < 2:
             raise UserError(
@@ -113,8 +133,6 @@ def find_frames(path: Path) -> Frames:
                 value=f"{exposure:g}, {photons:g}",
                 allowed="two frames or more of each light and exposure time",
             )
-    pattern = tuple(tuple(row) for row in camera.get("pattern", MONOCHROME))
-    return Frames(folder, camera.get("name", folder.resolve().name), pattern, groups)
 
 
 def measure(
@@ -186,7 +204,20 @@ def _read_dng(file: Path) -> np.ndarray:
         return raw.raw_image_visible.copy()
 
 
-_READERS = {".npy": read_npy, ".tif": read_tiff, ".tiff": read_tiff, ".dng": _read_dng}
+def _read_png(file: Path) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(file) as image:
+        return np.asarray(image)
+
+
+_READERS = {
+    ".png": _read_png,
+    ".npy": read_npy,
+    ".tif": read_tiff,
+    ".tiff": read_tiff,
+    ".dng": _read_dng,
+}
 
 
 def _camera(file: Path) -> dict:

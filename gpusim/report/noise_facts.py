@@ -86,6 +86,7 @@ def _channel(channel: Channel) -> dict[str, Any]:
         "pixels": channel.pixels,
         "figures": _figures(channel.figures),
         "transfer": {name: values.tolist() for name, values in vars(channel.transfer).items()},
+        "outliers": [dataclasses.asdict(one) for one in channel.outliers],
         "linearity": {
             "offset_dn": line.offset_dn,
             "slope_dn": line.slope_dn,
