@@ -1,3 +1,63 @@
-"""Camera image-chain simulator: from spectral radiance to the raw numbers a camera would write."""
+"""Camera image-chain simulator: from spectral radiance to the raw numbers a camera would write.
+
+>>> import gpusim as gs
+>>> camera = gs.Camera(gs.Lens.load("double-gauss"), gs.Sensor.load("imx477").roi(480, 640))
+>>> camera.sensor
+Sensor('IMX477-like', 640 x 480 pixels of 1.55 um, 12 bit, full well 8180 e-)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from gpusim.camera import Camera
+    from gpusim.errors import UserError
+    from gpusim.library.frame import Burst, Frame
+    from gpusim.library.lens import Lens
+    from gpusim.library.light import Light, expose
+    from gpusim.library.session import Session
+    from gpusim.scene.scene import Scene
+    from gpusim.sensor.sensor import Sensor
+
+# Where each public name lives: it is imported when it is first asked for, so that `import gpusim`
+# takes milliseconds.
+_HOMES = {
+    "Burst": "gpusim.library.frame",
+    "Camera": "gpusim.camera",
+    "Frame": "gpusim.library.frame",
+    "Lens": "gpusim.library.lens",
+    "Light": "gpusim.library.light",
+    "Scene": "gpusim.scene.scene",
+    "Sensor": "gpusim.sensor.sensor",
+    "Session": "gpusim.library.session",
+    "UserError": "gpusim.errors",
+    "expose": "gpusim.library.light",
+}
+__all__ = [
+    "Burst",
+    "Camera",
+    "Frame",
+    "Lens",
+    "Light",
+    "Scene",
+    "Sensor",
+    "Session",
+    "UserError",
+    "expose",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'gpusim' has no attribute {name!r}")
+    found = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

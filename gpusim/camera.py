@@ -121,14 +121,34 @@ class Camera:
 
     Attributes
     ----------
-    title : str
     lens : Lens
     sensor : Sensor
+    title : str
+        By default made of their names.
     """
 
-    title: str
     lens: Lens
     sensor: Sensor
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        """Name a camera that has no title after its parts."""
+        if not self.title:
+            object.__setattr__(self, "title", f"{self.lens.title}, {self.sensor.name}")
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, **changes: object) -> Camera:
+        """Return a camera of the package by its name, or that of a file: see `load_camera`.
+
+        ``changes``: fields of its lens in place of the file's, and ``sensor``.
+
+        Examples
+        --------
+        >>> Camera.load("demo", f_number=4.0).sensor.cols
+        2028
+        """
+        sensor = changes.pop("sensor", None)
+        return load_camera(name_or_path, changes or None, sensor)
 
     def bank(
         self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
@@ -197,7 +217,7 @@ def load_camera(
     lens = load_ready(ready) if ready is not None else _lens(path, fields.lens, sensor)
     # Light passes those in front of the lens first: the product is the same.
     filters = [*sensor.filters, *load_filters(fields.filters, path)]
-    return Camera(fields.title, lens, sensor.model_copy(update={"filters": filters}))
+    return Camera(lens, sensor.model_copy(update={"filters": filters}), fields.title)
 
 
 def _no_camera(name: str) -> str:

@@ -146,7 +146,7 @@ def test_optical_black_is_shifted_with_the_rest():
     found = captured(ccd(optical_black=black, overscan=AFTER), noise=True)
     rows, cols = plain.raw.shape
     assert found.raw.shape == (rows + MORE, cols + MORE)
-    assert found.masked_areas == plain.masked_areas
+    assert found.areas.masked == plain.areas.masked
     assert_close(found.raw[:rows, :cols].copy(), plain.raw, atol=0)
 
 
@@ -278,7 +278,7 @@ def test_the_file_holds_the_overscan_and_the_picture_does_not(whole: Capture, tm
         assert_close(raw.raw_image.copy(), whole.raw, atol=0)
         assert_close(raw.raw_image_visible.copy(), whole.raw[LIT].copy(), atol=0)
     assert np.asarray(Image.open(tmp_path / "developed.png")).shape == (ROWS, COLS, 3)
-    assert whole.masked_areas == []  # what trails into it is no black level
+    assert whole.areas.masked == ()  # what trails into it is no black level
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ def varied(tmp_path_factory):
 
 
 def test_an_edge_has_the_contrast_of_the_table(alike):
-    camera = Camera("a camera", alike, monochrome())
+    camera = Camera(alike, monochrome(), "a camera")
     accuracy = Accuracy(tolerance=2e-3, probes=4)
     half_um = 96 * PITCH_UM / 2
     # The left side of the bar goes through the centre, at 6 degrees to the columns.
@@ -115,7 +115,7 @@ def test_an_edge_has_the_contrast_of_the_table(alike):
 
 
 def test_a_lens_that_varies_meets_the_certificate(varied):
-    camera = Camera("a camera", varied, sensor())
+    camera = Camera(varied, sensor(), "a camera")
     found = shot(camera, scene(shapes()), Accuracy(tolerance=1e-2, probes=6))
     assert found.certificate.met and found.certificate.rms_relative > 1e-6
 
@@ -128,7 +128,7 @@ def test_an_even_field_keeps_its_light(tmp_path):
         for h, k, d in ((0, 1, 0), (0.08, 0.97, -0.3), (0.17, 0.88, -1.2))
     ]
     ready = lens(tmp_path, "[[400, 500], 650]", fields)
-    camera = Camera("a camera", ready, monochrome())
+    camera = Camera(ready, monochrome(), "a camera")
     accuracy = Accuracy(tolerance=3e-3, probes=0)
     found = shot(camera, scene(spectra=FLAT[None]), accuracy).rate.astype(float)
     y, x = (np.indices(found.shape) + 0.5 - np.array([[[48]], [[64]]])) * PITCH_UM

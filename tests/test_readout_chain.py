@@ -56,7 +56,7 @@ def test_the_light_is_that_of_the_sensor_without_a_border(kind):
         one.release()
     bare, framed = shots
     assert framed.raw.shape == (75, 97) and bare.raw.shape == (64, 80)
-    assert framed.active_area == (8, 12, 64, 80) and framed.rect == (-8, -12, 75, 97)
+    assert framed.areas.active == (8, 12, 64, 80) and framed.rect == (-8, -12, 75, 97)
     assert_close(framed.rate[LIT], bare.rate, atol=0)
     outside = framed.rate.copy()
     outside[LIT] = 0
@@ -106,7 +106,7 @@ def test_a_tile_is_of_lit_pixels_and_that_part_of_the_whole(
     found = framed.capture(0.01, seed=5, tile=tile, keep=KEEP)
     for name in ("raw", *KEEP):
         assert_close(getattr(found, name), getattr(whole, name)[part].copy(), atol=0)
-    assert found.active_area == (0, 0, height, width) and found.masked_areas == []
+    assert found.areas.active == (0, 0, height, width) and found.areas.masked == ()
 
 
 def test_files_have_the_border_and_the_picture_has_not(whole: Capture, tmp_path: Path):

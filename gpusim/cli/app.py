@@ -282,6 +282,88 @@ def render(
 
 
 @app.command()
+def burst(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    frames: Annotated[int, typer.Option(metavar="N", help="How many frames are read.")] = 8,
+    exposure: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SECONDS",
+            help="Exposure times, in turns: 1/240,1/60; by default white at 71 % of saturation.",
+        ),
+    ] = None,
+    iso: Annotated[
+        str | None, typer.Option(metavar="SPEEDS", help="ISO speeds, in turns: 100,400.")
+    ] = None,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Keep the mean signal too, in DN, without noise.")
+    ] = False,
+    form: Annotated[
+        str, typer.Option("--format", metavar="KIND", help="npz (all in one), dng or exr.")
+    ] = "npz",
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Of the noise; frames of one seed are independent.")
+    ] = 0,
+    temperature: Annotated[
+        float | None,
+        typer.Option(metavar="C", help="Of the sensor, in Celsius; that of its data if not given."),
+    ] = None,
+    luminance: Annotated[
+        float | None,
+        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+    ] = None,
+    illuminant: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Light on a chart: D50, A, ..., 5100K.")
+    ] = None,
+    tolerance: Annotated[
+        str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
+    ] = "1e-3",
+    certify: Annotated[
+        int, typer.Option(metavar="N", help="Probe pixels of the certificate; 0: none.")
+    ] = 64,
+    tile: Annotated[
+        str | None, typer.Option(metavar="X,Y,W,H", help="Only this rectangle of lit pixels.")
+    ] = None,
+    best_effort: BestEffort = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print burst.json.")] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Read one light many times: bursts and brackets, with what each frame's truth is.
+
+    The optics run once; each frame costs the sensor alone. Exit code 1 where the certificate does
+    not meet the tolerance.
+    """
+    from gpusim.cli.burst import run
+
+    choose_adapter(adapter)
+    if code := run(
+        camera,
+        scene,
+        out,
+        frames=frames,
+        exposure=exposure,
+        iso=iso,
+        truth=truth,
+        form=form,
+        seed=seed,
+        temperature_c=temperature,
+        luminance_cd_m2=luminance,
+        illuminant=illuminant,
+        tolerance=tolerance,
+        probes=certify,
+        tile=tile,
+        best_effort=best_effort,
+        show="json" if as_json else "nothing" if quiet else "table",
+    ):
+        raise typer.Exit(code)
+
+
+@app.command()
 def chart(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],

@@ -220,27 +220,28 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
     """
     planes = {name: getattr(capture, name) for name in KEPT_PLANES}
     kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
-    sensor = capture.camera.sensor.cut(*capture.lit[:2])
+    areas = capture.areas
+    sensor = capture.camera.sensor.cut(*areas.lit[:2])
     raw = "raw.dng" if has_dng(sensor) else "raw.tif"
     names = [raw, "developed.png", "report.json", "report.html"]
     write_dng(
         folder / raw,
         capture.raw,
         sensor,
-        active_area=capture.active_area,
-        masked_areas=capture.masked_areas,
+        active_area=areas.active,
+        masked_areas=areas.masked,
         white_e=capture.white_e,
         exposure_s=capture.exposure_s,
         transmission=capture.transmission,
         optics=capture.optics,
-        place=capture.lit[:2],
+        place=areas.lit[:2],
         temperature_c=capture.temperature_c,
         ev=ev,
     )
     developed = develop(folder / raw)
     # Noise hardly compresses: of 3 MP 5.7 MB in 0.46 s, at the default level 5.1 MB in 0.87 s.
     Image.fromarray(developed).save(folder / "developed.png", compress_level=3)
-    if quad_phase(sensor.cfa.letters) is not None and min(capture.lit[2:]) >= 2 * PERIOD:
+    if quad_phase(sensor.cfa.letters) is not None and min(areas.lit[2:]) >= 2 * PERIOD:
         frame = read_raw(folder / raw)
         for kind in ("remosaiced", "binned"):
             write_bayer(frame, folder / f"{kind}.dng", binned=kind == "binned")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -110,6 +111,19 @@ class Recording:
         self._params = bytearray()
         self._offsets: dict[bytes, int] = {}
         self._downloads: set[str] = set()
+        self._prefix = ""
+
+    @contextmanager
+    def labelled(self, prefix: str) -> Iterator[None]:
+        """Begin the labels of all buffers that are declared meanwhile with a text.
+
+        So that one recording holds the same work several times.
+        """
+        before, self._prefix = self._prefix, self._prefix + prefix
+        try:
+            yield
+        finally:
+            self._prefix = before
 
     def buffer(
         self,
@@ -125,6 +139,7 @@ class Recording:
         ShaderError
             The label is taken, or the dtype is none that shaders have.
         """
+        label = self._prefix + label
         if label in self._proxies:
             raise ShaderError(f"this recording already has a buffer {label!r}")
         proxy = self._proxies[label] = Proxy(label, shape, dtype, use)

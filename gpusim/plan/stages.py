@@ -366,13 +366,16 @@ def _sensor_stages(
     )
 
 
-def sensor_runs(sensor: Sensor) -> Callable[[str], bool]:
-    """Return whether a stage of the sensor runs with its noise, by name, as ``Plan.runs`` does."""
+def sensor_runs(sensor: Sensor, noise: bool = True) -> Callable[[str], bool]:
+    """Return whether a stage of the sensor runs, by name, as ``Plan.runs`` does.
+
+    ``noise``: with its noise and fixed patterns.
+    """
 
     def part(name: str, needed: bool, used: str, unused: str) -> PlanStage:
         return PlanStage(name, needed, used if needed else unused)
 
-    stages = _sensor_stages(sensor, LAVAPIPE, True, part)
+    stages = _sensor_stages(sensor, LAVAPIPE, noise, part)
     return {one.name for one in stages if one.runs}.__contains__
 
 

@@ -14,7 +14,7 @@ from gpusim.plan.band import Band
 from gpusim.plan.costs import Costs
 from gpusim.plan.tiles import Rect
 from gpusim.scene.scene import Scene
-from gpusim.sensor.frame import overlap, parts_around
+from gpusim.sensor.frame import Areas, areas_of
 
 
 @dataclass(frozen=True)
@@ -93,19 +93,6 @@ class Capture:
     costs: Costs | None = None
 
     @property
-    def lit(self) -> Rect:
-        """The pixels that see light: their first row and column, rows and columns."""
-        return overlap(self.rect, self.camera.sensor.frame.lit)
-
-    @property
-    def active_area(self) -> Rect:
-        """Where these lie in the raw: first row and column, rows and columns."""
-        row, col, rows, cols = self.lit
-        return row - self.rect[0], col - self.rect[1], rows, cols
-
-    @property
-    def masked_areas(self) -> list[Rect]:
-        """Where pixels shielded from light lie in the raw."""
-        shielded = parts_around(self.lit, overlap(self.rect, self.camera.sensor.frame.pixels))
-        first_row, first_col = self.rect[:2]
-        return [(row - first_row, col - first_col, *size) for row, col, *size in shielded]
+    def areas(self) -> Areas:
+        """Which pixels of the raw see light."""
+        return areas_of(self.rect, self.camera.sensor.frame)

@@ -28,12 +28,19 @@ class Lighting:
     take : callable
         Called with each tile, its light (S, rows, cols) on the device, and the rectangle of whole
         periods that the light is of.
+    seen : callable, optional
+        Returns the lit pixels that a tile needs; by default those of what reads it out.
     """
 
     def __init__(
-        self, renderer: Renderer, rect: Rect, take: Callable[[Rect, Resident, Rect], None]
+        self,
+        renderer: Renderer,
+        rect: Rect,
+        take: Callable[[Rect, Resident, Rect], None],
+        seen: Callable[[Rect], Rect] | None = None,
     ) -> None:
         self.renderer, self.rect, self.take = renderer, rect, take
+        self.seen = seen or renderer.lit
         self.times_s: dict[str, float] = defaultdict(float)
         self.work = {"tiles": 0, "blocks": 0}
         self.notes: list[str] = []
@@ -44,7 +51,7 @@ class Lighting:
         period = renderer.period
         self._check_memory()
         tiles = deque(tiles_of(self.rect, period, renderer.memory_bytes, tile_px, renderer.layers))
-        wanted = {aligned(renderer.lit(tile), period) for tile in tiles}
+        wanted = {aligned(self.seen(tile), period) for tile in tiles}
         renderer.kept = {tile: one for tile, one in renderer.kept.items() if tile in wanted}
         done, left = 0, sum(map(self._steps, tiles))
 
@@ -72,7 +79,7 @@ class Lighting:
 
     def _steps(self, tile: Rect) -> int:
         renderer = self.renderer
-        whole = aligned(renderer.lit(tile), renderer.period)
+        whole = aligned(self.seen(tile), renderer.period)
         return 1 + (0 if whole in renderer.kept else sum(1 for _ in renderer.lines(whole)))
 
     def _check_memory(self) -> None:
@@ -98,7 +105,7 @@ class Lighting:
         """Render one tile: each block that it needs, from source to sites; highlights; sensor."""
         renderer = self.renderer
         device, period = renderer.device, renderer.period
-        whole = aligned(renderer.lit(tile), period)
+        whole = aligned(self.seen(tile), period)
         count = renderer.plan.scales[0].grid.sites
         sites = (count, whole[2] // period, whole[3] // period)
         rates = device.empty("rates", sites, np.float32)

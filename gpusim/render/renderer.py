@@ -13,11 +13,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
-from gpusim.certify import Share, bank_share, certify, sensor_share
+from gpusim.certify import Certificate, Share, bank_share, certify, sensor_share
 from gpusim.errors import UserError
 from gpusim.gpu import Device, OutOfMemoryError, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
-from gpusim.isp.optics import optics_of
+from gpusim.isp.optics import Optics, optics_of
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
@@ -42,10 +42,10 @@ from gpusim.plan.tiles import (
 )
 from gpusim.render.capture import Capture
 from gpusim.render.coarse import CoarseCamera, seen_by
-from gpusim.render.frames import Reader, frame_of, lit_for
 from gpusim.render.highlights import SplattedLight
 from gpusim.render.lighting import Lighting
 from gpusim.render.look import look
+from gpusim.render.reading import Reader, Reading, lit_for, reading_of
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -279,13 +279,11 @@ class Renderer:
             does not suffice for the smallest tile.
         """
         sensor = self.camera.sensor
-        _check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
+        check_shot(exposure_s, seed, frame)
         if self.accuracy.unit == "sigma":
             longest = f"{self.longest_s:g} s or less, for which the tolerance in sigmas was planned"
             _check("exposure", exposure_s, exposure_s <= self.longest_s, longest)
-        _check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
-        _check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
-        rect = _rectangle(tile, sensor)
+        rect = rectangle(tile, sensor)
         if tile_px is not None:
             _check("tile-size", tile_px, tile_px >= self.period, f"{self.period} or more")
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
@@ -298,7 +296,7 @@ class Renderer:
         taken = Shot(exposure_s, own_seed, frame, temperature_c)
         # The seconds of the light and of the read-out are counted together.
         lighting = Lighting(self, rect, lambda *light: shot.take(*light))
-        shot = frame_of(self.reader(lighting.run), rect, names, folder, taken)
+        shot = reading_of(self.reader(lighting.run), rect, names, folder, taken)
         lighting.rect = shot.rect
         report = progress or (lambda what, done, total: None)
         made = sum(convolve.made for convolve in self.convolutions)
@@ -312,58 +310,17 @@ class Renderer:
 
         certificate = None
         if self.accuracy.probes:
-            seen = overlap(rect, sensor.frame.lit)
-            top, left = seen[0] - rect[0], seen[1] - rect[1]
-
-            def readout(pixels: np.ndarray) -> tuple[Share, str]:
-                with self.device.pool.within(self.memory_bytes):
-                    made = shot.mean_signal()
-                noise = self.plan.runs("noise")
-                return sensor_share(
-                    sensor, made, pixels, exposure_s, temperature_c, noise, self.accuracy
-                )
-
-            light = shot.on_rect("rate")[top : top + seen[2], left : left + seen[3]]
-            certificate = certify(
-                self.bank,
-                sensor,
-                self.scene,
-                self.placed,
-                light,
-                self.glare,
-                exposure_s,
-                self.accuracy,
-                lambda done, total: report("certify", done, total),
-                origin=seen[:2],
-                readout=readout,
-                judged=lambda: bank_share(
-                    self.bank,
-                    self.camera.lens,
-                    sensor,
-                    self.scene,
-                    self.placed,
-                    light,
-                    seen[:2],
-                    exposure_s,
-                    self.accuracy,
-                    lambda done, total: report("trace anew", done, total),
-                    self.band.dropped,
-                ),
-            )
+            certificate = self.certificate(shot, rect, exposure_s, temperature_c, report)
         return Capture(
             costs=self._costs,
             band=self.band,
             raw=shot.on_rect("dn"),
             rate=shot.on_rect("rate") if "rate" in keep else None,
             electrons=shot.on_rect("electrons") if "electrons" in keep else None,
-            white_e=self._white_e(exposure_s),
-            transmission=np.interp(
-                WAVELENGTHS_NM, self.core.wavelengths_nm, self.core.transmission
-            ),
-            optics=optics_of(self.camera.lens.title, self.bank),
-            notes=self.scene.notes
-            + ((self.placed.note,) if isinstance(self.placed, PlacedRaster) else ())
-            + tuple(lighting.notes),
+            white_e=self.white_e(exposure_s),
+            transmission=self.transmission,
+            optics=self.optics,
+            notes=self.notes + tuple(lighting.notes),
             plan=self.plan,
             times_s=dict(lighting.times_s),
             wall_s=wall_s,
@@ -380,6 +337,67 @@ class Renderer:
             exposure_s=exposure_s,
             accuracy=self.accuracy,
             temperature_c=temperature_c,
+        )
+
+    def certificate(
+        self,
+        reading: Reading,
+        rect: Rect,
+        exposure_s: float,
+        temperature_c: float,
+        report: Progress,
+    ) -> Certificate:
+        """Judge a rectangle that was read at probe pixels: see `gpusim.certify`.
+
+        Parameters
+        ----------
+        reading : Reading
+            With the planes ``rate`` and ``mean``.
+        rect : (row, col, rows, cols)
+            What was read.
+        exposure_s, temperature_c : float
+            With which it was read.
+        report : callable
+            Called with (what, done, total).
+        """
+        sensor = self.camera.sensor
+        seen = overlap(rect, sensor.frame.lit)
+        top, left = seen[0] - rect[0], seen[1] - rect[1]
+
+        def readout(pixels: np.ndarray) -> tuple[Share, str]:
+            with self.device.pool.within(self.memory_bytes):
+                made = reading.mean_signal()
+            noise = self.plan.runs("noise")
+            return sensor_share(
+                sensor, made, pixels, exposure_s, temperature_c, noise, self.accuracy
+            )
+
+        light = reading.on_rect("rate")[top : top + seen[2], left : left + seen[3]]
+        return certify(
+            self.bank,
+            sensor,
+            self.scene,
+            self.placed,
+            light,
+            self.glare,
+            exposure_s,
+            self.accuracy,
+            lambda done, total: report("certify", done, total),
+            origin=seen[:2],
+            readout=readout,
+            judged=lambda: bank_share(
+                self.bank,
+                self.camera.lens,
+                sensor,
+                self.scene,
+                self.placed,
+                light,
+                seen[:2],
+                exposure_s,
+                self.accuracy,
+                lambda done, total: report("trace anew", done, total),
+                self.band.dropped,
+            ),
         )
 
     def lines(self, rect: Rect) -> Iterator[tuple[int, list[tuple[int, int]]]]:
@@ -556,11 +574,13 @@ class Renderer:
         light = self.splat.light(tiles, lambda done, total: report("splat", done, total))
         self.splatted = SplattedLight(rect, self.period, tiles, light)
 
-    def light(self, rect: Rect) -> np.ndarray:
+    def light(self, rect: Rect, progress: Progress | None = None) -> np.ndarray:
         """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
 
-        Whole periods of the filter pattern; without veiling glare.
+        Whole periods of the filter pattern; without veiling glare. ``progress``: called with
+        (what, done, total).
         """
+        report = progress or (lambda what, done, total: None)
         period, (row, col, rows, cols) = self.period, aligned(rect, self.period)
         size = self.plan.scales[0].grid.sites, rows // period, cols // period
         found = np.empty(size, np.float32)
@@ -570,13 +590,29 @@ class Renderer:
             high, wide = whole[2] // period, whole[3] // period
             found[:, top : top + high, left : left + wide] = self.device.read(rates)
 
-        lighting = Lighting(self, rect, take)
+        lighting = Lighting(self, rect, take, lambda tile: tile)
         with self.device.pool.within(self.memory_bytes):
-            self._hold(rect, None, lambda what, done, total: None)
-            lighting.render(None, lambda done, total: None)
+            self._hold(rect, None, report)
+            lighting.render(None, lambda done, total: report("render", done, total))
         return found
 
-    def _white_e(self, exposure_s: float) -> dict[str, float]:
+    @property
+    def transmission(self) -> np.ndarray:
+        """Transmission of the lens at WAVELENGTHS_NM, shape (61,)."""
+        return np.interp(WAVELENGTHS_NM, self.core.wavelengths_nm, self.core.transmission)
+
+    @property
+    def optics(self) -> Optics:
+        """What files say of the lens."""
+        return optics_of(self.camera.lens.title, self.bank)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How the scene was read and placed."""
+        placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
+        return self.scene.notes + placed
+
+    def white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
         sensor = self.camera.sensor
         weights = spectral_weights(self.core, sensor, wavelengths_nm=self.scene.wavelengths_nm)
@@ -587,7 +623,7 @@ class Renderer:
         }
 
 
-def _rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:
+def rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:
     """Return a tile (x, y, width, height) as rows and columns; without one all that is read."""
     if tile is None:
         return sensor.frame.read
@@ -596,6 +632,18 @@ def _rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:
     allowed = f"x, y, width, height of pixels within {sensor.cols} x {sensor.rows}"
     _check("tile", tile, inside, allowed)
     return (y, x, height, width)
+
+
+def check_shot(exposure_s: float, seed: int, frame: int) -> None:
+    """Refuse an exposure, a seed or a frame number that is none.
+
+    Raises
+    ------
+    UserError
+    """
+    _check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
+    _check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
+    _check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
 
 
 def _check(field: str, value: object, valid: bool, allowed: str) -> None:
@@ -630,7 +678,7 @@ def capture(
     """
     if gain is not None:
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
-    _rectangle(tile, camera.sensor)  # before the long work
+    rectangle(tile, camera.sensor)  # before the long work
     camera.sensor.dark_current_at(temperature_c)  # as well
     renderer = Renderer(
         camera,

@@ -48,7 +48,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
     dict
         Every parameter, the seed, adapter and driver, versions, plan, times [s] and certificate.
     """
-    first_row, first_col, rows, cols = capture.lit
+    first_row, first_col, rows, cols = capture.areas.lit
     return {
         "gpusim": gpusim.__version__,
         "created": f"{datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC",
@@ -96,7 +96,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
 
 def _saturated(capture: Capture) -> float:
     """Return the share of the lit pixels that are saturated."""
-    row, col, rows, cols = capture.active_area
+    row, col, rows, cols = capture.areas.active
     lit = capture.raw[row : row + rows, col : col + cols]
     return saturated_share(lit, capture.camera.sensor) if lit.size else 0.0
 

@@ -80,6 +80,81 @@ class Scene:
     made_of: tuple[Known, ...] = ()
     illumination: str = ""
 
+    @classmethod
+    def load(cls, name_or_path: str | Path, **options: object) -> Scene:
+        """Return a chart by its name, or a photograph from a file: see `make_scene`.
+
+        Examples
+        --------
+        >>> Scene.load("colorchecker", illuminant="D65").white_luminance_cd_m2
+        300.0
+        """
+        return make_scene(name_or_path, **options)
+
+    @staticmethod
+    def from_rgb(
+        rgb: np.ndarray,
+        white_cd_m2: float = DEFAULT_WHITE_LUMINANCE_CD_M2,
+        name: str = "RGB array",
+    ) -> Scene:
+        """Return a photograph that is an array, laid over the whole sensor.
+
+        Parameters
+        ----------
+        rgb : ndarray (rows, cols, 3)
+            Linear R, G, B with the primaries of Rec. 709, none negative.
+        white_cd_m2 : float
+            Luminance of RGB (1, 1, 1), cd/m^2. Spectra are those of Mallett and Yuksel (2019),
+            under D65.
+        name : str
+
+        Raises
+        ------
+        UserError
+            Another shape, a value that is no light, or a luminance that is not positive.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> Scene.from_rgb(np.full((40, 60, 3), 0.18), white_cd_m2=500).illuminant
+        'D65'
+        """
+        from gpusim.scene.arrays import rgb_scene
+
+        return rgb_scene(rgb, white_cd_m2, name)
+
+    @staticmethod
+    def from_spectra(
+        radiance: np.ndarray, wavelengths_nm: np.ndarray, name: str = "spectral array"
+    ) -> Scene:
+        """Return a scene of spectral radiance, laid over the whole sensor.
+
+        Parameters
+        ----------
+        radiance : ndarray (rows, cols, bands)
+            W m^-2 sr^-1 nm^-1, none negative; linear in wavelength between bands, and none beyond.
+            White, for exposure and white balance, is the mean of the brightest hundredth.
+        wavelengths_nm : ndarray (bands,)
+            Rising.
+        name : str
+
+        Raises
+        ------
+        UserError
+            Another shape, wavelengths that do not rise or are not seen, or a value that is no
+            light.
+        """
+        from gpusim.scene.arrays import spectral_scene
+
+        return spectral_scene(radiance, wavelengths_nm, name)
+
+    def __repr__(self) -> str:
+        kind = "chart" if isinstance(self.source, Chart) else "picture"
+        return (
+            f"Scene({self.name!r}, {kind}, {self.illuminant}, "
+            f"white {self.white_luminance_cd_m2:.4g} cd/m^2)"
+        )
+
     @property
     def known(self) -> tuple[Known, ...]:
         """Over which wavelengths the scene's light is known; of spectra of one's own, theirs."""
@@ -239,12 +314,31 @@ def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:
     notes = photograph.notes
     if not known:
         notes += (f"the file gives no whiteLuminance: RGB (1, 1, 1) taken as {scale:g} cd/m^2",)
+    return lit_rgb(path.name, photograph.rgb, np.asarray(photograph.white_rgb), scale, notes)
+
+
+def lit_rgb(
+    name: str, planes: np.ndarray, white_rgb: np.ndarray, scale_cd_m2: float, notes: tuple[str, ...]
+) -> Scene:
+    """Return a photograph: spectra of Mallett and Yuksel (2019), under D65.
+
+    Parameters
+    ----------
+    name : str
+    planes : ndarray (3, rows, cols), float32
+        Linear R, G, B of Rec. 709.
+    white_rgb : ndarray (3,)
+        What is white in it.
+    scale_cd_m2 : float
+        Luminance of RGB (1, 1, 1).
+    notes : tuple of str
+    """
 
     def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        daylight = white_radiance("D65", scale, wavelengths_nm)
+        daylight = white_radiance("D65", scale_cd_m2, wavelengths_nm)
         spectra = rgb_reflectances(wavelengths_nm) * daylight
-        return spectra, np.asarray(photograph.white_rgb) @ spectra
+        return spectra, white_rgb @ spectra
 
     spectra, white = light(WAVELENGTHS_NM)
     given = {"light": light, "made_of": (rgb_known(), illuminant_known("D65"))}
-    return Scene(path.name, spectra, Raster(photograph.rgb), "D65", white, notes, **given)
+    return Scene(name, spectra, Raster(planes), "D65", white, notes, **given)

@@ -104,3 +104,35 @@ def parts_around(lit: Rect, frame: Rect) -> list[Rect]:
         (lit[0], col + right, lit[2], cols - right),
     ]
     return [part for part in parts if part[2] and part[3]]
+
+
+@dataclass(frozen=True)
+class Areas:
+    """Which pixels of a raw see light.
+
+    Attributes
+    ----------
+    lit : Rect
+        These, counted from the first lit pixel of the sensor.
+    active : Rect
+        Where they lie in the raw.
+    masked : tuple of Rect
+        Where pixels shielded from light lie in the raw.
+    """
+
+    lit: Rect
+    active: Rect
+    masked: tuple[Rect, ...]
+
+
+def areas_of(rect: Rect, frame: Frame) -> Areas:
+    """Return which pixels of a raw, a rectangle of all that is read, see light."""
+    lit = overlap(rect, frame.lit)
+    shielded = parts_around(lit, overlap(rect, frame.pixels))
+    row, col = rect[:2]
+    first_row, first_col, *size = lit
+    return Areas(
+        lit,
+        (first_row - row, first_col - col, *size),
+        tuple((one[0] - row, one[1] - col, *one[2:]) for one in shielded),
+    )

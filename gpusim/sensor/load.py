@@ -8,7 +8,6 @@ from gpusim.config.mistakes import checked
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
-from gpusim.sensor.misregistration import mixed
 from gpusim.sensor.sensor import Sensor
 
 PRESETS = Path(__file__).resolve().parents[1] / "data" / "sensors"
@@ -37,8 +36,4 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
                 value=name_or_path,
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
-    sensor = mixed(checked(Sensor, read_yaml(path, "the sensor file"), path, folder=path.parent))
-    if sensor.masks is None:
-        return sensor
-    area = (sensor.first_row, sensor.first_col, sensor.rows, sensor.cols)
-    return sensor.model_copy(update={"masks": sensor.masks.placed(path.parent, area)})
+    return checked(Sensor, read_yaml(path, "the sensor file"), path, folder=path.parent)

@@ -30,6 +30,7 @@ from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
 from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.frame import Border, Frame, Overscan
+from gpusim.sensor.misregistration import mixed
 from gpusim.sensor.noise_model import Defects, LineNoise, Masks, ReadNoiseLaw, ResetNoise
 from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.smear_model import Smear
@@ -206,9 +207,42 @@ class Sensor(Strict):
         return data | {"eqe_map": found, "quantum_efficiency": found.at_normal_incidence()}
 
     @model_validator(mode="after")
-    def _consistent(self) -> Sensor:
+    def _consistent(self, info: ValidationInfo) -> Sensor:
+        """Check the fields against each other; mix shifted filters, and find the masks' files."""
         check_fields(self)
+        # Validation may not return another model: what these two change is put into this one.
+        self.__dict__.update(mixed(self).__dict__)
+        if self.masks is not None:
+            folder = (info.context or {}).get("folder", Path())
+            area = (self.first_row, self.first_col, self.rows, self.cols)
+            self.__dict__["masks"] = self.masks.placed(folder, area)
         return self
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Sensor:
+        """Return a sensor of the package by its name, or that of a file.
+
+        Raises
+        ------
+        UserError
+            Unknown preset; a file that cannot be read or is no YAML; a wrong field.
+
+        Examples
+        --------
+        >>> Sensor.load("imx477").roi(480, 640).rows
+        480
+        """
+        from gpusim.sensor.load import load_sensor
+
+        return load_sensor(name_or_path)
+
+    def __repr__(self) -> str:
+        return (
+            f"Sensor({self.name!r}, {self.cols} x {self.rows} pixels of "
+            f"{self.pixel_pitch_um:g} um, {self.bit_depth} bit, full well {self.full_well_e:g} e-)"
+        )
+
+    __str__ = __repr__
 
     @property
     def response_um(self) -> float | Response:

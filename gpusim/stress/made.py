@@ -91,7 +91,7 @@ def mono(rows: int = 48, cols: int = 64) -> Sensor:
 def camera_of(bank: Bank, sensor: Sensor) -> Camera:
     """Return a camera with a given bank."""
     lens = SimpleNamespace(title="Gaussians", bank=lambda progress=None: bank)
-    return Camera("stress", lens, sensor)
+    return Camera(lens, sensor, "stress")
 
 
 def edge_scene(position: float, dark: float = 0.05) -> Scene:

@@ -23,7 +23,7 @@ from gpusim.certify import Certificate, MeanSignal, Placed, engine, sensor_share
 from gpusim.certify import sensor as module
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.plan import Accuracy
-from gpusim.render import Renderer, frames, renderer
+from gpusim.render import Renderer, reading, renderer
 from gpusim.sensor import cti
 from gpusim.sensor.adc_model import DualGain
 from gpusim.sensor.cfa import ColourFilterArray
@@ -197,7 +197,7 @@ def test_the_note_says_what_was_covered():
 
 def test_without_a_certificate_nothing_of_it_is_done(monkeypatch):
     asked = []
-    for kind in (frames.CmosFrame, frames.CcdFrame):
+    for kind in (reading.CmosReading, reading.CcdReading):
         right = kind.__init__
 
         def spy(self, renderer, rect, names, folder, shot, right=right):

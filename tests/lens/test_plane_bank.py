@@ -309,13 +309,13 @@ def test_a_camera_takes_a_moved_lens_and_keeps_its_bank(monkeypatch, tmp_path):
     monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
     seen = []
     sensor = load_sensor("imx477").roi(640, 480)
-    camera = Camera("moved", moved(), sensor)
+    camera = Camera(moved(), sensor, "moved")
     first = camera.bank(lambda *step: seen.append(step))
     again = camera.bank()
     assert isinstance(first, PlaneBank) and len(computed) == 1 and seen[-1] == (9, 9)
     np.testing.assert_array_equal(again.psf, first.psf)
     assert again.provenance == first.provenance
-    other = Camera("moved", moved().defocused(5.0), sensor)
+    other = Camera(moved().defocused(5.0), sensor, "moved")
     other.bank()
     assert len(computed) == 2
     # The circle lies off the centre: a sensor that it would hold is missed by it.

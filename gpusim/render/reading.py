@@ -7,7 +7,7 @@ light that is kept (`gpusim.render.light`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -49,7 +49,7 @@ class Reader:
     run: Callable[[Recording], Result]
 
 
-class Frame(Protocol):
+class Reading(Protocol):
     """One frame in the making."""
 
     rect: Rect  # the pixels whose light it takes, tile by tile
@@ -67,9 +67,9 @@ class Frame(Protocol):
         """Return the light and the mean electrons that the certificate compares."""
 
 
-def frame_of(
+def reading_of(
     reader: Reader, rect: Rect, names: dict[str, type], folder: Path | None, shot: Shot
-) -> Frame:
+) -> Reading:
     """Return a frame of a sensor that is to be made.
 
     Parameters
@@ -83,8 +83,40 @@ def frame_of(
         Where the planes are kept as files; without it in memory.
     shot : Shot
     """
-    kind = CcdFrame if reader.sensor.is_ccd else CmosFrame
+    kind = CcdReading if reader.sensor.is_ccd else CmosReading
     return kind(reader, rect, names, folder, shot)
+
+
+def read_together(
+    readers: Sequence[Reader], shots: Sequence[Shot], rect: Rect, rates: Resident, whole: Rect
+) -> list[np.ndarray]:
+    """Return the raws (rows, cols) of several frames of one light, in one recording.
+
+    Submitting, waiting and fetching cost some milliseconds each, however many frames there are.
+
+    Parameters
+    ----------
+    readers : sequence of Reader
+        One for each frame, of CMOS sensors, on one device.
+    shots : sequence of Shot
+    rect, whole : (row, col, rows, cols)
+        What is read, and the rectangle of whole periods that the light is of.
+    rates : Resident (S, rows, cols), f32
+    """
+    rec, labels = Recording(readers[0].device), []
+    for number, (reader, shot) in enumerate(zip(readers, shots, strict=True)):
+        with rec.labelled(f"frame {number} "):
+            outputs = record_readout(
+                rec, rates, reader.glare, reader.sensor, rect, whole, shot, reader.runs
+            )
+            labels.append(rec.download(outputs["dn"]))
+    result = readers[0].run(rec)
+    return [result[label] for label in labels]
+
+
+def taken_for(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
+    """Return the pixels whose light is taken for a rectangle: of a CCD, whole columns."""
+    return needed(rect, sensor, runs) if sensor.is_ccd else rect
 
 
 def lit_for(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
@@ -101,7 +133,7 @@ def lit_for(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
     return row, col, rows, cols
 
 
-class CmosFrame:
+class CmosReading:
     """A frame whose pixels are read where they stand: strip by strip of each tile."""
 
     def __init__(
@@ -162,7 +194,7 @@ class CmosFrame:
         )
 
 
-class CcdFrame(CmosFrame):
+class CcdReading(CmosReading):
     """One frame of a CCD: the tiles bring the light, then charge goes by columns and by rows."""
 
     def __init__(
@@ -180,7 +212,7 @@ class CcdFrame(CmosFrame):
         within = None if folder is None else folder / "light"
         if within is not None:
             within.mkdir(exist_ok=True)
-        super().__init__(reader, needed(rect, reader.sensor, reader.runs), light, within, shot)
+        super().__init__(reader, taken_for(rect, reader.sensor, reader.runs), light, within, shot)
         self.folder = folder
         self.charge = self._charge("charge")
         self.wanted = rect

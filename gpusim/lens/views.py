@@ -1,0 +1,222 @@
+"""What one asks of a lens by hand: its PSF, MTF and layout, as values that can draw themselves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gpusim.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from gpusim.lens.system import System
+
+# Half width of a PSF's window in Airy radii: 1 % of a perfect lens's light is beyond it.
+WINDOW_AIRY = 16.0
+SAMPLES = 160  # across that window: five a radius of the Airy disc
+
+
+@dataclass(frozen=True, eq=False)
+class Psf:
+    """A point-spread function.
+
+    Attributes
+    ----------
+    values : ndarray (n, n)
+        Share of the light per sample; rows along the sagittal direction, columns radially outwards;
+        the chief ray lands on sample [n / 2, n / 2].
+    pitch_um : float
+        Distance between samples.
+    field_deg, wavelength_nm : float
+    outside : float
+        Share of the light beyond the window.
+    """
+
+    values: np.ndarray
+    pitch_um: float
+    field_deg: float
+    wavelength_nm: float
+    outside: float
+
+    def plot(self) -> Figure:
+        """Return a picture of it, on a scale of four decades."""
+        from gpusim.report.views import psf_figure
+
+        return psf_figure(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Mtf:
+    """A polychromatic modulation transfer function.
+
+    Attributes
+    ----------
+    frequency_cy_mm : ndarray (K,)
+    tangential, sagittal : ndarray (K,)
+    field_deg : float
+    limit : ndarray (K,) or None
+        That of a perfect lens of the same f-number on the axis.
+    """
+
+    frequency_cy_mm: np.ndarray
+    tangential: np.ndarray
+    sagittal: np.ndarray
+    field_deg: float
+    limit: np.ndarray | None = None
+
+    def at(self, frequency_cy_mm: float) -> tuple[float, float]:
+        """Return tangential and sagittal contrast at a frequency."""
+        return tuple(
+            float(np.interp(frequency_cy_mm, self.frequency_cy_mm, one))
+            for one in (self.tangential, self.sagittal)
+        )
+
+    def plot(self) -> Figure:
+        """Return a picture of both curves."""
+        from gpusim.report.views import mtf_figure
+
+        return mtf_figure(self)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A section through a lens with its rays.
+
+    Attributes
+    ----------
+    system : System
+    title : str
+    """
+
+    system: System
+    title: str
+
+    def plot(self) -> Figure:
+        """Return a drawing to scale."""
+        from gpusim.report.views import layout_figure
+
+        return layout_figure(self)
+
+
+class Views:
+    """PSF, MTF and layout of a lens that can be traced: of a `Prescription`."""
+
+    def psf(
+        self,
+        field: float = 0.0,
+        wavelength_nm: float | None = None,
+        *,
+        window_um: float | None = None,
+        samples: int = SAMPLES,
+    ) -> Psf:
+        """Return the PSF of a point, traced for it.
+
+        Parameters
+        ----------
+        field : float
+            Share of the lens's largest field angle, -1 to 1.
+        wavelength_nm : float, optional
+            By default the lens's reference wavelength.
+        window_um : float, optional
+            Width of the window; by default 32 Airy radii.
+        samples : int
+            Across the window, even.
+
+        Raises
+        ------
+        UserError
+            A field that does not pass the lens, or a wavelength that its glasses have no data for.
+
+        Examples
+        --------
+        >>> from gpusim import Lens
+        >>> round(Lens.load("double-gauss").psf(field=0.5, wavelength_nm=550).field_deg, 2)
+        11.0
+        """
+        from gpusim.lens.analysis.rays import airy_radius_um
+        from gpusim.lens.psf import intensity
+        from gpusim.lens.system import build
+        from gpusim.lens.transfer import PUPIL_NODES
+        from gpusim.lens.wavefront import pupils, sample_field
+
+        if samples < 2 or samples % 2:
+            raise UserError("no such window", field="samples", value=samples, allowed="even")
+        system = build(self)
+        line = np.array([self.reference_nm if wavelength_nm is None else float(wavelength_nm)])
+        theta = self._theta(field)
+        if window_um is None:
+            window_um = 2 * WINDOW_AIRY * airy_radius_um(system, float(line[0]))
+        traced = sample_field(system, system.index(line), theta, 0.0)
+        (pupil,) = pupils(traced, line, window_um, PUPIL_NODES)
+        pitch_um = window_um / samples
+        values, outside = intensity(pupil, float(line[0]), samples, pitch_um)
+        return Psf(values, pitch_um, math.degrees(theta), float(line[0]), outside)
+
+    def mtf(self, field: float = 0.0, frequency_cy_mm: np.ndarray | None = None) -> Mtf:
+        """Return the polychromatic MTF of a point in light of equal energy, 400 to 700 nm.
+
+        Parameters
+        ----------
+        field : float
+            Share of the lens's largest field angle, -1 to 1.
+        frequency_cy_mm : ndarray (K,), optional
+            By default 101 of them, to where the axis keeps a tenth of the contrast.
+
+        Raises
+        ------
+        UserError
+            A field that does not pass the lens.
+
+        Examples
+        --------
+        >>> from gpusim import Lens
+        >>> Lens.load("double-gauss").mtf(field=0.7).at(30.0)[0] < 1
+        True
+        """
+        from gpusim.lens import transfer
+        from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
+        from gpusim.lens.analysis.rays import airy_radius_um
+        from gpusim.lens.system import build
+
+        system = build(self)
+        theta = self._theta(field)
+        light = white_light(system)
+        traced = transfer.field_pupils(system, theta, WHITE_NM, light, reference=WHITE_REFERENCE)
+        number = airy_radius_um(system, self.reference_nm) / (1.22e-3 * self.reference_nm)
+        if frequency_cy_mm is None:
+            cut_off = 1e6 / (WHITE_NM[0] * number)
+            tried = np.geomspace(cut_off / 500, cut_off, 120)
+            lost = np.flatnonzero(np.abs(traced.otf(tried, "tangential")) < 0.1)
+            frequency_cy_mm = np.linspace(0, tried[lost[0]] if lost.size else cut_off, 101)
+        frequency = np.asarray(frequency_cy_mm, float)
+        both = [np.abs(traced.otf(frequency, way)) for way in transfer.DIRECTIONS]
+        perfect = np.array([transfer.diffraction_mtf(frequency, one, number) for one in WHITE_NM])
+        limit = traced.weight @ perfect / traced.weight.sum()
+        return Mtf(frequency, *both, math.degrees(theta), limit)
+
+    def layout(self) -> Layout:
+        """Return the section through the lens with the rays of its fields.
+
+        Examples
+        --------
+        >>> from gpusim import Lens
+        >>> figure = Lens.load("double-gauss").layout().plot()
+        """
+        from gpusim.lens.system import build
+
+        return Layout(build(self), self.title)
+
+    def _theta(self, field: float) -> float:
+        """Return the angle of a relative field, rad."""
+        if not -1 <= field <= 1:
+            raise UserError(
+                "the field lies beyond the lens",
+                field="field",
+                value=field,
+                allowed="-1 to 1: shares of the largest field angle",
+            )
+        return math.radians(field * self.max_field_deg)

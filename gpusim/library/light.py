@@ -1,0 +1,504 @@
+"""The light on a camera's photosites: made once by the optics, read as often as asked.
+
+`expose` makes it, `Light.capture` and `Light.burst` read it. Nothing of the optics is done again
+for another exposure, gain, temperature or seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.gpu import Recording, Resident, Result, default_device
+from gpusim.plan import Accuracy
+from gpusim.plan.stages import sensor_runs
+from gpusim.plan.tiles import Rect, aligned, strips, tiles_of
+from gpusim.render.reading import (
+    Reader,
+    Reading,
+    lit_for,
+    read_together,
+    reading_of,
+    taken_for,
+)
+from gpusim.render.renderer import Renderer, check_shot, rectangle
+from gpusim.sensor.planes import planes_of
+from gpusim.sensor.readout import Shot, noise_seed
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from gpusim.camera import Camera
+    from gpusim.certify import Certificate
+    from gpusim.isp.optics import Optics
+    from gpusim.library.frame import Burst, Frame
+    from gpusim.scene.scene import Scene
+    from gpusim.sensor.sensor import Sensor
+
+# Without an exposure of its own a capture brings the scene's white to this share of saturation:
+# ISO 12232 leaves half a stop above a white diffuser for highlights.
+WHITE_SHARE = 2**-0.5
+# What of a sensor shapes the light on it; the rest acts when it is read.
+OPTICAL = (
+    "rows",
+    "cols",
+    "first_row",
+    "first_col",
+    "pixel_pitch_um",
+    "fill_factor",
+    "cfa",
+    "quantum_efficiency",
+    "veiling_glare",
+    "eqe_map",
+    "micro_lens",
+    "filters",
+    "aperture",
+    "scan_motion_px",
+)
+
+
+class _OnDevice(dict):
+    """Arrays that lie on the device until nobody holds the light any more."""
+
+    def __del__(self) -> None:
+        for one in self.values():
+            one.destroy()
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """What arrives at the photosites of a camera before a scene.
+
+    Attributes
+    ----------
+    title : str
+        The camera's.
+    scene : str
+        The scene's name.
+    sensor : Sensor
+        What reads it.
+    rect : (row, col, rows, cols)
+        The pixels that a frame of it has, counted from the first lit one.
+    area : (row, col, rows, cols)
+        The pixels that ``rates`` hold: whole periods of the filter pattern.
+    rates : ndarray (S, rows / period, cols / period), float32
+        Electrons/s of the photosites, a plane for each site of the filter pattern.
+    glare : ndarray (sites,), float32
+        Veiling glare of each site, electrons/s.
+    white_e_per_s : dict of str to float
+        Mean electrons/s that the scene's white makes on the axis, by channel.
+    transmission : ndarray (61,)
+        Transmission of the lens from 400 to 700 nm in steps of 5 nm.
+    optics : Optics
+        What files say of the lens.
+    tolerance : str
+        For which it was made, in words.
+    notes : tuple of str
+        How the scene was read and placed.
+    certificate : Certificate or None
+        How far the mean signal is from the exact one, at the exposure of `white_exposure_s`.
+    """
+
+    title: str
+    scene: str
+    sensor: Sensor
+    rect: Rect
+    area: Rect
+    rates: np.ndarray
+    glare: np.ndarray
+    white_e_per_s: dict[str, float]
+    transmission: np.ndarray
+    optics: Optics
+    tolerance: str
+    notes: tuple[str, ...] = ()
+    certificate: Certificate | None = None
+    _held: dict[str, Any] = field(
+        default_factory=_OnDevice, init=False, repr=False
+    )  # on the device
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: all but what lies on a device."""
+        return {**self.__dict__, "_held": _OnDevice()}
+
+    def __repr__(self) -> str:
+        rows, cols = self.rect[2:]
+        certified = ""
+        if self.certificate is not None:
+            verdict = "met" if self.certificate.met else "not met"
+            certified = f", total RMS {self.certificate.total_rms:.1e} ({verdict})"
+        return f"Light({self.title!r}, {self.scene!r}, {cols} x {rows} pixels{certified})"
+
+    def _repr_html_(self) -> str:
+        """Return the picture that the white exposure takes, for notebooks."""
+        return self.capture()._repr_html_()
+
+    @property
+    def white_exposure_s(self) -> float:
+        """Exposure that brings the scene's white on the axis to 71 % of saturation, seconds."""
+        brightest = max(self.white_e_per_s.values())
+        return WHITE_SHARE * self.sensor.saturation_e / brightest if brightest > 0 else 1.0
+
+    def at(
+        self,
+        *,
+        iso: int | None = None,
+        gain: float | None = None,
+        sensor: Sensor | None = None,
+    ) -> Self:
+        """Return the same light before a sensor that reads it differently.
+
+        Parameters
+        ----------
+        iso, gain : int, float, optional
+            A step of the sensor's analogue gain, by its ISO speed or by itself.
+        sensor : Sensor, optional
+            Another sensor with the same pixels, filters and quantum efficiency.
+
+        Raises
+        ------
+        UserError
+            No such step, both at once, or a sensor whose pixels see other light.
+        """
+        chosen = self.sensor if sensor is None else sensor
+        differing = [
+            name for name in OPTICAL if getattr(chosen, name) != getattr(self.sensor, name)
+        ]
+        if differing:
+            raise UserError(
+                "the light was made for other pixels",
+                field=f"sensor.{differing[0]}",
+                value=getattr(chosen, differing[0]),
+                allowed="a sensor with the same pixels, filters and quantum efficiency: expose "
+                "the camera with this one anew",
+            )
+        if iso is not None and gain is not None:
+            raise UserError("both name the gain", field="iso", value=iso, allowed="iso or gain")
+        if iso is not None:
+            chosen = chosen.at_iso(iso)
+        if gain is not None:
+            chosen = chosen.at_gain(gain)
+        if chosen is self.sensor:
+            return self
+        other = replace(self, sensor=chosen)
+        object.__setattr__(other, "_held", self._held)  # the same light lies on the device
+        return other
+
+    def capture(
+        self,
+        exposure_s: float | None = None,
+        *,
+        iso: int | None = None,
+        gain: float | None = None,
+        seed: int = 0,
+        frame: int = 0,
+        temperature_c: float | None = None,
+        noise: bool = True,
+    ) -> Frame:
+        """Read the light with the sensor alone: one frame.
+
+        Parameters
+        ----------
+        exposure_s : float, optional
+            Seconds; by default `white_exposure_s`.
+        iso, gain : int, float, optional
+            A step of the sensor's analogue gain.
+        seed : int
+            0 to 2^64 - 1. The same seed, frame, exposure and gain give the same raw as
+            ``gpusim render``.
+        frame : int
+            0 to 2^32 - 1. Frames of one seed have independent noise.
+        temperature_c : float, optional
+            The sensor's, degrees Celsius; by default its reference temperature.
+        noise : bool
+            Whether to draw noise and fixed patterns; else the frame is the mean signal.
+
+        Raises
+        ------
+        UserError
+            A value out of range.
+
+        Examples
+        --------
+        >>> frame = light.capture(1/60, seed=7)  # doctest: +SKIP
+        >>> frame.raw.dtype  # doctest: +SKIP
+        dtype('uint16')
+        """
+        from gpusim.library.frame import Frame
+
+        seen = self.at(iso=iso, gain=gain)
+        if exposure_s is None:
+            exposure_s = seen.white_exposure_s
+        shot = Shot(exposure_s, seed, frame, temperature_c)
+        raw = seen.read({"dn": np.uint16}, shot, noise)["dn"]
+        return Frame(raw, seen, shot, noise)
+
+    def burst(
+        self,
+        count: int,
+        exposure_s: float | Sequence[float] | None = None,
+        *,
+        iso: int | Sequence[int] | None = None,
+        seed: int = 0,
+        temperature_c: float | None = None,
+        truth: bool = False,
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> Burst:
+        """Read the light several times: frames counted on, each with noise of its own.
+
+        Parameters
+        ----------
+        count : int
+            Frames, 1 or more.
+        exposure_s : float or sequence of float, optional
+            Seconds; several are taken in turns: a bracket.
+        iso : int or sequence of int, optional
+            ISO speeds, in turns as well.
+        seed : int
+            Frame k is frame number k of this seed.
+        temperature_c : float, optional
+            The sensor's, degrees Celsius.
+        truth : bool
+            Whether to keep the mean signal of each exposure, in DN, without noise and rounding.
+        progress : callable, optional
+            Called with (what, done, total).
+
+        Raises
+        ------
+        UserError
+            No frame, or a value out of range.
+        """
+        from gpusim.library.frame import taken
+
+        return taken(self, count, exposure_s, iso, seed, temperature_c, truth, progress)
+
+    def read(self, names: dict[str, type], shot: Shot, noise: bool = True) -> dict[str, np.ndarray]:
+        """Return planes of one frame: ``dn``, ``electrons``, ``rate`` (electrons/s), ``mean``.
+
+        Parameters
+        ----------
+        names : dict of str to type
+            The planes, and of which numbers they are.
+        shot : Shot
+        noise : bool
+
+        Returns
+        -------
+        dict of str to ndarray (rows, cols)
+
+        Raises
+        ------
+        UserError
+            A value of the shot is out of range.
+        """
+        reading = self.reading(names, shot, noise)
+        return {name: reading.on_rect(name) for name in names}
+
+    def raws(self, sensors: Sequence[Sensor], shots: Sequence[Shot]) -> list[np.ndarray]:
+        """Return the raws of several frames, as `read` makes them one by one.
+
+        Parameters
+        ----------
+        sensors : sequence of Sensor
+            That read each frame: steps of one sensor's gain.
+        shots : sequence of Shot
+
+        Returns
+        -------
+        list of ndarray (rows, cols), uint16
+        """
+        budget, planes = default_device().pool.budget, planes_of(self.sensor)
+        tiles = tiles_of(self.rect, planes.period, budget, None, planes.layers)
+        together = strips(self.rect, budget // len(shots))
+        if self.sensor.is_ccd or len(tiles) > 1 or len(together) > 1:
+            return [
+                self.at(sensor=sensor).read({"dn": np.uint16}, shot)["dn"]
+                for sensor, shot in zip(sensors, shots, strict=True)
+            ]
+        whole = aligned(lit_for(self.rect, self.sensor, sensor_runs(self.sensor)), planes.period)
+        return read_together(
+            [self._reader(sensor, sensor_runs(sensor), Recording.run) for sensor in sensors],
+            [_checked(shot, sensor) for sensor, shot in zip(sensors, shots, strict=True)],
+            self.rect,
+            self._resident(whole, planes.period),
+            whole,
+        )
+
+    def _reader(
+        self,
+        sensor: Sensor,
+        runs: Callable[[str], bool],
+        run: Callable[[Recording], Result],
+    ) -> Reader:
+        device = default_device()
+        return Reader(device, sensor, runs, self._resident_glare(), device.pool.budget, run)
+
+    def reading(self, names: dict[str, type], shot: Shot, noise: bool = True) -> Reading:
+        """Return a frame as the certificate takes it: see `read`."""
+        shot = _checked(shot, self.sensor)
+        runs = sensor_runs(self.sensor, noise)
+        reader = self._reader(self.sensor, runs, Recording.run)
+        reading = reading_of(reader, self.rect, names, None, shot)
+        planes = planes_of(self.sensor)
+        for tile in tiles_of(reading.rect, planes.period, reader.memory_bytes, None, planes.layers):
+            whole = aligned(lit_for(tile, self.sensor, runs), planes.period)
+            reading.take(tile, self._resident(whole, planes.period), whole)
+        reading.finish()
+        return reading
+
+    def release(self) -> None:
+        """Give the device's memory back; what needs it again brings it there again."""
+        for one in self._held.values():
+            one.destroy()
+        self._held.clear()
+
+    def _resident_glare(self) -> Resident:
+        if "glare" not in self._held:
+            self._held["glare"] = default_device().resident("glare", self.glare)
+        return self._held["glare"]
+
+    def _resident(self, whole: Rect, period: int) -> Resident:
+        """Return the light of a rectangle of whole periods, on the device; the last one stays."""
+        name = f"rates {whole}"
+        if name not in self._held:
+            for other in [other for other in self._held if other.startswith("rates")]:
+                self._held.pop(other).destroy()
+            top, left = (whole[0] - self.area[0]) // period, (whole[1] - self.area[1]) // period
+            rows, cols = whole[2] // period, whole[3] // period
+            part = self.rates[:, top : top + rows, left : left + cols]
+            self._held[name] = default_device().resident("rates", np.ascontiguousarray(part))
+        return self._held[name]
+
+    def save(self, path: str | Path) -> None:
+        """Write the light to a file, to be read again by `Light.load`: see `gpusim.library.store`.
+
+        Raises
+        ------
+        UserError
+            The file cannot be written.
+        """
+        from gpusim.library.store import save_light
+
+        save_light(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Light:
+        """Return a light that was saved.
+
+        Raises
+        ------
+        UserError
+            No such file, or not a light.
+        """
+        from gpusim.library.store import load_light
+
+        return load_light(path)
+
+
+def _checked(shot: Shot, sensor: Sensor) -> Shot:
+    """Return a shot with its seed made that of exposure and gain, or say what is out of range."""
+    check_shot(shot.exposure_s, shot.seed, shot.frame)
+    temperature_c = shot.temperature_c
+    if temperature_c is None:
+        temperature_c = sensor.reference_temperature_c
+    sensor.dark_current_at(temperature_c)  # refuses what is no temperature
+    seed = noise_seed(shot.seed, shot.exposure_s, sensor.analogue_gain)
+    return replace(shot, seed=seed, temperature_c=temperature_c)
+
+
+def expose(
+    camera: Camera,
+    scene: Scene,
+    tolerance: float | str = 1e-3,
+    *,
+    probes: int = 64,
+    tile: tuple[int, int, int, int] | None = None,
+    exposure_s: float | None = None,
+    best_effort: bool = False,
+    memory_bytes: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Light:
+    """Bring the light of a scene through a camera's lens onto its photosites.
+
+    Parameters
+    ----------
+    camera : Camera
+    scene : Scene
+    tolerance : float or str
+        Root mean square error of the mean signal, relative to it; ``"0.1sigma"``: of its noise.
+    probes : int
+        Pixels at which the result is held against the exact model; 0: no certificate.
+    tile : (x, y, width, height), optional
+        The rectangle of lit pixels to make; by default all that is read out.
+    exposure_s : float, optional
+        The longest that will be captured; a tolerance in sigmas is planned for it.
+    best_effort : bool
+        Whether to go on where the tolerance cannot be met.
+    memory_bytes : int, optional
+        Budget of device memory, by default the device's.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Raises
+    ------
+    UserError
+        The tolerance cannot be met, the memory does not suffice, or a value is out of range.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> light = gs.expose(gs.Camera.load("demo"), gs.Scene.load("colorchecker"))  # doctest: +SKIP
+    """
+    accuracy = Accuracy.parse(str(tolerance), probes, best_effort=best_effort)
+    rect = rectangle(tile, camera.sensor)
+    # Only a tolerance in sigmas asks for the exposure.
+    longest = {} if exposure_s is None else {"exposure_s": exposure_s}
+    renderer = Renderer(
+        camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes, **longest
+    )
+    try:
+        return lit(renderer, rect, progress)
+    finally:
+        renderer.release()
+
+
+def lit(
+    renderer: Renderer,
+    rect: Rect,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Light:
+    """Return the light of a renderer on a rectangle of what is read, certified if it says so."""
+    sensor, report = renderer.camera.sensor, progress or (lambda what, done, total: None)
+    runs = sensor_runs(sensor)
+    wanted = lit_for(taken_for(rect, sensor, runs), sensor, runs)
+    area = aligned(wanted, renderer.period)
+    light = Light(
+        title=renderer.camera.title,
+        scene=renderer.scene.name,
+        sensor=sensor,
+        rect=rect,
+        area=area,
+        rates=renderer.light(area, progress),
+        glare=renderer.glare,
+        white_e_per_s=renderer.white_e(1.0),
+        transmission=renderer.transmission,
+        optics=renderer.optics,
+        tolerance=renderer.accuracy.text,
+        notes=renderer.notes,
+    )
+    if not renderer.accuracy.probes:
+        return light
+    exposure_s = min(light.white_exposure_s, renderer.longest_s)
+    planes = {"dn": np.uint16, "rate": np.float32, "mean": np.float32}
+    shot = Shot(exposure_s, 0, 0)
+    try:
+        reading = light.reading(planes, shot)
+        certificate = renderer.certificate(
+            reading, rect, exposure_s, sensor.reference_temperature_c, report
+        )
+    finally:
+        light.release()
+    return replace(light, certificate=certificate)

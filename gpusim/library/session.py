@@ -1,0 +1,212 @@
+"""A camera before a scene whose settings change: each change redoes what it touches, and no more.
+
+| what changes | what is done again |
+|---|---|
+| exposure, ISO, gain, seed, frame, temperature, noise, figures of the read-out | read-out |
+| the part of the sensor that is looked at | light, read-out |
+| lens, focus, f-number, pixels, filters, scene, tolerance | plan, light, read-out |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from gpusim.camera import Camera
+from gpusim.errors import UserError
+from gpusim.library.light import OPTICAL, Light, lit
+from gpusim.plan import Accuracy
+from gpusim.render.renderer import Renderer, rectangle
+
+if TYPE_CHECKING:
+    from gpusim.library.frame import Frame
+    from gpusim.scene.scene import Scene
+
+# How each setting of a lens is made, from the lens that the session was given; in this order.
+LENS_SETTINGS: dict[str, Callable[[Any, float], Any]] = {
+    "focal_length_mm": lambda lens, value: lens.scaled(value),
+    "f_number": lambda lens, value: lens.stopped(value),
+    "max_field_deg": lambda lens, value: lens.limited(value),
+    "focus_distance_m": lambda lens, value: lens.looking(None, value),
+    "focus_shift_um": lambda lens, value: lens.defocused(value),
+}
+READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
+PARTS = ("lens", "sensor", "scene", "tolerance", "probes", "tile")
+
+
+class Session:
+    """A camera before a scene.
+
+    Parameters
+    ----------
+    camera : Camera
+    scene : Scene
+    tolerance : float or str
+        As of `gpusim.expose`.
+    probes : int
+        Of the certificate; 0: none, which suits a preview.
+    progress : callable, optional
+        Called with (what, done, total).
+
+    Examples
+    --------
+    >>> session = Session(camera, scene, tolerance=1e-2)  # doctest: +SKIP
+    >>> session.frame()  # doctest: +SKIP
+    >>> session.change(exposure_s=1/30).frame()  # the read-out alone  # doctest: +SKIP
+    >>> session.change(f_number=5.6).frame()  # lens, light and read-out  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        scene: Scene,
+        tolerance: float | str = 1e-3,
+        *,
+        probes: int = 0,
+        progress: Callable[[str, int, int], None] | None = None,
+    ) -> None:
+        self.redone: tuple[str, ...] = ()  # by the last frame: of "plan", "light", "read-out"
+        self._progress = progress
+        self._parts: dict[str, Any] = {
+            "lens": camera.lens,
+            "sensor": camera.sensor,
+            "scene": scene,
+            "tolerance": tolerance,
+            "probes": probes,
+            "tile": None,
+        }
+        self._lens_settings: dict[str, float] = {}
+        self._read_out: dict[str, Any] = {}
+        self._renderer: Renderer | None = None
+        self._light: Light | None = None
+        self._shown: Frame | None = None
+
+    def __repr__(self) -> str:
+        settings = {**self._lens_settings, **self._read_out}
+        said = "".join(f", {name} {value}" for name, value in settings.items())
+        return f"Session({self.camera.title!r}, {self._parts['scene'].name!r}{said})"
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *given: object) -> None:
+        self.release()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera as it is set now."""
+        lens = self._parts["lens"]
+        for name, make in LENS_SETTINGS.items():
+            if name in self._lens_settings:
+                lens = make(lens, self._lens_settings[name])
+        return Camera(lens, self._parts["sensor"])
+
+    def change(self, **settings: Any) -> Session:
+        """Change settings; the next frame does again what they touch.
+
+        Parameters
+        ----------
+        **settings
+            ``exposure_s``, ``iso``, ``gain``, ``seed``, ``frame``, ``temperature_c``, ``noise``;
+            ``lens``, ``sensor``, ``scene``, ``tolerance``, ``probes``, ``tile`` (x, y, width,
+            height); ``focal_length_mm``, ``f_number``, ``max_field_deg``, ``focus_distance_m``,
+            ``focus_shift_um``. None takes a setting back.
+
+        Raises
+        ------
+        UserError
+            No such setting, or a value that it cannot have; nothing is changed then.
+        """
+        known = (*READ_OUT, *PARTS, *LENS_SETTINGS)
+        for name in settings:
+            if name not in known:
+                raise UserError(
+                    "there is no such setting", field=name, allowed=", ".join(sorted(known))
+                )
+        before = dict(self._parts), dict(self._lens_settings), dict(self._read_out)
+        try:
+            for name, value in settings.items():
+                self._set(name, value)
+            rectangle(self._parts["tile"], self._parts["sensor"])
+            made = self.camera  # a lens that cannot be so refuses here
+            self._accuracy()
+        except BaseException:
+            self._parts, self._lens_settings, self._read_out = before
+            raise
+        self._forget(before, made)
+        return self
+
+    def _set(self, name: str, value: Any) -> None:
+        if name in self._parts:
+            self._parts[name] = value
+            return
+        group = self._lens_settings if name in LENS_SETTINGS else self._read_out
+        if value is None:
+            group.pop(name, None)
+        else:
+            group[name] = value
+
+    def _forget(self, before: tuple[dict, dict, dict], made: Camera) -> None:
+        """Drop what the change of the settings made stale."""
+        parts, lens_settings, _ = before
+        self._shown = None
+        stale = [name for name in PARTS if name != "tile" and parts[name] is not self._parts[name]]
+        if "sensor" in stale and self._light is not None:
+            old = self._light.sensor
+            if all(getattr(made.sensor, name) == getattr(old, name) for name in OPTICAL):
+                self._light = self._light.at(sensor=made.sensor)
+                stale.remove("sensor")
+        if stale or lens_settings != self._lens_settings:
+            self.release()
+        elif parts["tile"] != self._parts["tile"]:
+            self._drop_light()
+
+    def _accuracy(self) -> Accuracy:
+        return Accuracy.parse(str(self._parts["tolerance"]), self._parts["probes"])
+
+    def light(self) -> Light:
+        """Return the light of the settings of now, made if it is not there."""
+        done = []
+        if self._light is None:
+            if self._renderer is None:
+                self._renderer = Renderer(
+                    self.camera,
+                    self._parts["scene"],
+                    self._accuracy(),
+                    progress=self._progress,
+                )
+                done.append("plan")
+            sensor = self._parts["sensor"]
+            self._light = lit(
+                self._renderer, rectangle(self._parts["tile"], sensor), self._progress
+            )
+            done.append("light")
+        self.redone = tuple(done)
+        return self._light
+
+    def frame(self) -> Frame:
+        """Return a frame with the settings of now; the last one where nothing was changed.
+
+        Raises
+        ------
+        UserError
+            A setting has a value that it cannot have, or the tolerance cannot be met.
+        """
+        if self._shown is not None:
+            self.redone = ()
+            return self._shown
+        self._shown = self.light().capture(**self._read_out)
+        self.redone = (*self.redone, "read-out")
+        return self._shown
+
+    def release(self) -> None:
+        """Give the device's memory back; the next frame makes all anew."""
+        self._drop_light()
+        if self._renderer is not None:
+            self._renderer.release()
+            self._renderer = None
+
+    def _drop_light(self) -> None:
+        if self._light is not None:
+            self._light.release()
+            self._light = None

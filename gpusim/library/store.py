@@ -1,0 +1,103 @@
+"""A light in a file: arrays and a text of JSON in one .npz, which holds no code."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gpusim.certify import Certificate, Probe
+from gpusim.config.arrays import read_npz
+from gpusim.config.mistakes import checked
+from gpusim.errors import UserError
+from gpusim.isp.optics import Optics
+from gpusim.sensor.sensor import Sensor
+
+if TYPE_CHECKING:
+    from gpusim.library.light import Light
+
+KIND = "gpusim light 1"
+SUFFIX = ".npz"
+
+
+def save_light(light: Light, path: str | Path) -> None:
+    """Write a light to a file, which appears whole or not at all: see `Light.save`."""
+    path = Path(path)
+    if path.suffix.lower() != SUFFIX:
+        raise UserError("no such kind of file for a light", file=path, allowed=SUFFIX)
+    optics = light.optics
+    facts = {
+        "kind": KIND,
+        "title": light.title,
+        "scene": light.scene,
+        "sensor": light.sensor.model_dump(mode="json"),
+        "rect": light.rect,
+        "area": light.area,
+        "white_e_per_s": light.white_e_per_s,
+        "lens": [optics.name, optics.focal_length_mm, optics.f_number],
+        "tolerance": light.tolerance,
+        "notes": light.notes,
+        "certificate": None if light.certificate is None else asdict(light.certificate),
+    }
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez(
+                file,
+                facts=np.frombuffer(json.dumps(facts).encode(), np.uint8),
+                rates=light.rates,
+                glare=light.glare,
+                transmission=light.transmission,
+                real_um=optics.real_um,
+                ideal_um=optics.ideal_um,
+                light=optics.light,
+            )
+        os.replace(part, path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise UserError(f"the light cannot be written: {error.strerror}", file=path) from error
+
+
+def load_light(path: str | Path) -> Light:
+    """Return a light from a file: see `Light.load`."""
+    from gpusim.library.light import Light
+
+    path = Path(path)
+    allowed = "a file that Light.save wrote"
+    if not path.is_file():
+        raise UserError("no such light", file=path, allowed=allowed)
+    try:
+        arrays = read_npz(path)
+        facts = json.loads(bytes(arrays["facts"]).decode())
+        if facts["kind"] != KIND:
+            raise ValueError(f"its kind is {facts['kind']}")
+        certificate = facts["certificate"]
+        if certificate is not None:
+            certificate |= {
+                "points": tuple(Probe(**one) for one in certificate["points"]),
+                "notes": tuple(certificate["notes"]),
+                "worst_position": tuple(certificate["worst_position"]),
+            }
+        rect, area = (tuple(int(one) for one in facts[name]) for name in ("rect", "area"))
+        return Light(
+            title=facts["title"],
+            scene=facts["scene"],
+            sensor=checked(Sensor, facts["sensor"], path),
+            rect=rect,
+            area=area,
+            rates=arrays["rates"],
+            glare=arrays["glare"],
+            white_e_per_s=facts["white_e_per_s"],
+            transmission=arrays["transmission"],
+            optics=Optics(*facts["lens"], *(arrays[n] for n in ("real_um", "ideal_um", "light"))),
+            tolerance=facts["tolerance"],
+            notes=tuple(facts["notes"]),
+            certificate=None if certificate is None else Certificate(**certificate),
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+        raise UserError(f"not a light: {error}", file=path, allowed=allowed) from error

@@ -1,0 +1,48 @@
+"""What one asks of a lens by hand, against the bank and closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gpusim.errors import UserError
+from gpusim.lens.prescription import load_prescription
+from gpusim.lens.transfer import otf
+
+LENS = load_prescription("double-gauss").scaled(12.0).stopped(8.0)
+
+
+def test_the_psf_and_the_mtf_are_those_of_one_wavefront():
+    """At one wavelength the MTF is the modulus of the PSF's transform, less the window's loss."""
+    psf = LENS.psf(field=0.7, wavelength_nm=550.0, samples=320)
+    assert psf.values.sum() == pytest.approx(1 - psf.outside, abs=1e-12)
+    assert psf.field_deg == pytest.approx(0.7 * LENS.max_field_deg) and psf.outside < 0.03
+    frequency = np.array([20.0, 60.0])
+    # The Airy pattern of f/8 at 550 nm: the lens is near its diffraction limit on the axis.
+    axis = LENS.psf(wavelength_nm=550.0, samples=320)
+    found = np.abs(otf(axis.values, axis.pitch_um, frequency, "sagittal"))
+    s = frequency * 550e-6 * 8.0
+    limit = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    # The window loses up to `outside` of the light; aberrations only lower the MTF.
+    assert (found <= limit + axis.outside).all() and (found > 0.85 * limit).all()
+
+
+def test_the_mtf_lies_below_the_limit_and_is_one_at_rest():
+    mtf = LENS.mtf(field=0.5)
+    # Beyond the window of the fine pupils lies a share of the light, 0.3 % here.
+    assert mtf.tangential[0] == pytest.approx(1, abs=5e-3) == mtf.sagittal[0]
+    assert (mtf.sagittal <= mtf.limit + 0.02).all()
+    low, high = mtf.at(10.0), mtf.at(60.0)
+    assert low[0] > high[0] and low[1] > high[1]
+
+
+def test_each_draws_itself():
+    for figure in (LENS.psf().plot(), LENS.mtf().plot(), LENS.layout().plot()):
+        assert figure.axes and figure.axes[0].has_data()
+
+
+@pytest.mark.parametrize("field", [1.5, -2.0])
+def test_a_field_beyond_the_lens_is_refused(field: float):
+    for ask in (LENS.psf, LENS.mtf):
+        with pytest.raises(UserError, match="beyond the lens"):
+            ask(field=field)

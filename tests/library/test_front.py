@@ -1,0 +1,119 @@
+"""The front door: what `import gpusim` gives, and how light it is."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gpusim as gs
+from gpusim.errors import UserError
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.noise_model import Masks
+
+# What an `import gpusim` must not bring along: seconds, and a graphics driver.
+HEAVY = ("numpy", "scipy", "wgpu", "matplotlib", "pydantic", "xarray")
+
+
+def test_importing_brings_nothing_heavy():
+    code = f"import sys, gpusim; print([n for n in {HEAVY!r} if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there_and_documented():
+    for name in gs.__all__:
+        assert getattr(gs, name).__doc__, name
+    assert set(gs.__all__) <= set(dir(gs))
+    with pytest.raises(AttributeError, match="Lenss"):
+        gs.Lenss  # noqa: B018
+    assert (Path(gs.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        "gpusim",
+        "gpusim.camera",
+        "gpusim.lens.views",
+        "gpusim.library.lens",
+        "gpusim.library.light",
+        "gpusim.library.session",
+        "gpusim.scene.scene",
+        "gpusim.sensor.sensor",
+    ],
+)
+def test_the_examples_in_the_docstrings_run(module: str):
+    found = doctest.testmod(importlib.import_module(module))
+    assert found.attempted and not found.failed
+
+
+def test_lens_sensor_camera_and_scene_are_values():
+    lens = gs.Lens.load("tessar").scaled(10.0).stopped(8.0)
+    camera = gs.Camera(lens, gs.Sensor.load("imx477").roi(100, 120))
+    assert camera.title == f"{lens.title}, IMX477-like"
+    again = pickle.loads(pickle.dumps(camera))
+    assert again == camera and again.lens.history == lens.history
+    scene = gs.Scene.from_rgb(np.full((6, 8, 3), 0.5))
+    with pytest.raises(AttributeError):
+        camera.lens = lens
+    with pytest.raises(AttributeError):
+        scene.name = "other"
+
+
+def test_a_shifted_filter_array_acts_however_the_sensor_is_made(tmp_path: Path):
+    fields = load_sensor("imx477").model_dump()
+    fields["cfa"]["shift_px"] = (0.3, 0.1)
+    fields["fill_factor"] = 0.9
+    made = gs.Sensor(**fields)
+    assert len(made.channels) > 3 and not any(made.cfa.shift_px)
+    assert gs.Sensor.model_validate_json(made.model_dump_json()) == made
+
+
+def test_masks_act_however_the_sensor_is_made(tmp_path: Path):
+    np.save(tmp_path / "gain.npy", np.full((4, 6), 0.5, np.float32))
+    fields = load_sensor("imx477").roi(4, 6).model_dump() | {"first_row": 0, "first_col": 0}
+    fields["masks"] = Masks(gain=str(tmp_path / "gain.npy"))
+    made = gs.Sensor(**fields)
+    assert (
+        made.masks.area == (0, 0, 4, 6) and (made.masks.part("gain", (0, 0), (4, 6)) == 0.5).all()
+    )
+    fields["rows"] = 5
+    with pytest.raises(UserError, match="not of the sensor's size"):
+        gs.Sensor(**fields)
+
+
+@pytest.mark.parametrize(
+    "rgb, field",
+    [
+        (np.zeros((4, 4)), "rgb"),
+        (np.full((4, 4, 3), np.nan), "rgb"),
+        (-np.ones((4, 4, 3)), "rgb"),
+        ("text", "rgb"),
+    ],
+)
+def test_arrays_that_are_no_picture_are_refused(rgb: object, field: str):
+    with pytest.raises(UserError) as error:
+        gs.Scene.from_rgb(rgb)
+    assert error.value.field == field
+
+
+def test_a_spectral_array_is_linear_between_its_bands():
+    cube = np.zeros((4, 5, 3))
+    cube[..., 1] = 2.0
+    scene = gs.Scene.from_spectra(cube, [450.0, 550.0, 650.0])
+    shown = np.einsum("brc,bk->krc", scene.source.planes, scene.spectra)[:, 0, 0]
+    lines = scene.wavelengths_nm
+    # Planes are float32.
+    assert shown == pytest.approx(np.interp(lines, [450, 550, 650], [0, 2, 0]), abs=1e-6)
+    assert "450 to 650 nm" in scene.notes[0]
+    with pytest.raises(UserError, match="do not rise"):
+        gs.Scene.from_spectra(cube, [450.0, 450.0, 650.0])
+    with pytest.raises(UserError, match="no band lies"):
+        gs.Scene.from_spectra(cube, [1450.0, 1550.0, 1650.0])
