@@ -223,9 +223,14 @@ class Light:
 
         Examples
         --------
-        >>> frame = light.capture(1/60, seed=7)  # doctest: +SKIP
-        >>> frame.raw.dtype  # doctest: +SKIP
-        dtype('uint16')
+        >>> import gpusim as gs
+        >>> small = gs.Camera.load("mtf-only")
+        >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
+        >>> light = gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
+        >>> light.capture(1/60, seed=7)
+        Frame('small', 'colorchecker', 64 x 48 pixels, 1/60 s, ISO 100, 0.00% saturated)
+        >>> light.burst(20, [1/240, 1/60], seed=7)
+        Burst('small', 20 frames of 64 x 48 pixels, 1/240 s, 1/60 s)
         """
         from gpusim.library.frame import Frame
 
@@ -450,7 +455,10 @@ def expose(
     Examples
     --------
     >>> import gpusim as gs
-    >>> light = gs.expose(gs.Camera.load("demo"), gs.Scene.load("colorchecker"))  # doctest: +SKIP
+    >>> small = gs.Camera.load("mtf-only")
+    >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
+    >>> gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
+    Light('small', 'colorchecker', 64 x 48 pixels)
     """
     accuracy = Accuracy.parse(str(tolerance), probes, best_effort=best_effort)
     rect = rectangle(tile, camera.sensor)

@@ -50,10 +50,15 @@ class Session:
 
     Examples
     --------
-    >>> session = Session(camera, scene, tolerance=1e-2)  # doctest: +SKIP
-    >>> session.frame()  # doctest: +SKIP
-    >>> session.change(exposure_s=1/30).frame()  # the read-out alone  # doctest: +SKIP
-    >>> session.change(f_number=5.6).frame()  # lens, light and read-out  # doctest: +SKIP
+    >>> import gpusim as gs
+    >>> small = gs.Camera.load("mtf-only")
+    >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
+    >>> session = gs.Session(small, gs.Scene.load("colorchecker"), tolerance=1e-2)
+    >>> session.frame().raw.shape, session.redone
+    ((48, 64), ('plan', 'light', 'read-out'))
+    >>> session.change(exposure_s=1/30).frame().exposure_s, session.redone
+    (0.03333333333333333, ('read-out',))
+    >>> session.release()
     """
 
     def __init__(
@@ -66,7 +71,7 @@ class Session:
         progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.redone: tuple[str, ...] = ()  # by the last frame: of "plan", "light", "read-out"
-        self._progress = progress
+        self._progress, self._title = progress, camera.title
         self._parts: dict[str, Any] = {
             "lens": camera.lens,
             "sensor": camera.sensor,
@@ -99,7 +104,7 @@ class Session:
         for name, make in LENS_SETTINGS.items():
             if name in self._lens_settings:
                 lens = make(lens, self._lens_settings[name])
-        return Camera(lens, self._parts["sensor"])
+        return Camera(lens, self._parts["sensor"], self._title)
 
     def change(self, **settings: Any) -> Session:
         """Change settings; the next frame does again what they touch.

@@ -86,8 +86,8 @@ class Scene:
 
         Examples
         --------
-        >>> Scene.load("colorchecker", illuminant="D65").white_luminance_cd_m2
-        300.0
+        >>> Scene.load("colorchecker", illuminant="D65")
+        Scene('colorchecker', chart, D65, white 300 cd/m^2)
         """
         return make_scene(name_or_path, **options)
 
