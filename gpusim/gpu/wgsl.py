@@ -15,7 +15,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 
 from .layout import Layouts, ShaderError, Struct, split_top
@@ -83,13 +83,7 @@ def load(path: str) -> Source:
     ShaderError
         The file, or one that it includes, does not exist; an include cycle.
     """
-    return _loaded(shaders_root(), path)
-
-
-# A frame's read-out names four to twelve kernels: composing them anew takes 3 of its 14 ms.
-@cache
-def _loaded(root: Path, path: str) -> Source:
-    file = root / f"{path}.wgsl"
+    file = shaders_root() / f"{path}.wgsl"
     if not file.is_file():
         raise ShaderError(f"no shader {path!r}: {file} does not exist")
     return compose(path, file.read_text(encoding="utf-8"))
