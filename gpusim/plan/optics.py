@@ -176,7 +176,10 @@ def plans_optics(
 
     shown = shown_mixtures(scene)
 
+    last: _Problem | None = None
+
     def attempt(tolerance: float) -> _Attempt:
+        nonlocal last
         basis = camera_basis(
             bank,
             sensor,
@@ -190,11 +193,16 @@ def plans_optics(
         asked = replace(relative, tolerance=tolerance)
         if lens is not None:
             asked = replace(asked, tolerance=lens.left_of(tolerance))
-        problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, aliases)
+        if last is not None and last.has_basis(basis):
+            problem = last.to(asked)
+        else:
+            problem = _Problem(bank, sensor, scene, asked, costs, basis, force, levels, aliases)
+        last = problem
         candidates = problem.candidates(methods, "tail" in force)
         return _Attempt(problem, candidates, choose(candidates)[0], lens, tolerance)
 
-    found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal))
+    floor = None if lens is None else lens.excess
+    found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal), floor)
     problem, rest = found.problem, [one for one in found.candidates if one is not found.chosen]
     others = [one for one in rest if one.parts and one.excess <= 1]
     taken = [found.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
@@ -323,6 +331,24 @@ class _Problem:
     levels: tuple[FieldBank, ...]
     # What sim grids cost, by samples a pixel and planes: the same at every tolerance.
     aliases: dict[tuple[int, int], float] = field(default_factory=dict)
+
+    def has_basis(self, basis: Basis) -> bool:
+        """Return whether the planes are those of a basis, wherever they are seen."""
+        return basis.elsewhere is self.basis.elsewhere is None and np.array_equal(
+            basis.spectra, self.basis.spectra
+        )
+
+    def to(self, accuracy: Accuracy) -> _Problem:
+        """Return the same for another accuracy, with all that was worked out and holds there.
+
+        Kernels of the fields take most of a plan's time: a search for the nearest tolerance that
+        can be met makes them once.
+        """
+        other = replace(self, accuracy=accuracy)
+        found = {name: value for name, value in vars(self).items() if name not in vars(other)}
+        found.pop("_tails", None)  # how many nodes they need
+        vars(other).update(found)
+        return other
 
     def candidates(self, methods: Sequence[str], cut: bool) -> list[Candidate]:
         """Return the ways to convolve, worked out as far as they may be chosen.

@@ -46,7 +46,10 @@ Found = TypeVar("Found", bound=Attempt)
 
 
 def within_reach(
-    attempt: Callable[[float], Found], accuracy: Accuracy, share: float
+    attempt: Callable[[float], Found],
+    accuracy: Accuracy,
+    share: float,
+    floor: Callable[[float], float] | None = None,
 ) -> tuple[Found, str]:
     """Return the plan for a tolerance; for best effort, where it cannot be met, for the nearest.
 
@@ -58,6 +61,9 @@ def within_reach(
         What was asked for, in the user's unit.
     share : float
         Of the signal, that one unit of it is: see `Accuracy.share`.
+    floor : callable, optional
+        The excess at a relative tolerance, or less: known without planning. Where that is above 1,
+        nothing is planned in search of the nearest.
 
     Returns
     -------
@@ -83,7 +89,7 @@ def within_reach(
             # Less than the smallest is refused by `Accuracy.relative`, but for best effort.
             return first, _instead(relative, wanted, FLOAT32) if wanted < relative else ""
         guess = relative * first.excess
-    steps = [step for step in STEPS if step > relative]
+    steps = [step for step in STEPS if step > relative and (floor is None or floor(step) <= 1)]
     nearest, found = _nearest(attempt, steps, guess)
     named = None if nearest is None else rounded_up(nearest / share)  # in the user's unit
     if named is not None and named > RANGES[accuracy.unit][1]:
@@ -123,7 +129,7 @@ def _nearest(
             plans[tolerance] = plan
         return tolerance in plans
 
-    if not steps or not met(steps[-1]):
+    if not steps:
         return None, None
     low, high = 0, len(steps) - 1
     at = bisect_left(steps, guess, 0, high)
@@ -131,6 +137,8 @@ def _nearest(
         high = at
         if at == 0 or not met(steps[at - 1]):
             low = at
+    elif at == high or not met(steps[high]):
+        return None, None
     else:
         low = at + 1
     nearest = steps[bisect_left(steps, True, low, high, key=met)]

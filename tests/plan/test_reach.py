@@ -51,17 +51,28 @@ def test_what_can_be_met_is_planned_once():
 
 @pytest.mark.parametrize("floor", [1.01e-5, 3.14e-3, 0.0999, 0.1])
 def test_a_floor_is_found_by_planning_again_at_the_excess(floor: float):
-    """The first step above it, in four plans: the one asked for, the largest, it, the one below."""
+    """The first step above it, in three plans: the one asked for, it, and the one below."""
     tried: list[float] = []
     with pytest.raises(UserError, match="cannot be met: the floor cannot be less") as caught:
         within_reach(floored(floor, tried), Accuracy(1e-5), 1.0)
     assert caught.value.value == "1e-05"
     assert caught.value.allowed == f"{rounded_up(floor):g} or more; or any, with --best-effort"
-    assert len(tried) <= 4
+    assert len(tried) <= 3
     asked = Accuracy(1e-5, best_effort=True)
     found, shortfall = within_reach(floored(floor), asked, 1.0)
     assert found.tolerance == rounded_up(floor)
     assert f"planned for {rounded_up(floor):.2g} of the local signal in place of 1e-05" in shortfall
+
+
+def test_nothing_is_planned_where_a_floor_is_known_to_be_missed():
+    """What else is missed lies higher, or lower: found by planning where the floor is met."""
+    for other, nearest in ((2e-4, 0.0031), (0.02, 0.02)):
+        tried: list[float] = []
+        with pytest.raises(UserError) as caught:
+            given = floored(other, tried), Accuracy(1e-5), 1.0
+            within_reach(*given, lambda tolerance: 3.1e-3 / tolerance)
+        assert caught.value.allowed.startswith(f"{nearest:g} or more")
+        assert all(one >= 3.1e-3 for one in tried[1:]) and len(tried) <= 3
 
 
 @pytest.mark.parametrize("excess", [1.5, 500.0])
