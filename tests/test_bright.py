@@ -16,8 +16,9 @@ from gpusim.reference.truth import Truth
 from gpusim.render import Capture, Renderer, renderer
 from gpusim.scene import highlights
 from gpusim.scene.exr import write_exr
+from gpusim.scene.make import make_scene
 from gpusim.scene.raster import Raster
-from gpusim.scene.scene import Scene, make_scene
+from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
 LENS = bank(size=96, coma_um=0.6, falloff=0.1, halo=0.01, distortion=-0.01)

@@ -27,10 +27,12 @@ from hypothesis import strategies as st
 from lens.exports import write_isetcam, write_zemax
 from lens.test_ready import arrays
 from optics.made import bank as made_bank
+from scene import picture_files
 from sensor import isetcam_files, speos_files
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.isp.dng import write_dng
 from gpusim.lens.ready import load_ready
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.scene import make_scene
@@ -142,6 +144,32 @@ def pattern_file(at: Path) -> list[Path]:
     return [at / "chart.yaml"]
 
 
+def scene_of(name: str, **given: object) -> Callable[[Path], object]:
+    """Return a function that reads the scene of that name in a folder."""
+    return lambda at: make_scene(at / name, **given)
+
+
+def raw_file(at: Path) -> list[Path]:
+    """Write a small raw of ours."""
+    sensor = load_sensor("imx477").model_copy(update={"rows": 32, "cols": 48})
+    raw = np.random.default_rng(1).integers(260, 900, (32, 48)).astype(np.uint16)
+    white = dict.fromkeys(sensor.channels, 1000.0)
+    write_dng(at / "raw.dng", raw, sensor, exposure_s=0.01, white_e=white)
+    return [at / "raw.dng"]
+
+
+def envi_files(at: Path) -> list[Path]:
+    """Write a cube."""
+    header = picture_files.write_envi(at / "a", picture_files.cube(), "bil")
+    return [header, header.with_suffix(".img")]
+
+
+def picture(name: str, values: np.ndarray, how: str = "") -> Callable[[Path], list[Path]]:
+    """Return a function that writes a picture into a folder."""
+    write = getattr(picture_files, f"write_{how}")
+    return lambda at: [write(at / name, values)]
+
+
 def zemax_files(at: Path) -> list[Path]:
     """Write Zemax's exports."""
     write_zemax(at)
@@ -188,6 +216,23 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
     "photograph": (exr_files, lambda at: make_scene(at / "a.exr")),
     "chart": (chart_files, lambda at: make_scene(at / "chart.yaml")),
     "pattern": (pattern_file, lambda at: make_scene(at / "chart.yaml", frame=Frame(48, 1.5))),
+    "envi": (envi_files, scene_of("a.hdr")),
+    "spectral exr": (picture("a.exr", picture_files.cube(), "spectral_exr"), scene_of("a.exr")),
+    "radiance": (picture("a.hdr", np.ones((9, 40, 3)), "hdr"), scene_of("a.hdr")),
+    "isetcam scene": (picture("a.mat", picture_files.cube(), "isetcam"), scene_of("a.mat")),
+    "isetcam scene 7.3": (
+        lambda at: [picture_files.write_isetcam(at / "a.mat", picture_files.cube(), "7.3")],
+        scene_of("a.mat"),
+    ),
+    "tiff": (
+        picture("a.tif", np.full((9, 12, 3), 77, np.uint16), "tiff"),
+        scene_of("a.tif", transfer="srgb"),
+    ),
+    "png": (
+        picture("a.png", np.full((9, 12, 3), 77, np.uint8), "png"),
+        scene_of("a.png", transfer="srgb"),
+    ),
+    "raw": (raw_file, scene_of("raw.dng")),
     "speos": (speos_folder, lambda at: read_speos(at / "camera.yaml").sensor({})),
     "isetcam": (
         lambda at: [isetcam_files.written(at)],

@@ -12,7 +12,7 @@ from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene.exr import write_exr
-from gpusim.scene.scene import make_scene
+from gpusim.scene.make import make_scene
 from gpusim.sensor.load import load_sensor
 
 pytestmark = pytest.mark.slow  # half a minute of CPU each: a bank of the fisheye, a raster

@@ -117,7 +117,7 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 def render(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
     scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or an .exr.")
+        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or a picture.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     exposure: Annotated[
@@ -141,6 +141,13 @@ def render(
         Path | None,
         typer.Option(
             metavar="FILE", help="Map of uneven light on a photograph: a grey EXR, relative."
+        ),
+    ] = None,
+    transfer: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What light a TIFF's or PNG's values stand for: srgb, linear, rec709, gamma2.2.",
         ),
     ] = None,
     projection: Annotated[
@@ -251,6 +258,7 @@ def render(
         luminance_cd_m2=luminance,
         illuminant=illuminant,
         illumination=illumination,
+        transfer=transfer,
         projection=projection,
         tolerance=tolerance,
         probes=certify,
@@ -568,7 +576,7 @@ def develop(
 def pareto(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
     scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or an .exr.")
+        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or a picture.")
     ],
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     exposure: Annotated[

@@ -51,6 +51,7 @@ def run(
     luminance_cd_m2: float | None,
     illuminant: str | None,
     illumination: Path | None,
+    transfer: str | None,
     projection: str,
     tolerance: str,
     probes: int,
@@ -92,7 +93,8 @@ def run(
         camera = replace(camera, sensor=camera.sensor.at_iso(iso))
     check_ev(ev)
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection, Frame.of(camera.sensor))
+    drawn_for = Frame.of(camera.sensor)
+    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection, drawn_for, transfer)
     if illumination is not None:
         scene = illuminated(scene, read_illumination(illumination), illumination.name)
     costs = None if plan is None else planned_costs(plan)

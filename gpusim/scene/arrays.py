@@ -6,8 +6,9 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.scene.raster import Raster
-from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene, lit_rgb
+from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.scene.upsampling import lit_rgb
 
 
 def rgb_scene(

@@ -8,23 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.config.names import perhaps
-from gpusim.errors import UserError
 from gpusim.known import Known
-from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR, Projection
+from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
-from gpusim.scene.charts import CHARTS, is_chart, load_chart
-from gpusim.scene.fills import Fill
-from gpusim.scene.panorama import PANORAMA, by_angle
-from gpusim.scene.patterns import Frame
 from gpusim.scene.raster import Raster
-from gpusim.scene.spectra import (
-    WAVELENGTHS_NM,
-    illuminant_known,
-    rgb_known,
-    rgb_reflectances,
-    white_radiance,
-)
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.scene.spectra import luminance_cd_m2 as luminance
 
 # A reading-lit chart: 300 cd/m^2 is a white diffuser under pi * 300 = 940 lux.
@@ -82,13 +70,15 @@ class Scene:
 
     @classmethod
     def load(cls, name_or_path: str | Path, **options: object) -> Scene:
-        """Return a chart by its name, or a photograph from a file: see `make_scene`.
+        """Return a chart by its name, or a chart or picture from a file: see `make_scene`.
 
         Examples
         --------
         >>> Scene.load("colorchecker", illuminant="D65")
         Scene('colorchecker', chart, D65, white 300 cd/m^2)
         """
+        from gpusim.scene.make import make_scene
+
         return make_scene(name_or_path, **options)
 
     @staticmethod
@@ -200,145 +190,3 @@ class Scene:
     def white_luminance_cd_m2(self) -> float:
         """Luminance of the scene's white, cd/m^2."""
         return float(luminance(self.white, self.wavelengths_nm))
-
-
-def make_scene(
-    name_or_path: str | Path,
-    luminance_cd_m2: float | None = None,
-    illuminant: str | None = None,
-    projection: str = RECTILINEAR.name,
-    frame: Frame | None = None,
-) -> Scene:
-    """Return a chart of the project, one of a YAML file, or a photograph from an EXR file.
-
-    Parameters
-    ----------
-    name_or_path : str or path
-        A name in `CHARTS`, the path of a chart's YAML, or of a linear RGB EXR.
-    luminance_cd_m2 : float, optional
-        Luminance of the white: of a chart's perfect diffuser; of a photograph's RGB (1, 1, 1),
-        where it replaces the file's own ``whiteLuminance``. Without either, 300.
-    illuminant : str, optional
-        Light on a chart, D50 by default: a CIE name, or a blackbody's temperature ("5100K"). A
-        photograph has its own light in it: its spectra are those of Mallett and Yuksel (2019),
-        under D65.
-    projection : str
-        How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
-        to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
-        in whose middle the camera stands and at whose centre it looks.
-    frame : Frame, optional
-        The sensor: for charts that count in its pixels, or are drawn on samples.
-
-    Raises
-    ------
-    UserError
-        For an unknown name, illuminant or projection, a luminance that is not positive, or an
-        unusable file.
-    """
-    if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
-        raise UserError(
-            "impossible luminance",
-            field="luminance_cd_m2",
-            value=luminance_cd_m2,
-            allowed="above 0",
-        )
-    panorama = projection == PANORAMA
-    if projection not in PROJECTIONS and not panorama:
-        raise UserError(
-            "there is no such projection",
-            field="projection",
-            value=projection,
-            allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
-        )
-    name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
-    if is_chart(name):
-        if panorama:
-            raise UserError(
-                "a chart is no panorama",
-                field="projection",
-                value=projection,
-                allowed=f"{', '.join(PROJECTIONS)} for charts",
-            )
-        level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
-        scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
-        return replace(scene, projection=plane)
-    path = Path(name_or_path)
-    if path.suffix.lower() == ".exr":
-        if illuminant is not None:
-            raise UserError(
-                "a photograph has its own light in it",
-                file=path,
-                field="illuminant",
-                value=illuminant,
-                allowed="none with a photograph; with a chart any",
-            )
-        scene = replace(_photograph(path, luminance_cd_m2), projection=plane)
-        if panorama:
-            whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
-            scene = replace(scene, source=whole)
-        return scene
-    raise UserError(
-        f"unknown scene{perhaps(name, CHARTS)}",
-        field="scene",
-        value=name,
-        allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture's NAME.exr",
-    )
-
-
-def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
-    laid = load_chart(name, frame)
-    source, fills = laid.source, laid.fills
-    if isinstance(source, Raster) and all(fill.grey for fill in fills):
-        # One spectrum, in one plane, in which points of light stand out from what is around them.
-        shares = laid.reflectances(WAVELENGTHS_NM[:1], level)[:, 0]
-        plane = sum(share * one for share, one in zip(shares, source.planes, strict=True))
-        source, fills = replace(source, planes=plane[None]), (Fill("white", 1.0),)
-
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        white = white_radiance(lamp, level, wavelengths_nm)
-        return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
-
-    spectra, white = light(WAVELENGTHS_NM)
-    known = dict.fromkeys((illuminant_known(lamp), *(fill.known for fill in fills)))
-    made_of = tuple(one for one in known if one is not None)
-    given = {"notes": laid.notes, "light": light, "made_of": made_of}
-    return Scene(Path(name).name, spectra, source, lamp, white, **given)
-
-
-def _photograph(path: Path, luminance_cd_m2: float | None) -> Scene:
-    from gpusim.scene.exr import read_exr
-
-    photograph = read_exr(path, needs_luminance=luminance_cd_m2 is None)
-    known = luminance_cd_m2 or photograph.white_luminance_cd_m2
-    scale = known or DEFAULT_WHITE_LUMINANCE_CD_M2
-    notes = photograph.notes
-    if not known:
-        notes += (f"the file gives no whiteLuminance: RGB (1, 1, 1) taken as {scale:g} cd/m^2",)
-    return lit_rgb(path.name, photograph.rgb, np.asarray(photograph.white_rgb), scale, notes)
-
-
-def lit_rgb(
-    name: str, planes: np.ndarray, white_rgb: np.ndarray, scale_cd_m2: float, notes: tuple[str, ...]
-) -> Scene:
-    """Return a photograph: spectra of Mallett and Yuksel (2019), under D65.
-
-    Parameters
-    ----------
-    name : str
-    planes : ndarray (3, rows, cols), float32
-        Linear R, G, B of Rec. 709.
-    white_rgb : ndarray (3,)
-        What is white in it.
-    scale_cd_m2 : float
-        Luminance of RGB (1, 1, 1).
-    notes : tuple of str
-    """
-
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        daylight = white_radiance("D65", scale_cd_m2, wavelengths_nm)
-        spectra = rgb_reflectances(wavelengths_nm) * daylight
-        return spectra, white_rgb @ spectra
-
-    spectra, white = light(WAVELENGTHS_NM)
-    given = {"light": light, "made_of": (rgb_known(), illuminant_known("D65"))}
-    return Scene(name, spectra, Raster(planes), "D65", white, notes, **given)

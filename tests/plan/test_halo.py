@@ -6,8 +6,9 @@ from optics.made import FLAT
 
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.halo import AROUND, MOST_AROUND, halo_levels, surroundings
+from gpusim.scene.make import make_scene
 from gpusim.scene.raster import Raster
-from gpusim.scene.scene import Scene, make_scene
+from gpusim.scene.scene import Scene
 
 
 class Level:

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gpusim.errors import UserError
+from gpusim.scene.make import make_scene
 from gpusim.scene.panorama import by_angle
 from gpusim.scene.raster import Raster
-from gpusim.scene.scene import Scene, make_scene
+from gpusim.scene.scene import Scene
 
 ROWS = 180
 

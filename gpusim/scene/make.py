@@ -1,0 +1,118 @@
+"""Scenes by name or from a file: the one door to charts and pictures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.config.names import perhaps
+from gpusim.errors import UserError
+from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR
+from gpusim.scene.charts import CHARTS, is_chart, load_chart
+from gpusim.scene.fills import Fill
+from gpusim.scene.panorama import PANORAMA, by_angle
+from gpusim.scene.patterns import Frame
+from gpusim.scene.pictures import PICTURES, is_picture, picture_scene
+from gpusim.scene.raster import Raster
+from gpusim.scene.scene import DEFAULT_ILLUMINANT, DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
+from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant_known, white_radiance
+
+
+def make_scene(
+    name_or_path: str | Path,
+    luminance_cd_m2: float | None = None,
+    illuminant: str | None = None,
+    projection: str = RECTILINEAR.name,
+    frame: Frame | None = None,
+    transfer: str | None = None,
+) -> Scene:
+    """Return a chart of the project, one of a YAML file, or a picture from a file.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        A name in `CHARTS`, the path of a chart's YAML, or of a picture: see `picture_scene`.
+    luminance_cd_m2 : float, optional
+        Luminance of the white: of a chart's perfect diffuser; of a photograph's RGB (1, 1, 1),
+        where it replaces the file's own ``whiteLuminance``. Without either, 300.
+    illuminant : str, optional
+        Light on a chart or on a picture of reflectances, D50 by default: a CIE name, or a
+        blackbody's temperature ("5100K"). An RGB photograph has its own light in it: its spectra
+        are those of Mallett and Yuksel (2019), under D65.
+    projection : str
+        How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
+        to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
+        in whose middle the camera stands and at whose centre it looks.
+    frame : Frame, optional
+        The sensor: for charts that count in its pixels, or are drawn on samples.
+    transfer : str, optional
+        What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2".
+
+    Raises
+    ------
+    UserError
+        For an unknown name, illuminant or projection, a luminance that is not positive, or an
+        unusable file.
+    """
+    if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
+        raise UserError(
+            "impossible luminance",
+            field="luminance_cd_m2",
+            value=luminance_cd_m2,
+            allowed="above 0",
+        )
+    panorama = projection == PANORAMA
+    if projection not in PROJECTIONS and not panorama:
+        raise UserError(
+            "there is no such projection",
+            field="projection",
+            value=projection,
+            allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
+        )
+    name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
+    if is_chart(name):
+        if panorama:
+            raise UserError(
+                "a chart is no panorama",
+                field="projection",
+                value=projection,
+                allowed=f"{', '.join(PROJECTIONS)} for charts",
+            )
+        level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
+        scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
+        return replace(scene, projection=plane)
+    path = Path(name_or_path)
+    if is_picture(path):
+        scene = picture_scene(path, luminance_cd_m2, illuminant, transfer)
+        if panorama:
+            whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
+            scene = replace(scene, source=whole)
+        return replace(scene, projection=plane)
+    raise UserError(
+        f"unknown scene{perhaps(name, CHARTS)}",
+        field="scene",
+        value=name,
+        allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture: {PICTURES}",
+    )
+
+
+def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
+    laid = load_chart(name, frame)
+    source, fills = laid.source, laid.fills
+    if isinstance(source, Raster) and all(fill.grey for fill in fills):
+        # One spectrum, in one plane, in which points of light stand out from what is around them.
+        shares = laid.reflectances(WAVELENGTHS_NM[:1], level)[:, 0]
+        plane = sum(share * one for share, one in zip(shares, source.planes, strict=True))
+        source, fills = replace(source, planes=plane[None]), (Fill("white", 1.0),)
+
+    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        white = white_radiance(lamp, level, wavelengths_nm)
+        return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
+
+    spectra, white = light(WAVELENGTHS_NM)
+    known = dict.fromkeys((illuminant_known(lamp), *(fill.known for fill in fills)))
+    made_of = tuple(one for one in known if one is not None)
+    given = {"notes": laid.notes, "light": light, "made_of": made_of}
+    return Scene(Path(name).name, spectra, source, lamp, white, **given)

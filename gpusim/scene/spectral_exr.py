@@ -1,0 +1,89 @@
+"""Spectral EXR files after Fichet, Pacanowski and Wilkie (JCGT 10(3), 2021), section 4."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.scene.bands import RADIANCE, REFLECTANCE, Bands, checked_size
+from gpusim.scene.exr import _parts
+
+# S0 to S3 of a light's Stokes vector, T of a reflectance; the decimal sign is a comma.
+CHANNEL = re.compile(r"(S[0-3]|T)\.(\d*,?\d*(?:[eE][+-]?\d+)?)([YZEPTGMkhdacmunpf]?)(m|Hz)")
+PREFIXES = {"Y": 1e24, "Z": 1e21, "E": 1e18, "P": 1e15, "T": 1e12, "G": 1e9, "M": 1e6, "k": 1e3,
+            "h": 1e2, "": 1.0, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9,
+            "p": 1e-12}  # fmt: skip
+LIGHT_M_PER_S = 299_792_458.0
+
+
+def wavelength_nm(channel: str) -> tuple[str, float] | None:
+    """Return what a channel's name says: S0 to S3 or T, and its wavelength; None for others."""
+    found = CHANNEL.fullmatch(channel)
+    if found is None:
+        return None
+    what, digits, prefix, unit = found.groups()
+    try:
+        value = float(digits.replace(",", ".")) * PREFIXES[prefix]
+        return what, 1e9 * (value if unit == "m" else LIGHT_M_PER_S / value)
+    except (ValueError, KeyError, ZeroDivisionError):
+        return None
+
+
+def is_spectral(path: Path) -> bool:
+    """Return whether a file is an EXR with spectral channels; False for one that is no EXR."""
+    if not path.is_file():
+        return False
+    try:
+        parts = _parts(path, header_only=True)
+        names = [channel.name for part in parts for channel in part.header.get("channels", ())]
+    except (UserError, UnicodeDecodeError):
+        return False
+    return any(wavelength_nm(name) for name in names)
+
+
+def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
+    """Read a spectral EXR.
+
+    Parameters
+    ----------
+    path : Path
+    reflective : bool
+        Of a file that holds both, take the reflectances, not the light.
+
+    Raises
+    ------
+    UserError
+        Where it cannot be read, or its channels are not of one size.
+    """
+    headers = [part.header for part in _parts(path, header_only=True)]
+    for header in headers:
+        (x0, y0), (x1, y1) = np.asarray(header["dataWindow"], np.int64)
+        checked_size(path, (len(header.get("channels", ())), y1 - y0 + 1, x1 - x0 + 1))
+    found: dict[str, dict[float, np.ndarray]] = {}
+    for part in _parts(path):
+        # A part's dictionary of channels is made of their names: all of them were read before.
+        for name, channel in part.channels.items():
+            meant = wavelength_nm(name)
+            if meant:
+                found.setdefault(meant[0], {})[meant[1]] = channel.pixels
+    kind = "T" if "T" in found and (reflective or "S0" not in found) else "S0"
+    chosen = found.get(kind, {})
+    shapes = {np.shape(plane) for plane in chosen.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise UserError(
+            "no spectral channels of one size",
+            file=path,
+            field="channels",
+            value=", ".join(sorted(found)) or None,
+            allowed="S0.550,0nm of a light, or T.550,0nm of a reflectance",
+        )
+    notes = ()
+    others = sorted(set(found) - {kind})
+    if others:
+        notes = (f"channels {', '.join(others)} left out: {kind} is taken",)
+    nm = sorted(chosen)
+    planes = np.stack([np.asarray(chosen[one], np.float32) for one in nm])
+    return Bands(planes, np.array(nm), REFLECTANCE if kind == "T" else RADIANCE, notes)
