@@ -296,7 +296,7 @@ def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, mon
     monkeypatch.setattr(regret, "BUDGET_S", 0.0)
     given = {
         "job": jobs.Job,
-        "lenses": {"double-gauss": jobs.TOLERANCE_LENSES["double-gauss"]},
+        "lenses": {Lens.title: Lens},
         "scenes": ("slanted-edge",),
         "probes": 6,
     }
