@@ -237,7 +237,8 @@ def imported(*folders: str) -> set[str]:
                 names |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 names.add(node.module.split(".")[0])
-    own = {file.stem for file in files} | {file.parent.name for file in files}
+    # Modules of ours are named from their folder on: `colour` is not gpusim/isp/colour.py.
+    own = {path.stem for folder in folders for path in (ROOT / folder).iterdir()} | {*folders}
     packages = metadata.packages_distributions()
     # OpenEXR's wheel does not say which module it holds: the one of its name. OpenCV is in an extra
     # that need not be installed, and its module has another name.

@@ -775,6 +775,30 @@ def distortion(
     run(path, channel, centre, out, linear=linear, as_json=as_json)
 
 
+@measure.command()
+def colour(
+    path: Picture,
+    illuminant: Annotated[
+        str, typer.Option(metavar="NAME", help="Light of the chart's colours: D65, A, 5100K ...")
+    ] = "D65",
+    corners: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,...",
+            help="Middles of the corner patches, px: dark skin, bluish green, black, white. "
+            "Without them the chart is sought.",
+        ),
+    ] = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure colours from a ColorChecker: xy, Delta E, white point, matrix, patch by patch."""
+    from gpusim.cli.colour import colour as run
+
+    run(path, illuminant, corners, out, linear=linear, as_json=as_json)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,

@@ -20,13 +20,17 @@ LEAST_SIDE = 4  # columns and rows
 SEEDS = 12  # marks from which the count is begun, the one that reaches most holds
 
 
-def count_marks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def count_marks(
+    x: np.ndarray, y: np.ndarray, least: int = LEAST_MARKS, side: int = LEAST_SIDE
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the marks that are part of the chart's lattice, and their columns and rows.
 
     Parameters
     ----------
     x, y : ndarray (N,)
         Pixels.
+    least, side : int
+        How many marks a lattice has at least, and how many columns and rows.
 
     Returns
     -------
@@ -42,7 +46,7 @@ def count_marks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     places = np.stack([x, y], 1)
     best: dict[int, tuple[int, int]] = {}
-    if len(places) >= LEAST_MARKS:
+    if len(places) >= least:
         tree = cKDTree(places)
         middle = np.median(places, axis=0)
         order = np.argsort(np.hypot(*(places - middle).T))
@@ -54,13 +58,12 @@ def count_marks(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
                 break
     which = np.array(sorted(best), int)
     cell = np.array([best[one] for one in which], int).reshape(-1, 2)
-    if len(which) < LEAST_MARKS or np.ptp(cell, axis=0).min() + 1 < LEAST_SIDE:
+    if len(which) < least or np.ptp(cell, axis=0).min() + 1 < side:
         raise UserError(
             "There is no lattice of marks in the picture.",
             field="PICTURE",
             value=f"{len(places)} corners or dots, {len(which)} of them in rows and columns",
-            allowed=f"a checkerboard or dots, {LEAST_MARKS} or more, "
-            f"{LEAST_SIDE} or more in each row and column",
+            allowed=f"{least} or more, {side} or more in each row and column",
         )
     return which, cell
 
