@@ -799,6 +799,27 @@ def colour(
     run(path, illuminant, corners, out, linear=linear, as_json=as_json)
 
 
+@measure.command()
+def spectra(
+    path: Picture,
+    roi: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,W,H",
+            help="A region with one sinusoid, pixels; may be given again. Without it the whole.",
+        ),
+    ] = None,
+    channel: Channels = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure sinusoidal patterns: frequency, amplitude, modulation, with uncertainties."""
+    from gpusim.cli.spectra import spectra as run
+
+    run(path, roi or [], channel, out, linear=linear, as_json=as_json)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
