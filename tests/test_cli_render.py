@@ -222,10 +222,10 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
     asked: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
-    file = tmp_path / "camera.yaml"
-    file.write_text(CAMERA)
+    camera = made.StubCamera(made.bank(), made.sensor(96, 128))
+    monkeypatch.setattr(render, "load_camera", lambda *named: camera)
     out = tmp_path / "out"
-    ran = gpusim("render", file, "demo", "--out", out, "--no-noise", "--dry-run")
+    ran = gpusim("render", "demo", "demo", "--out", out, "--no-noise", "--dry-run")
     assert ran.code == 0, ran.err
     assert not asked and not out.exists()
     assert max(map(len, ran.out.splitlines())) <= 100
@@ -430,9 +430,11 @@ def test_an_exposure_is_a_number_or_a_fraction(text: str, seconds: float):
         ("--memory", "lots", ("--memory", "lots", "512MiB")),
     ],
 )
-def test_a_wrong_option_is_refused(tmp_path: Path, option: str, value: str, words: tuple[str, ...]):
+def test_a_wrong_option_is_refused(
+    asked: dict[str, Any], tmp_path: Path, option: str, value: str, words: tuple[str, ...]
+):
     assert_refused(shot(tmp_path, f"{option}={value}"), *words)
-    assert not list(tmp_path.iterdir())
+    assert not asked and not list(tmp_path.iterdir())  # before the lens is traced
 
 
 def test_a_folder_that_cannot_be_written_is_refused_before_the_work(

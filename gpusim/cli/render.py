@@ -23,6 +23,7 @@ from gpusim.isp.develop import check_ev, develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
+from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs, planned_costs
@@ -92,6 +93,7 @@ def run(
     if iso is not None:
         camera = replace(camera, sensor=camera.sensor.at_iso(iso))
     check_ev(ev)
+    check_method(method)  # before the lens is traced
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     drawn_for = Frame.of(camera.sensor)
     scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection, drawn_for, transfer)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct
@@ -11,6 +12,14 @@ from gpusim.sensor.aperture import Response
 
 METHODS = ("fft", "direct", "modes")
 Convolution = Convolve | Direct | Modes
+
+
+def check_method(method: str | None) -> None:
+    """Raise a UserError for a name that is none of METHODS; None leaves the choice to the plan."""
+    if method not in (None, *METHODS):
+        raise UserError(
+            "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
+        )
 
 
 def convolution(

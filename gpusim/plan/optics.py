@@ -28,7 +28,7 @@ from gpusim.optics.kernels import (
     field_kernels,
     mirrored,
 )
-from gpusim.optics.methods import METHODS
+from gpusim.optics.methods import METHODS, check_method
 from gpusim.optics.modes import Decomposition, mode_decomposition
 from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
@@ -160,10 +160,7 @@ def plans_optics(
     """
     lens = None if density is None else LensShare(density, bank)
     levels, bank = bank.levels, bank.levels[0]
-    if method not in (None, *METHODS):
-        raise UserError(
-            "There is no such method.", field="method", value=method, allowed=", ".join(METHODS)
-        )
+    check_method(method)
     methods = METHODS if method is None else (method,)
     signal = (
         brightest_e(bank, sensor, scene, exposure_s),
