@@ -170,6 +170,22 @@ def picture(name: str, values: np.ndarray, how: str = "") -> Callable[[Path], li
     return lambda at: [write(at / name, values)]
 
 
+def lamp_files(at: Path) -> list[Path]:
+    """Write a light in three formats."""
+    nm = range(380, 781, 40)
+    (at / "a.csv").write_text("nm,power\n" + "".join(f"{one},{one / 500}\n" for one in nm))
+    (at / "a.json").write_text(json.dumps({str(one): one / 500 for one in nm}, indent=1))
+    rows = "".join(f'<SpectralData wavelength="{one}">1.5</SpectralData>\n' for one in nm)
+    (at / "a.spdx").write_text(f"<IESTM2714>\n{rows}</IESTM2714>\n")
+    return [at / "a.csv", at / "a.json", at / "a.spdx"]
+
+
+def all_lamps(at: Path) -> None:
+    """Read them."""
+    for end in ("csv", "json", "spdx"):
+        make_scene("grey", illuminant=str(at / f"a.{end}"))
+
+
 def zemax_files(at: Path) -> list[Path]:
     """Write Zemax's exports."""
     write_zemax(at)
@@ -232,6 +248,7 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
         picture("a.png", np.full((9, 12, 3), 77, np.uint8), "png"),
         scene_of("a.png", transfer="srgb"),
     ),
+    "spectrum": (lamp_files, all_lamps),
     "raw": (raw_file, scene_of("raw.dng")),
     "speos": (speos_folder, lambda at: read_speos(at / "camera.yaml").sensor({})),
     "isetcam": (

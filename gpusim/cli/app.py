@@ -134,7 +134,9 @@ def render(
     illuminant: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="Light on a chart: D50, A, FL2, ..., or a blackbody: 5100K."
+            metavar="NAME",
+            help="Light on a chart or on reflectances: D50, A, FL2, ...; a blackbody: 5100K; or a "
+            "spectrum: .csv, .json, .spdx of IES TM-27.",
         ),
     ] = None,
     illumination: Annotated[
@@ -148,6 +150,13 @@ def render(
         typer.Option(
             metavar="NAME",
             help="What light a TIFF's or PNG's values stand for: srgb, linear, rec709, gamma2.2.",
+        ),
+    ] = None,
+    upsampling: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Spectra of an RGB picture: mallett-2019 if not given, jakob-2019, smits-1999.",
         ),
     ] = None,
     projection: Annotated[
@@ -259,6 +268,7 @@ def render(
         illuminant=illuminant,
         illumination=illumination,
         transfer=transfer,
+        upsampling=upsampling,
         projection=projection,
         tolerance=tolerance,
         probes=certify,

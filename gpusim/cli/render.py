@@ -53,6 +53,7 @@ def run(
     illuminant: str | None,
     illumination: Path | None,
     transfer: str | None,
+    upsampling: str | None,
     projection: str,
     tolerance: str,
     probes: int,
@@ -96,7 +97,15 @@ def run(
     check_method(method)  # before the lens is traced
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
     drawn_for = Frame.of(camera.sensor)
-    scene = make_scene(scene_name, luminance_cd_m2, illuminant, projection, drawn_for, transfer)
+    scene = make_scene(
+        scene_name,
+        luminance_cd_m2,
+        illuminant,
+        projection,
+        drawn_for,
+        transfer=transfer,
+        upsampling=upsampling,
+    )
     if illumination is not None:
         scene = illuminated(scene, read_illumination(illumination), illumination.name)
     costs = None if plan is None else planned_costs(plan)

@@ -108,7 +108,7 @@ def band_scene(
     if reflective:
         lamp = illuminant or DEFAULT_ILLUMINANT
         level = luminance or DEFAULT_WHITE_LUMINANCE_CD_M2
-        notes += (f"reflectances under {lamp}, a white of {level:g} cd/m^2",)
+        notes += (f"reflectances under {Path(lamp).name}, a white of {level:g} cd/m^2",)
         known += (illuminant_known(lamp),)
 
         def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +128,7 @@ def band_scene(
             return spectra, white_bands @ spectra
 
     spectra, white = light(WAVELENGTHS_NM)
-    return Scene(name, spectra, raster, lamp, white, notes, light=light, made_of=known)
+    return Scene(name, spectra, raster, Path(lamp).name, white, notes, light=light, made_of=known)
 
 
 def _hats(nm: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:

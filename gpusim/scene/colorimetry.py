@@ -63,3 +63,12 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     """Return sRGB values 0..1 of linear Rec.709 values, clipped to 0..1 (IEC 61966-2-1)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def lab(xyz: np.ndarray, white_xyz: np.ndarray) -> np.ndarray:
+    """Return CIE 1976 L*, a*, b* (..., 3) of XYZ (..., 3) beside a white (CIE 015:2018, 8.2.1)."""
+    share = np.asarray(xyz, np.float64) / white_xyz
+    low = share * (841 / 108) + 4 / 29
+    root = np.where(share > (24 / 116) ** 3, np.cbrt(share), low)
+    x, y, z = np.moveaxis(root, -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)

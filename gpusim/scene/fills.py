@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from gpusim.config.names import perhaps
-from gpusim.config.text import read_text
 from gpusim.errors import UserError
 from gpusim.known import Known
+from gpusim.scene.spd import read_spectrum
 from gpusim.scene.spectra import colorchecker, colorchecker_known
 
 # Reflectances: beyond 1 for what fluoresces or shines like a mirror.
@@ -140,32 +139,5 @@ def _spectrum(given: object, field: str, path: Path) -> tuple[tuple[float, float
     """Return the pairs of a table of wavelength, nm, and reflectance, which lies beside a file."""
     if not isinstance(given, str):
         raise UserError("a fill is wrong", file=path, field=field, value=given, allowed="a file")
-    file = path.parent / given
-    rows = []
-    for number, line in enumerate(read_text(file, "the reflectance").splitlines(), start=1):
-        line = line.partition("#")[0].strip()
-        if not line:
-            continue
-        try:
-            nm, value = (float(cell) for cell in line.replace(",", " ").split())
-        except ValueError:
-            if not rows and not any(sign.isdigit() for sign in line.partition(",")[0]):
-                continue  # a heading
-            nm = value = np.nan
-        if not (100 <= nm <= 1e4 and 0 <= value <= MOST_REFLECTANCE):
-            raise UserError(
-                "no line of a reflectance",
-                file=file,
-                field=f"line {number}",
-                value=line,
-                allowed=f"wavelength in nm, reflectance of 0 to {MOST_REFLECTANCE:g}",
-            )
-        rows.append((nm, value))
-    if len(rows) < 2 or any(b[0] <= a[0] for a, b in pairwise(rows)):
-        raise UserError(
-            "no reflectance by wavelength",
-            file=file,
-            value=f"{len(rows)} lines",
-            allowed="two or more, wavelengths rising",
-        )
-    return tuple(rows)
+    found = read_spectrum(path.parent / given, "the reflectance", MOST_REFLECTANCE)
+    return tuple((float(nm), float(value)) for nm, value in zip(*found, strict=True))

@@ -27,6 +27,7 @@ def make_scene(
     projection: str = RECTILINEAR.name,
     frame: Frame | None = None,
     transfer: str | None = None,
+    upsampling: str | None = None,
 ) -> Scene:
     """Return a chart of the project, one of a YAML file, or a picture from a file.
 
@@ -39,8 +40,8 @@ def make_scene(
         where it replaces the file's own ``whiteLuminance``. Without either, 300.
     illuminant : str, optional
         Light on a chart or on a picture of reflectances, D50 by default: a CIE name, or a
-        blackbody's temperature ("5100K"). An RGB photograph has its own light in it: its spectra
-        are those of Mallett and Yuksel (2019), under D65.
+        blackbody's temperature ("5100K"), or a file of a spectrum. An RGB photograph has its own
+        light in it: its spectra are lit by D65.
     projection : str
         How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
         to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
@@ -49,6 +50,9 @@ def make_scene(
         The sensor: for charts that count in its pixels, or are drawn on samples.
     transfer : str, optional
         What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2".
+    upsampling : str, optional
+        By which an RGB photograph's colours become spectra: "mallett-2019" if not given,
+        "jakob-2019" or "smits-1999".
 
     Raises
     ------
@@ -80,12 +84,19 @@ def make_scene(
                 value=projection,
                 allowed=f"{', '.join(PROJECTIONS)} for charts",
             )
+        if upsampling is not None:
+            raise UserError(
+                "a chart has spectra of its own",
+                field="upsampling",
+                value=upsampling,
+                allowed="with an RGB picture",
+            )
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
         scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
         return replace(scene, projection=plane)
     path = Path(name_or_path)
     if is_picture(path):
-        scene = picture_scene(path, luminance_cd_m2, illuminant, transfer)
+        scene = picture_scene(path, luminance_cd_m2, illuminant, transfer, upsampling)
         if panorama:
             whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
             scene = replace(scene, source=whole)
@@ -115,4 +126,4 @@ def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
     known = dict.fromkeys((illuminant_known(lamp), *(fill.known for fill in fills)))
     made_of = tuple(one for one in known if one is not None)
     given = {"notes": laid.notes, "light": light, "made_of": made_of}
-    return Scene(Path(name).name, spectra, source, lamp, white, **given)
+    return Scene(Path(name).name, spectra, source, Path(lamp).name, white, **given)

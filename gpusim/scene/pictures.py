@@ -15,7 +15,7 @@ from gpusim.scene.isetcam_scene import read_isetcam_scene
 from gpusim.scene.radiance_hdr import read_hdr
 from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
 from gpusim.scene.spectral_exr import is_spectral, read_spectral_exr
-from gpusim.scene.upsampling import lit_rgb
+from gpusim.scene.upsampling import MALLETT, check_upsampling, lit_rgb
 
 ENVI = (".hdr", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".cube")
 SUFFIXES = (".exr", ".pic", ".mat", *ENVI, *TIFF, *PNG, *RAWS)
@@ -32,6 +32,7 @@ def picture_scene(
     luminance_cd_m2: float | None = None,
     illuminant: str | None = None,
     transfer: str | None = None,
+    upsampling: str | None = None,
 ) -> Scene:
     """Return the scene of a picture.
 
@@ -46,6 +47,8 @@ def picture_scene(
         Light on a picture of reflectances.
     transfer : str, optional
         What light the values of a TIFF or PNG stand for: see `gpusim.scene.encoded.linear`.
+    upsampling : str, optional
+        By which RGB becomes spectra: see `gpusim.scene.upsampling`.
 
     Raises
     ------
@@ -61,10 +64,19 @@ def picture_scene(
             value=transfer,
             allowed="with a TIFF or PNG",
         )
+    method = check_upsampling(upsampling or MALLETT)
     if not path.is_file():
         raise UserError("no such scene file", file=path)
     bands = _bands(path, suffix, illuminant)
     if bands is not None:
+        if upsampling is not None:
+            raise UserError(
+                "the picture has spectra of its own",
+                file=path,
+                field="upsampling",
+                value=upsampling,
+                allowed="with an RGB picture",
+            )
         return band_scene(path, bands, luminance_cd_m2, illuminant)
     if illuminant is not None:
         raise UserError(
@@ -74,7 +86,8 @@ def picture_scene(
             value=illuminant,
             allowed="none with a photograph; with a chart any",
         )
-    return _photograph(path, _rgb(path, suffix, transfer, luminance_cd_m2), luminance_cd_m2)
+    photograph = _rgb(path, suffix, transfer, luminance_cd_m2)
+    return _photograph(path, photograph, luminance_cd_m2, method)
 
 
 def _bands(path: Path, suffix: str, illuminant: str | None) -> Bands | None:
@@ -98,10 +111,13 @@ def _rgb(path: Path, suffix: str, transfer: str | None, luminance: float | None)
     return read_encoded(path, transfer)
 
 
-def _photograph(path: Path, photograph: Photograph, luminance_cd_m2: float | None) -> Scene:
+def _photograph(
+    path: Path, photograph: Photograph, luminance_cd_m2: float | None, method: str
+) -> Scene:
     known = luminance_cd_m2 or photograph.white_luminance_cd_m2
     scale = known or DEFAULT_WHITE_LUMINANCE_CD_M2
     notes = photograph.notes
     if not known:
         notes += (f"the file gives no whiteLuminance: RGB (1, 1, 1) taken as {scale:g} cd/m^2",)
-    return lit_rgb(path.name, photograph.rgb, np.asarray(photograph.white_rgb), scale, notes)
+    white = np.asarray(photograph.white_rgb)
+    return lit_rgb(path.name, photograph.rgb, white, scale, notes, method)

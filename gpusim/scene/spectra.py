@@ -11,11 +11,13 @@ import math
 import re
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.known import Known
+from gpusim.scene.spd import FORMATS, is_spectrum, on_grid, read_spectrum
 
 STEP_NM = 5.0
 SHORTEST_NM, LONGEST_NM = 300.0, 1200.0
@@ -86,8 +88,8 @@ def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.nda
     Parameters
     ----------
     name : str
-        ``"D50"``, ``"D65"``, ``"A"``, ``"FL2"``, ``"LED-B3"``, ...; or a temperature, ``"5100K"``,
-        for Planck's law.
+        ``"D50"``, ``"D65"``, ``"A"``, ``"FL2"``, ``"LED-B3"``, ...; a temperature, ``"5100K"``,
+        for Planck's law; or a file: see `gpusim.scene.spd.read_spectrum`.
     wavelengths_nm : ndarray (K,)
 
     Returns
@@ -98,9 +100,12 @@ def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.nda
     Raises
     ------
     UserError
-        For a name that is not in the table, or a temperature out of range.
+        For a name that is not in the table, a temperature out of range, or a file that holds no
+        spectrum or none that is seen.
     """
     wavelengths = np.asarray(wavelengths_nm, np.float64)
+    if is_spectrum(name):
+        return on_grid(*_lamp(Path(name)), wavelengths, STEP_NM)
     if (kelvin := _kelvin(name)) is not None:
         return _planck(wavelengths, kelvin, SECOND_RADIATION_M_K)
     known, table = _table("illuminants")
@@ -109,13 +114,26 @@ def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.nda
             "unknown illuminant",
             field="illuminant",
             value=name,
-            allowed=f"{', '.join(table)}, or a blackbody by its temperature: 5100K",
+            allowed=f"{', '.join(table)}, a blackbody by its temperature: 5100K, or a file: "
+            f"{FORMATS}",
         )
     there = np.isfinite(table[name])
     found = np.interp(wavelengths, known[there], table[name][there])
     if name == "A":  # the table has the CIE's own digits, the formula all wavelengths
         found = np.where(wavelengths > known[there][-1], _illuminant_a(wavelengths), found)
     return found
+
+
+def _lamp(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return a light's wavelengths and power from a file; refuse one that is dark to the eye."""
+    nm, power = read_spectrum(path, "the illuminant")
+    seen = (nm > WAVELENGTHS_NM[0]) & (nm < WAVELENGTHS_NM[-1])
+    if not power[seen].any():
+        raise UserError(
+            "the illuminant is dark to the eye", file=path, value=f"{nm[0]:g} to {nm[-1]:g} nm",
+            allowed="power between 400 and 700 nm",
+        )  # fmt: skip
+    return nm, power
 
 
 def _kelvin(name: str) -> float | None:
@@ -148,6 +166,8 @@ def _illuminant_a(wavelengths_nm: np.ndarray) -> np.ndarray:
 
 def illuminant_known(name: str) -> Known:
     """Return over which wavelengths an illuminant is defined: A, E and blackbodies over all."""
+    if is_spectrum(name):
+        return Known(f"illuminant {Path(name).name}", *_lamp(Path(name))[0][[0, -1]].tolist())
     if _kelvin(name) is not None or name in ("A", "E"):
         return Known(f"illuminant {name}", 0.0, math.inf)
     known, table = _table("illuminants")
@@ -179,9 +199,27 @@ def rgb_reflectances(wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
     return np.stack(list(_columns("mallett_2019", wavelengths_nm).values()))
 
 
-def rgb_known() -> Known:
-    """Return over which wavelengths these are defined."""
-    return Known("the spectra made of RGB (Mallett and Yuksel)", *_table_ends_nm("mallett_2019"))
+def rgb_nodes(
+    table: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return linear Rec.709 colours (N, 3) whose largest component is 1; and reflectances (N, K).
+
+    Parameters
+    ----------
+    table : str
+        "jakob_2019" (Jakob and Hanika 2019) or "smits_1999" (Smits 1999).
+    wavelengths_nm : ndarray (K,)
+    """
+    columns = _columns(table, wavelengths_nm)
+    nodes = np.array([[float(one) for one in name.split()] for name in columns])
+    return nodes, np.stack(list(columns.values()))
+
+
+def rgb_known(table: str | None = None) -> Known:
+    """Return over which wavelengths these are defined; without a table, the basis of three."""
+    names = {"jakob_2019": "Jakob and Hanika", "smits_1999": "Smits"}
+    who = names.get(table, "Mallett and Yuksel")
+    return Known(f"the spectra made of RGB ({who})", *_table_ends_nm(table or "mallett_2019"))
 
 
 def xyz(radiance: np.ndarray, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
