@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -42,6 +43,7 @@ from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
 from gpusim.sensor.load import load_sensor
 
 HERE = Path(__file__).resolve().parent
+CELLS = HERE.parent / "docs/matrix.jsonl"
 LIBRARY = (
     "compact-6mm",
     "cooke-triplet",
@@ -296,12 +298,15 @@ def table(cells: list[dict]) -> str:
         "",
         ", ".join(f"{counts[name]} {name}" for name in sorted(counts)) + ". The judge's figure is "
         "the RMS over up to five pixels; a certificate is wrong where that exceeds twice the "
-        "tolerance by more than the judge's own bound.",
+        "tolerance by more than the judge's own bound. What is predicted is the RMS over the "
+        "whole sensor, of which the tile is one place: errors between PSF nodes are largest "
+        "half-way, and on the tile they may be several times less, or somewhat more. The last "
+        "column is the commit that a row was made with.",
         "",
         *foretold(cells),
         "| lens | pitch, um | scene | tolerance | predicted | engine | bank | window | total "
-        "| judge | verdict |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        "| judge | verdict | code |",
+        "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
 
     def number(one: dict, name: str) -> str:
@@ -310,8 +315,9 @@ def table(cells: list[dict]) -> str:
     for one in sorted(cells, key=key):
         figures = ("predicted", "engine_rms", "bank_rms", "window", "total_rms", "judge_rms")
         verdict = one["verdict"] + (f": {one['reason']}" if "reason" in one else "")
-        row = (one["lens"], f"{one['pitch_um']:g}", one["scene"], f"{one['tolerance']:g}")
-        out.append(f"| {' | '.join([*row, *(number(one, name) for name in figures), verdict])} |")
+        row = [one["lens"], f"{one['pitch_um']:g}", one["scene"], f"{one['tolerance']:g}"]
+        row += [*(number(one, name) for name in figures), verdict, one.get("code", "")]
+        out.append(f"| {' | '.join(row)} |")
     return "\n".join(out) + "\n"
 
 
@@ -323,7 +329,7 @@ def main() -> int:
     parse.add_argument("--scene", nargs="*", default=list(SCENES), choices=list(SCENES))
     parse.add_argument("--tolerance", nargs="*", type=float, default=[1e-2, 1e-3])
     parse.add_argument("--judge", type=int, default=len(PROBES_UM), help="pixels a cell; 0: none")
-    parse.add_argument("--cells", type=Path, default=Path("matrix.jsonl"), help="kept results")
+    parse.add_argument("--cells", type=Path, default=CELLS, help="kept results")
     parse.add_argument("--again", action="store_true", help="do cells that are there once more")
     parse.add_argument("--table", type=Path, help="write this page, and run nothing")
     asked = parse.parse_args()
@@ -344,6 +350,8 @@ def main() -> int:
         for tolerance in asked.tolerance
         if asked.again or (name, pitch, scene, tolerance) not in done
     ]
+    asks = ["git", "-C", str(HERE), "describe", "--always", "--dirty"]
+    code = subprocess.run(asks, capture_output=True, text=True, check=False).stdout.strip()
     wrong, spot, of = 0, None, None
     for number, (name, pitch, scene, tolerance) in enumerate(wanted, start=1):
         if of != name:
@@ -358,6 +366,7 @@ def main() -> int:
             "scene": scene,
             "tolerance": tolerance,
             **found,
+            "code": code,
         }
         with asked.cells.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
