@@ -25,6 +25,7 @@ TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
 STAGES += ["mosaic", "crosstalk", "exposure", "noise", "adc", "sensor-12mp"]
 STAGES += ["smear", "cti-linear", "cti-trap"]
+DEVELOP = ["develop-12mp", "develop-12mp-directional"]
 FRAMES = ["render-demo", "frame-12mp", "frame-12mp-mono", "scaling"]
 SMALL = (128, 168)  # a fraction of a second for each stage
 # Largest difference from the reference over its largest value. Rounding to f32 is below 2e-6 in
@@ -69,7 +70,7 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    whole = [*FRAMES, "regret", "tolerances", "psf-bank", "psf-refocus", "blur-1mp"]
+    whole = [*FRAMES, "regret", "tolerances", "psf-bank", "psf-refocus", "blur-1mp", *DEVELOP]
     assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)
 
@@ -106,6 +107,20 @@ def test_a_stage_runs_and_is_compared_with_its_reference(
     for run, share in job.peers.values():
         run()
         assert share >= 1
+
+
+@pytest.mark.parametrize("name", DEVELOP)
+def test_development_is_timed_beside_others(jobs: ModuleType, own_device: Device, name: str):
+    job = jobs.JOBS[name][1](own_device, SMALL)
+    made = job.run()
+    assert made.picture.shape == (*SMALL, 3)
+    # Rounding to 16 bits, and to f32 where the curve is steepest: 12.92 times some 2^-24.
+    assert 0 <= job.error["worst"] <= 1.5e-5
+    assert sum(job.facts(made)["stages_s"].values()) > 0
+    for run, share in job.peers.values():
+        run()
+        assert share >= 1
+    assert any("LibRaw" in peer for peer in job.peers)
 
 
 def test_operations_are_counted_as_usual(jobs: ModuleType, own_device: Device):

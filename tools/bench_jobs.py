@@ -18,6 +18,7 @@ import numpy as np
 import scipy.fft
 from bench_blur import blur_1mp
 from bench_ccd import linear_job, smear_job, trap_job
+from bench_isp import develop_job
 from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
@@ -948,6 +949,14 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "blur-1mp": (
         "1024 x 1024 samples, 3 channels, 31 x 31 PSFs of 9 x 9 nodes",
         lambda device, frame: blur_1mp(device, Job),
+    ),
+    "develop-12mp": (
+        "a raw frame to a picture of 8 bits, demosaiced by Malvar's filters",
+        partial(develop_job, method="malvar", job=Job),
+    ),
+    "develop-12mp-directional": (
+        "the same, demosaiced along edges",
+        partial(develop_job, method="directional", job=Job),
     ),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
