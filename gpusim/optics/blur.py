@@ -89,7 +89,11 @@ class Blur:
         self.spread, self.gather = (
             Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "gather")
         )
-        self.mix = Kernel("optics/mix", SIDE=self.side, ROWS=self.rows, KEEP=self.per_cell == 1)
+        straight = straight_through(str(self.device.report()["driver"]))
+        keep = straight and self.per_cell == 1
+        self.mix = Kernel(
+            "optics/mix", SIDE=self.side, ROWS=self.rows, STRAIGHT=straight, KEEP=keep
+        )
         # As many channels at once as a binding holds the spectra and the PSFs of. With the copies
         # and the columns, half as large, that is less than six times what the larger takes.
         largest = 8 * HALF * max(2 * down * across * self.side, math.prod(nodes) * self.rows)
@@ -210,6 +214,14 @@ def blur(
         return made(image)
     finally:
         made.release()
+
+
+def straight_through(driver: str) -> bool:
+    """Return whether the middle step's nodes are better not in a loop, with the driver so called.
+
+    Only with lavapipe of Mesa 22: see shaders/optics/mix.wgsl for the times.
+    """
+    return driver.startswith("Mesa 22.")
 
 
 def _check_psfs(psfs: np.ndarray) -> None:

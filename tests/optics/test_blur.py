@@ -10,7 +10,7 @@ import pytest
 from harness import assert_close
 
 from gpusim.errors import UserError
-from gpusim.optics.blur import Blur, blur
+from gpusim.optics.blur import Blur, blur, straight_through
 
 BAR = 1e-6
 
@@ -104,3 +104,9 @@ def test_bad_input_is_named(change: dict, says: str):
     with pytest.raises(UserError) as caught:
         blur(**{**given, **change})
     assert says in caught.value.screen()
+
+
+def test_nodes_go_straight_through_on_mesa_22_alone():
+    assert straight_through("Mesa 22.3.6 (LLVM 15.0.6)")
+    for driver in ("Mesa 25.0.7-2~bpo12+1 (LLVM 15.0.6)", "Mesa 220.1", "driver of no name"):
+        assert not straight_through(driver)
