@@ -830,6 +830,28 @@ def spectra(
     run(path, roi or [], channel, out, linear=linear, as_json=as_json)
 
 
+@measure.command()
+def snr(
+    path: Picture,
+    roi: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,W,H",
+            help="An even patch, pixels; may be given again. Without it a ColorChecker's greys are "
+            "sought.",
+        ),
+    ] = None,
+    channel: Channels = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure signal-to-noise ratio over a grey scale, and the dynamic range."""
+    from gpusim.cli.snr import snr as run
+
+    run(path, roi or [], channel, out, linear=linear, as_json=as_json)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
