@@ -852,6 +852,20 @@ def snr(
     run(path, roi or [], channel, out, linear=linear, as_json=as_json)
 
 
+@measure.command()
+def shading(
+    path: Picture,
+    channel: Channels = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure shading, and that of colours, from a picture of an even field."""
+    from gpusim.cli.shading import shading as run
+
+    run(path, channel, out, linear=linear, as_json=as_json)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,
