@@ -22,7 +22,7 @@ from gpusim.isp.pack import record_pack, unpacked
 from gpusim.isp.quad import BAYER
 from gpusim.isp.repair import record_repair
 from gpusim.isp.roll_off import record_roll_off
-from gpusim.isp.settings import PATCH, Settings
+from gpusim.isp.settings import LARGEST_EV, PATCH, Settings
 from gpusim.isp.shading import record_shading
 from gpusim.isp.source import Source
 from gpusim.isp.transfer import SPACES, record_transfer
@@ -172,7 +172,7 @@ class _Chain:
         self.source, self.settings, self.bits = source, settings, bits
         self.left_out: dict[str, str] = {}
         self.method = demosaicing(source, settings)
-        self.ev = settings.ev + source.ev
+        self.ev = float(np.clip(settings.ev + source.ev, -LARGEST_EV, LARGEST_EV))
         self.space = SPACES[settings.space]
         self._colour()
         self._listed()

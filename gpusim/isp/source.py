@@ -17,6 +17,7 @@ from gpusim.sensor.cfa import CFA_LETTERS
 # Variance of a frame whose file says nothing of its noise: 1 % of saturation squared, which all but
 # the noisiest frames stay below.
 UNKNOWN_NOISE = (0.0, 1e-4)
+MOST_COLOURS = 4  # that the shaders take
 LONGEST_PERIOD = 8  # pixels, of a filter pattern
 # Quarter turns to the left by LibRaw's `flip`.
 TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
@@ -100,7 +101,31 @@ def read_source(path: Path) -> Source:
         It is none, or damaged; or its filters are none that are developed here.
     """
     ours = read_codes(path)
-    return _of_libraw(path) if ours is None else _of_ours(ours)
+    found = _of_libraw(path) if ours is None else _of_ours(ours)
+    _check(found)
+    return found
+
+
+def _check(source: Source) -> None:
+    """Refuse levels and colours that no camera has."""
+    number = len(source.colours)
+    gain = () if source.shading is None else (*source.shading.k, *source.shading.axis)
+    if not (np.isfinite([source.span, *source.noise, *gain]).all() and source.span > 0):
+        raise ValueError("levels that are none, or no level between black and white")
+    if not np.isfinite(source.black).all() or source.codes.size == 0:
+        raise ValueError("a frame without pixels, or without a level of black")
+    if number > MOST_COLOURS:
+        raise ValueError(f"filters of {number} colours")
+    neutral = source.neutral
+    if neutral is not None and (neutral.shape != (number,) or not _positive(neutral)):
+        raise ValueError("a white that is none")
+    for matrix in source.matrices.values():
+        if matrix.shape != (number, 3) or not np.isfinite(matrix).all():
+            raise ValueError("a colour matrix that is none")
+
+
+def _positive(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).all() and (values > 0).all())
 
 
 def _of_ours(file: CodedFile) -> Source:
@@ -159,7 +184,7 @@ def _of_libraw(path: Path) -> Source:
         order = [codes[name] for name in sorted(codes, key=CFA_LETTERS.index)]
         gains = np.array(raw.camera_whitebalance, np.float64)[order]
         neutral = None
-        if len(order) > 1 and (gains > 0).all() and np.isfinite(gains).all():
+        if len(order) > 1 and _positive(gains):
             neutral = gains.min() / gains
         matrices = _dng_matrices(path, len(order))
         known = np.array(raw.rgb_xyz_matrix, np.float64)[order]

@@ -1,5 +1,6 @@
 """Development by our own stages: true colours, every filter array, bands, whites, other files."""
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,9 +11,9 @@ from isp.photographs import mosaicked, photographs
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device
-from gpusim.isp import pipeline
+from gpusim.isp import pipeline, tiff
 from gpusim.isp.develop import develop
-from gpusim.isp.dng import write_dng
+from gpusim.isp.dng import TAGS, write_dng
 from gpusim.isp.engine import develop_raw
 from gpusim.isp.pipeline import develop_source, neutral_for
 from gpusim.isp.settings import Settings
@@ -295,3 +296,49 @@ def test_a_corrupt_raw_is_a_clear_error(device: Device, tmp_path, shoot, content
 def test_a_missing_raw_is_a_clear_error(device: Device, tmp_path):
     with pytest.raises(UserError, match="no such raw file"):
         develop_raw(tmp_path / "none.dng", Settings(), device)
+
+
+@pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
+def test_files_of_others_are_developed_as_ours_and_upright(
+    device: Device, tmp_path, shoot, orientation: int, turns: int
+):
+    """LibRaw reads the same file where its maker is another; Orientation by TIFF 6.0."""
+    path = written(shoot("D50"), tmp_path)
+    ours = develop_raw(path, Settings(), device).picture
+    content = path.read_bytes().replace(b"gpusim\0", b"Camera\0")
+    tag = struct.pack("<HHIH", 274, 3, 1, 1)
+    assert content.count(tag) == 1
+    path.write_bytes(content.replace(tag, struct.pack("<HHIH", 274, 3, 1, orientation)))
+    theirs = develop_raw(path, Settings(), device).picture
+    # LibRaw holds the white balance in f32, which carries few values over a half.
+    expected = np.rot90(ours, turns).astype(int)
+    assert_close(theirs.astype(int), expected, atol=0, outliers=1e-3, outlier_atol=1)
+
+
+@pytest.mark.parametrize(
+    ("tag", "entry"),
+    [
+        ("AsShotNeutral", (5, (0, 1, 1, 1, 1, 1))),
+        ("AsShotNeutral", (5, (1, 1, 1, 1))),
+        ("WhiteLevel", (4, (100,))),
+        ("ColorMatrix1", (10, (1, 0) * 9)),
+        ("NoiseProfile", (12, (float("nan"), 0.0))),
+        ("BaselineExposure", (10, (2_000_000_000, 1))),
+    ],
+)
+def test_levels_that_no_camera_has_are_one_clear_error(
+    device: Device, tmp_path, shoot, monkeypatch, tag: str, entry
+):
+    """All but a wild exposure, which shows as much as is allowed."""
+    whole = tiff.write_tiff
+
+    def spoilt(path, pixels, tags, exif):
+        whole(path, pixels, dict(tags) | {TAGS[tag]: entry}, exif)
+
+    monkeypatch.setattr(tiff, "write_tiff", spoilt)
+    path = written(shoot("D50"), tmp_path)
+    if tag == "BaselineExposure":
+        assert develop_raw(path, Settings(), device).picture.max() == 255
+        return
+    with pytest.raises(UserError, match="cannot be developed"):
+        develop_raw(path, Settings(), device)
