@@ -382,6 +382,57 @@ def burst(
 
 
 @app.command()
+def batch(
+    sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="A YAML file: see docs/batch.md.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for frames, table and page.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the frames that are in the folder.")
+    ] = False,
+    workers: Annotated[
+        int, typer.Option(metavar="N", help="Processes on this machine; one an adapter is best.")
+    ] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler to work on: tcp://host:8786."),
+    ] = None,
+    fail_fast: Annotated[
+        bool, typer.Option("--fail-fast", help="End with the first frame that fails.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Count frames, lights and disk; render nothing.")
+    ] = False,
+    status: Annotated[
+        bool, typer.Option("--status", help="Say how many frames are there; render nothing.")
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the account as JSON.")] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Render a sweep: every frame with a sidecar, one table, one page.
+
+    What a run leaves when it is interrupted or killed, --resume goes on with. Exit code 1 where
+    frames failed or a certificate does not meet the tolerance.
+    """
+    from gpusim.cli.batch import run_batch
+
+    choose_adapter(adapter)
+    if code := run_batch(
+        sweep,
+        out,
+        resume=resume,
+        workers=workers,
+        scheduler=scheduler,
+        fail_fast=fail_fast,
+        dry_run=dry_run,
+        only_status=status,
+        show="json" if as_json else "nothing" if quiet else "table",
+    ):
+        raise typer.Exit(code)
+
+
+@app.command()
 def chart(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],

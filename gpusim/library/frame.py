@@ -24,6 +24,8 @@ from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from gpusim.certify import Certificate
     from gpusim.library.light import Light
     from gpusim.sensor.sensor import Sensor
@@ -137,12 +139,12 @@ class Frame:
             self._write_raw(path, ev)
             return Image.fromarray(develop(path))
 
-    def save(self, path: str | Path, ev: float = 0.0) -> None:
+    def save(self, path: str | Path, ev: float = 0.0, *, taken: datetime | None = None) -> None:
         """Write the frame to a file, whose suffix says as what.
 
         ``.dng``, or ``.tif`` where DNG has no way: the raw. ``.png``, ``.jpg``: the developed
         picture, `ev` stops brighter. ``.exr``: electrons. ``.npz``: raw, electrons, truth_dn,
-        saturated, and with what they were taken.
+        saturated, and with what they were taken. `taken`: the time in a raw, by default now.
 
         Raises
         ------
@@ -152,7 +154,7 @@ class Frame:
         path = Path(path)
         suffix = path.suffix.lower()
         if suffix in (".dng", ".tif", ".tiff"):
-            self._write_raw(path, ev)
+            self._write_raw(path, ev, taken)
         elif suffix in (".png", ".jpg", ".jpeg"):
             self.develop(ev).save(path)
         elif suffix == ".exr":
@@ -179,7 +181,7 @@ class Frame:
                 allowed=".dng, .tif, .png, .jpg, .exr, .npz",
             )
 
-    def _write_raw(self, path: Path, ev: float) -> None:
+    def _write_raw(self, path: Path, ev: float, taken: datetime | None = None) -> None:
         light, areas = self.light, self.areas
         sensor = light.sensor.cut(*areas.lit[:2])
         if path.suffix.lower() == ".dng" and not has_dng(sensor):
@@ -202,6 +204,7 @@ class Frame:
             place=areas.lit[:2],
             temperature_c=self.shot.temperature_c,
             ev=ev,
+            taken=taken,
         )
 
     def _repr_png_(self) -> bytes:

@@ -1,0 +1,104 @@
+"""The page of a batch: contact sheet, figures over the sweep's axes, failures."""
+
+from __future__ import annotations
+
+import base64
+import io
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from matplotlib.figure import Figure
+from PIL import Image
+
+from gpusim.isp.develop import develop
+from gpusim.report.drawing import svg
+from gpusim.report.page import document
+
+if TYPE_CHECKING:
+    from gpusim.batch.run import Outcome
+
+SHOWN, THUMBNAIL_PX = 24, 240
+MOST_FAILURES = 50
+
+
+def batch_page(outcome: Outcome) -> str:
+    """Return the page as HTML."""
+    total, done = len(outcome.sweep), len(outcome.done)
+    rate = f", {outcome.new / outcome.seconds:.3g} frames/s" if outcome.new else ""
+    summary = (
+        f"{escape(outcome.sweep.camera)}: {done} of {total} frames, {len(outcome.failed)} failed; "
+        f"{outcome.new} rendered by the last run in {outcome.seconds:.1f} s{rate}"
+    )
+    return document("Batch", summary, _pictures(outcome), _plots(outcome), _failures(outcome))
+
+
+def _pictures(outcome: Outcome) -> str:
+    """Return frames spread evenly over the sweep, as developed pictures."""
+    done = outcome.done
+    step = max(1, -(-len(done) // SHOWN))
+    cells = []
+    for one in done[::step]:
+        picture = _picture(outcome, one["files"])
+        if picture is None:
+            continue
+        picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX))
+        with io.BytesIO() as file:
+            picture.convert("RGB").save(file, "JPEG", quality=85)
+            data = base64.b64encode(file.getvalue()).decode("ascii")
+        said = ", ".join(f"{name} {_short(value)}" for name, value in one["settings"].items())
+        cells.append(
+            f'<figure style="margin:0"><img src="data:image/jpeg;base64,{data}" '
+            f'alt="frame {one["number"]}" style="width:100%"><figcaption class="soft">'
+            f"{one['number']}: {escape(said)}</figcaption></figure>"
+        )
+    if not cells:
+        return ""
+    grid = "display:grid;gap:.6rem;grid-template-columns:repeat(auto-fill,minmax(150px,1fr))"
+    return f'<section><h2>Frames</h2><div style="{grid}">{"".join(cells)}</div></section>'
+
+
+def _picture(outcome: Outcome, files: list[str]) -> Image.Image | None:
+    for name in files:
+        if name.endswith(".png"):
+            return Image.open(outcome.out / name)
+    for name in files:
+        if name.endswith((".dng", ".tif")):
+            return Image.fromarray(develop(outcome.out / name))
+    return None
+
+
+def _short(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plots(outcome: Outcome) -> str:
+    """Return the mean signal over each axis that has several numbers."""
+    figures = []
+    for name in outcome.sweep.axes:
+        pairs = [
+            (one["settings"][name], one["mean_dn"])
+            for one in outcome.done
+            if isinstance(one["settings"].get(name), int | float)
+        ]
+        if len({x for x, _ in pairs}) < 2 or name in ("seed", "frame"):
+            continue
+        figure = Figure(figsize=(4.6, 2.8), layout="constrained")
+        axes = figure.subplots()
+        axes.plot(*zip(*pairs, strict=True), "o", markersize=3, alpha=0.6)
+        axes.set(xlabel=name, ylabel="mean of the raw [DN]")
+        figures.append(svg(figure))
+    if not figures:
+        return ""
+    return f"<section><h2>Signal over the axes</h2>{''.join(figures)}</section>"
+
+
+def _failures(outcome: Outcome) -> str:
+    if not outcome.failed:
+        return ""
+    rows = "".join(
+        f"<tr><td>{one['number']}</td><td>{escape(str(one['settings']))}</td>"
+        f"<td>{escape(one['error'])}</td></tr>"
+        for one in outcome.failed[:MOST_FAILURES]
+    )
+    head = "<tr><th>frame</th><th>settings</th><th>what happened</th></tr>"
+    return f"<section><h2>Failures</h2><table>{head}{rows}</table></section>"

@@ -1,0 +1,358 @@
+"""A sweep: which cameras see which scenes, with what settings, and what is kept of each frame."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, Field, PrivateAttr, field_validator
+
+from gpusim.batch.axes import Axis, combined
+from gpusim.camera import Camera, load_camera
+from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict
+from gpusim.config.names import perhaps
+from gpusim.config.text import read_yaml
+from gpusim.errors import UserError
+from gpusim.library.light import OPTICAL
+from gpusim.library.session import LENS_SETTINGS
+from gpusim.plan import Accuracy
+from gpusim.scene.charts import CHARTS
+from gpusim.sensor.sensor import Sensor
+
+READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
+OF_SCENE = ("luminance_cd_m2", "illuminant")
+# Numbers that move or bend one surface of the lens: lens.NUMBER.WHAT
+OF_SURFACE = (
+    "radius",
+    "curvature",
+    "thickness",
+    "nd",
+    "decentre_x_mm",
+    "decentre_y_mm",
+    "tilt_x_deg",
+    "tilt_y_deg",
+)
+OUTPUTS = ("raw", "npz", "exr", "developed", "truth")
+KINDS = {"raw": "dng", "npz": "npz", "exr": "exr", "developed": "png", "truth": "truth.exr"}
+
+
+class Sweep(Strict):
+    """What a batch renders.
+
+    Attributes
+    ----------
+    camera : str
+        Name or file.
+    scenes : list of str
+        Names of charts, files, or patterns of files (``photos/*.exr``).
+    axes : dict of str to Axis
+        By setting: of the read-out (exposure_s, iso, gain, seed, frame, temperature_c, noise), the
+        lens (focal_length_mm, f_number, max_field_deg, focus_distance_m, focus_shift_um), the scene
+        (luminance_cd_m2, illuminant), a figure of the sensor (sensor.FIELD, serial_number), or of a
+        surface of the lens, changed by so much (lens.NUMBER.radius, curvature, thickness, nd,
+        decentre_x_mm, decentre_y_mm, tilt_x_deg, tilt_y_deg). A list stands for
+        ``{values: [...]}``.
+    combine : str
+        "product", "zip" or "sample": see `gpusim.batch.axes.combined`.
+    samples, sampler, random_seed
+        Of "sample".
+    rows, cols : int, optional
+        A region about the sensor's middle.
+    tile : (x, y, width, height), optional
+    tolerance : str
+    probes : int
+        Of each light's certificate; 0: none.
+    best_effort : bool
+        Whether to go on where the tolerance cannot be met.
+    outputs : list of str
+        Of raw (DNG), npz (raw, electrons, truth), exr (electrons), developed (PNG), truth (EXR).
+    """
+
+    camera: str
+    scenes: list[str] = Field(min_length=1)
+    axes: dict[str, Axis] = Field(default_factory=dict)
+    combine: Literal["product", "zip", "sample"] = "product"
+    samples: int | None = Field(default=None, ge=1)
+    sampler: Literal["random", "sobol"] = "random"
+    random_seed: int = Field(default=0, ge=0)
+    rows: int | None = Field(default=None, ge=1)
+    cols: int | None = Field(default=None, ge=1)
+    tile: tuple[int, int, int, int] | None = None
+    tolerance: str | float = "1e-3"
+    probes: int = Field(default=16, ge=0)
+    best_effort: bool = False
+    outputs: list[str] = Field(default=["raw"], min_length=1)
+
+    _folder: Path = PrivateAttr(default_factory=Path)
+
+    @field_validator("axes", mode="before")
+    @classmethod
+    def _lists(cls, given: object) -> object:
+        if not isinstance(given, dict):
+            return given
+        return {
+            name: {"values": one} if isinstance(one, list) else one for name, one in given.items()
+        }
+
+    @classmethod
+    def load(cls, path: str | Path) -> Sweep:
+        """Return the sweep in a YAML file; files in it are sought beside it.
+
+        Raises
+        ------
+        UserError
+            No such file, or a field is wrong.
+        """
+        path = Path(path)
+        sweep = checked(cls, read_yaml(path, "the sweep file"), path)
+        sweep._folder = path.parent
+        sweep.check()
+        return sweep
+
+    def check(self) -> None:
+        """Refuse what cannot be rendered before anything is.
+
+        Raises
+        ------
+        UserError
+        """
+        for name in self.outputs:
+            if name not in OUTPUTS:
+                raise UserError(
+                    f"there is no such output{perhaps(name, OUTPUTS)}",
+                    field="outputs",
+                    value=name,
+                    allowed=", ".join(OUTPUTS),
+                )
+        Accuracy.parse(str(self.tolerance), self.probes)
+        for name in self.axes:
+            _check_axis(name)
+        first = self.frames[0]
+        first.camera()
+        for step in self.axes["iso"].listed if "iso" in self.axes else ():
+            self.base.sensor.at_iso(int(step))
+
+    @cached_property
+    def base(self) -> Camera:
+        """The camera before any setting."""
+        beside = self._folder / self.camera
+        camera = load_camera(beside if beside.suffix and beside.exists() else self.camera)
+        if self.rows is None and self.cols is None:
+            return camera
+        sensor = camera.sensor
+        region = sensor.roi(self.rows or sensor.rows, self.cols or sensor.cols)
+        return Camera(camera.lens, region, camera.title)
+
+    @cached_property
+    def scene_names(self) -> list[str]:
+        """Charts and files, patterns resolved.
+
+        Raises
+        ------
+        UserError
+            A pattern that no file has.
+        """
+        names = []
+        for one in self.scenes:
+            if one in CHARTS:
+                names.append(one)
+                continue
+            found = sorted(glob.glob(str(self._folder / one))) or sorted(glob.glob(one))
+            if not found:
+                raise UserError(
+                    f"no chart and no file{perhaps(one, CHARTS)}",
+                    field="scenes",
+                    value=one,
+                    allowed="the name of a chart (gpusim charts), a file, or a pattern of files",
+                )
+            names += found
+        return names
+
+    @cached_property
+    def frames(self) -> list[Frame]:
+        """The frames, those of one light after another."""
+        settings = combined(self.axes, self.combine, self.samples, self.sampler, self.random_seed)
+        frames = [Frame(self, scene, values) for scene in self.scene_names for values in settings]
+        groups: dict[str, list[Frame]] = {}
+        for frame in frames:
+            groups.setdefault(frame.light_key, []).append(frame)
+        return [
+            Frame(self, one.scene, one.settings, number)
+            for number, one in enumerate(one for group in groups.values() for one in group)
+        ]
+
+    @property
+    def digest(self) -> str:
+        """What tells this sweep from others: a digest of all that it says."""
+        text = self.model_dump_json()
+        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+    def __iter__(self) -> Iterator[Frame]:  # type: ignore[override]
+        """Yield the frames to render: see `gpusim.batch.work.rendered`."""
+        return iter(self.frames)
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame of a sweep.
+
+    Attributes
+    ----------
+    sweep : Sweep
+    scene : str
+        Chart or file.
+    settings : dict of str to object
+        The value of each axis.
+    number : int
+        In the sweep.
+    """
+
+    sweep: Sweep
+    scene: str
+    settings: dict[str, Any]
+    number: int = 0
+
+    @property
+    def name(self) -> str:
+        """What its files are called."""
+        return f"frame-{self.number:06d}"
+
+    @property
+    def read_out(self) -> dict[str, Any]:
+        """Settings of `Light.capture`."""
+        given = {name: value for name, value in self.settings.items() if name in READ_OUT}
+        whole = ("iso", "seed", "frame")
+        return {name: int(v) if name in whole else v for name, v in given.items()}
+
+    @property
+    def _sensor_changes(self) -> dict[str, Any]:
+        return {
+            name.removeprefix("sensor."): value
+            for name, value in self.settings.items()
+            if name.startswith("sensor.") or name == "serial_number"
+        }
+
+    def sensor(self) -> Sensor:
+        """Return the sensor with this frame's figures.
+
+        Raises
+        ------
+        UserError
+            A figure that it cannot have.
+        """
+        base, changes = self.sweep.base.sensor, self._sensor_changes
+        if not changes:
+            return base
+        fields = base.model_dump() | changes
+        return checked(Sensor, fields, Path(self.sweep.camera))
+
+    def camera(self) -> Camera:
+        """Return the camera of this frame.
+
+        Raises
+        ------
+        UserError
+            A setting that it cannot have.
+        """
+        base, lens = self.sweep.base, self.sweep.base.lens
+        for name, make in LENS_SETTINGS.items():
+            if name in self.settings:
+                if not hasattr(lens, "scaled"):
+                    raise UserError(
+                        "a ready-made lens is used as it is",
+                        field=f"axes.{name}",
+                        allowed="a camera whose lens is a prescription",
+                    )
+                lens = make(lens, self.settings[name])
+        for name, value in self.settings.items():
+            if name.startswith("lens."):
+                lens = _moved(lens, name, value)
+        return Camera(lens, self.sensor(), base.title)
+
+    @property
+    def scene_options(self) -> dict[str, Any]:
+        """Options of `gpusim.scene.make_scene`."""
+        return {name: self.settings[name] for name in OF_SCENE if name in self.settings}
+
+    @cached_property
+    def light_key(self) -> str:
+        """What frames that share a light have in common."""
+        optics = {
+            name: value
+            for name, value in self.settings.items()
+            if name in LENS_SETTINGS or name in OF_SCENE or name.startswith("lens.")
+        }
+        optical = {n: v for n, v in self._sensor_changes.items() if n in OPTICAL}
+        sweep = self.sweep
+        own = [sweep.camera, sweep.rows, sweep.cols, sweep.tile, sweep.tolerance, sweep.probes]
+        text = json.dumps([own, self.scene, optics, optical, sweep.best_effort], default=_plain)
+        return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
+
+
+def _plain(value: object) -> object:
+    return value.model_dump() if isinstance(value, BaseModel) else str(value)
+
+
+def _check_axis(name: str) -> None:
+    """Refuse an axis that names nothing."""
+    known = [*READ_OUT, *LENS_SETTINGS, *OF_SCENE, "serial_number"]
+    if name in known:
+        return
+    first, _, rest = name.partition(".")
+    if first == "sensor" and rest in Sensor.model_fields:
+        return
+    if first == "lens" and rest.partition(".")[2] in OF_SURFACE and rest.split(".")[0].isdecimal():
+        return
+    names = [*known, *(f"sensor.{field}" for field in Sensor.model_fields)]
+    raise UserError(
+        f"there is no such setting{perhaps(name, names)}",
+        field=f"axes.{name}",
+        allowed=f"{', '.join(known)}; sensor.FIELD of a sensor file; lens.NUMBER.WHAT with "
+        f"{', '.join(OF_SURFACE)}",
+    )
+
+
+def _moved(lens: Any, name: str, value: float) -> Any:
+    """Return a lens with one number of one surface changed by a value."""
+    _, number, what = name.split(".")
+    if not hasattr(lens, "surfaces"):
+        raise UserError("a ready-made lens has no surfaces", field=f"axes.{name}", allowed="none")
+    count = len(lens.surfaces)
+    if not 1 <= int(number) <= count:
+        raise UserError(
+            "no such surface", field=f"axes.{name}", value=number, allowed=f"1 to {count}"
+        )
+    surface = lens.surfaces[int(number) - 1]
+    if what.startswith(("decentre", "tilt")):
+        along = 0 if "_x_" in what else 1
+        field = "decentre_mm" if what.startswith("decentre") else "tilt_deg"
+        moved = list(getattr(surface, field))
+        moved[along] += value
+        update: dict[str, Any] = {field: tuple(moved)}
+    elif what == "curvature":
+        update = {"radius": None, "curvature": surface.vertex_curvature + value}
+    else:
+        old = getattr(surface, what)
+        if old is None or math.isinf(old):
+            raise UserError(
+                f"surface {number} has no {what}"
+                if old is None
+                else f"surface {number} is a plane",
+                field=f"axes.{name}",
+                allowed="a surface that has one; any has a curvature",
+            )
+        update = {what: old + value}
+    surfaces = list(lens.surfaces)
+    surfaces[int(number) - 1] = surface.model_copy(update=update)
+    return lens.derived(f"surface {number}: {what} {value:+g}", surfaces=tuple(surfaces))

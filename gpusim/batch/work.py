@@ -1,0 +1,197 @@
+"""What a worker does: bring a light to the photosites once, and read the frames that share it."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import gpusim
+from gpusim.batch.sweep import KINDS, Frame, Sweep
+from gpusim.errors import UserError
+from gpusim.library.light import Light, expose
+from gpusim.scene import make_scene
+from gpusim.scene.exr import write_exr
+
+if TYPE_CHECKING:
+    from gpusim.library import frame as library
+
+LIGHTS, SIDECAR = ".lights", ".json"
+KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
+
+_SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames
+_LIGHTS: OrderedDict[tuple[str, str], Light] = OrderedDict()
+
+
+@dataclass(frozen=True)
+class Task:
+    """Some frames of one light, for one worker.
+
+    Attributes
+    ----------
+    sweep : Sweep
+    numbers : tuple of int
+        Frames of the sweep.
+    out : str
+        Folder of the batch.
+    taken : float
+        Time in the raws, seconds since 1970: that of the batch, so that a frame rendered again has
+        the same bytes.
+    """
+
+    sweep: Sweep
+    numbers: tuple[int, ...]
+    out: str
+    taken: float
+
+
+def work(task: Task) -> list[dict[str, Any]]:
+    """Render the frames of a task that are not there; return what is in their sidecars.
+
+    A frame that fails has ``error`` in place of its figures, and no sidecar.
+    """
+    out = Path(task.out)
+    frames = _SWEEPS.setdefault(task.sweep.digest, task.sweep).frames
+    found = []
+    for number in task.numbers:
+        frame = frames[number]
+        sidecar = out / f"{frame.name}{SIDECAR}"
+        if sidecar.exists():
+            found.append(json.loads(sidecar.read_text()))
+            continue
+        try:
+            found.append(_rendered(frame, out, datetime.fromtimestamp(task.taken, UTC)))
+        except UserError as error:
+            said = " ".join(
+                str(one) for one in (error.problem, error.field, error.value, error.allowed) if one
+            )
+            found.append({"number": number, "settings": frame.settings, "error": said})
+        except OSError as error:
+            found.append({"number": number, "settings": frame.settings, "error": str(error)})
+    return found
+
+
+def rendered(frames: Sequence[Frame]) -> Iterator[tuple[Frame, library.Frame]]:
+    """Yield frames as they are rendered, in this process and without files."""
+    light, key = None, None
+    for frame in frames:
+        if frame.light_key != key:
+            light, key = exposed(frame), frame.light_key
+        yield frame, _taken(frame, light)
+
+
+def exposed(frame: Frame) -> Light:
+    """Return the light of a frame."""
+    sweep = frame.sweep
+    scene = make_scene(frame.scene, **frame.scene_options)
+    return expose(
+        frame.camera(),
+        scene,
+        sweep.tolerance,
+        probes=sweep.probes,
+        tile=sweep.tile,
+        best_effort=sweep.best_effort,
+    )
+
+
+def _taken(frame: Frame, light: Light) -> library.Frame:
+    return light.at(sensor=frame.sensor()).capture(**frame.read_out)
+
+
+def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
+    """Render one frame into files, its sidecar last: where that is, all are."""
+    started = time.perf_counter()
+    light = _light(frame, out)
+    lit_s = time.perf_counter() - started
+    taken = _taken(frame, light)
+    files = []
+    for kind in frame.sweep.outputs:
+        name = f"{frame.name}.{KINDS[kind]}"
+        with whole(out / name) as part:
+            if kind == "truth":
+                write_exr(part, {"Y": taken.truth_dn})
+            else:
+                taken.save(part, taken=taken_at)
+        files.append(name)
+    certificate = light.certificate
+    facts = {
+        "number": frame.number,
+        "scene": frame.scene,
+        "settings": frame.settings,
+        "exposure_s": taken.exposure_s,
+        "iso": taken.iso,
+        "seed": taken.shot.seed,
+        "frame": taken.shot.frame,
+        "files": files,
+        "mean_dn": float(taken.raw.mean()),
+        "std_dn": float(taken.raw.std()),
+        "saturated": float(taken.saturated.mean()),
+        "certificate_rms": None if certificate is None else certificate.total_rms,
+        "certificate_met": None if certificate is None else certificate.met,
+        "light_s": lit_s,
+        "seconds": time.perf_counter() - started,
+        "gpusim": gpusim.__version__,
+        "sweep": frame.sweep.digest,
+    }
+    with whole(out / f"{frame.name}{SIDECAR}") as part:
+        part.write_text(json.dumps(facts, default=_plain))
+    return facts
+
+
+def _plain(value: object) -> object:
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """Yield a name beside a file, which takes the file's place once it is written and on disk."""
+    part = path.with_name(f".{os.getpid()}-{path.name}")
+    try:
+        yield part
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Wait until no other worker holds a file, and hold it; the system frees it after a kill."""
+    with path.open("w") as lock:
+        try:
+            import fcntl
+        except ImportError:  # Windows: two workers may make a light twice, with the same bytes
+            pass
+        else:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _light(frame: Frame, out: Path) -> Light:
+    """Return the light of a frame, made once however many workers ask."""
+    key = (str(out), frame.light_key)
+    if key not in _LIGHTS:
+        folder = out / LIGHTS
+        folder.mkdir(exist_ok=True)
+        path = folder / f"{frame.light_key}.npz"
+        with _alone(folder / f"{frame.light_key}.lock"):
+            if not path.exists():
+                light = exposed(frame)
+                light.save(path)
+            else:
+                light = Light.load(path)
+        _LIGHTS[key] = light
+        while len(_LIGHTS) > KEPT_LIGHTS:
+            _LIGHTS.popitem(last=False)[1].release()
+    _LIGHTS.move_to_end(key)
+    return _LIGHTS[key]

@@ -1,0 +1,245 @@
+"""A batch loses nothing: whatever is killed, it ends with the bytes of an uninterrupted run."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from pyarrow import parquet
+from typer.testing import CliRunner
+
+from gpusim.batch import work as worker
+from gpusim.batch.run import status, tasks_of
+from gpusim.batch.sweep import Sweep
+from gpusim.batch.work import rendered, work
+from gpusim.cli.app import app
+from gpusim.errors import UserError
+
+CAMERA = {
+    "title": "small",
+    "lens": {"mtf": "diffraction-limited"},
+    "sensor": {"preset": "imx477", "rows": 32, "cols": 48},
+}
+SWEEP = {
+    "camera": "small.yaml",
+    "scenes": ["colorchecker"],
+    "axes": {"seed": {"range": [0, 6]}, "exposure_s": [0.005, 0.02]},
+    "tolerance": "1e-2",
+    "probes": 8,
+    "outputs": ["raw", "truth"],
+}
+TAKEN = 1.7e9
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(CAMERA))
+    return tmp_path
+
+
+def written(folder: Path, **changes: object) -> Path:
+    path = folder / "sweep.yaml"
+    path.write_text(yaml.safe_dump(SWEEP | changes, sort_keys=False))
+    return path
+
+
+def files_of(out: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in out.glob("frame-*") if p.suffix != ".json"}
+
+
+def run(*words: object):
+    return CliRunner().invoke(app, ["batch", *map(str, words)])
+
+
+def test_frames_that_share_a_light_are_exposed_once(folder: Path, monkeypatch):
+    exposures = []
+    right = worker.exposed
+    monkeypatch.setattr(worker, "exposed", lambda frame: exposures.append(1) or right(frame))
+    axes = SWEEP["axes"] | {"luminance_cd_m2": [100, 300]}
+    sweep = Sweep.load(written(folder, axes=axes, probes=4))
+    assert len(sweep) == 24 and len({frame.light_key for frame in sweep}) == 2
+    out = folder / "out"
+    out.mkdir()
+    found = [one for task in tasks_of(sweep, out, TAKEN) for one in work(task)]
+    assert len(exposures) == 2 and [one["number"] for one in found] == list(range(24))
+    assert all(one["certificate_met"] for one in found)
+    assert [len(task.numbers) for task in tasks_of(sweep, folder / "new", TAKEN)] == [10, 2, 10, 2]
+    # What is there is left alone.
+    before = {path: path.stat().st_mtime_ns for path in out.glob("frame-*")}
+    assert not tasks_of(sweep, out, TAKEN)
+    assert before == {path: path.stat().st_mtime_ns for path in out.glob("frame-*")}
+
+
+def test_the_frames_are_those_of_the_library(folder: Path):
+    sweep = Sweep.load(written(folder, axes={"seed": [3], "exposure_s": [0.005, 0.02]}))
+    out = folder / "out"
+    out.mkdir()
+    for task in tasks_of(sweep, out, TAKEN):
+        work(task)
+    import rawpy
+
+    for frame, taken in rendered(sweep.frames[:2]):
+        with rawpy.imread(str(out / f"{frame.name}.dng")) as raw:
+            assert (raw.raw_image == taken.raw).all()
+        assert taken.exposure_s == frame.settings["exposure_s"]
+
+
+@pytest.mark.parametrize(
+    "axes, touched",
+    [
+        ({"serial_number": [0, 1]}, "sensor"),
+        ({"sensor.temporal_dark_noise_e": [1.0, 30.0]}, "sensor"),
+        ({"iso": [100, 400]}, "sensor"),
+        ({"temperature_c": {"linspace": [20, 60, 2]}}, "sensor"),
+        ({"sensor.fill_factor": [0.5, 0.9]}, "light"),
+        ({"illuminant": ["D65", "A"]}, "light"),
+    ],
+)
+def test_each_axis_touches_what_it_should(folder: Path, axes: dict, touched: str):
+    frames = Sweep.load(written(folder, axes=axes)).frames
+    assert len({frame.light_key for frame in frames}) == (1 if touched == "sensor" else 2)
+    given = [(one.sensor(), one.read_out, one.scene_options) for one in frames]
+    assert given[0] != given[1]
+
+
+def test_lens_axes_change_the_lens(folder: Path):
+    camera = CAMERA | {"lens": {"prescription": "tessar", "focal_length_mm": 5.0}}
+    (folder / "small.yaml").write_text(yaml.safe_dump(camera))
+    axes = {"f_number": [4.0, 8.0], "lens.1.radius": [0.0, 0.01]}
+    frames = Sweep.load(written(folder, axes=axes)).frames
+    lenses = [frame.camera().lens for frame in frames]
+    assert {lens.f_number for lens in lenses} == {4.0, 8.0}
+    radii = [lens.surfaces[0].radius for lens in lenses]
+    assert radii[1] - radii[0] == pytest.approx(0.01) and len({f.light_key for f in frames}) == 4
+    plane = written(folder, axes={"lens.2.radius": [0.01]})  # the second surface is a plane
+    with pytest.raises(UserError) as error:
+        Sweep.load(plane)
+    assert error.value.field == "axes.lens.2.radius" and "curvature" in error.value.allowed
+    bent = Sweep.load(written(folder, axes={"lens.2.curvature": [0.001]})).frames[0]
+    assert bent.camera().lens.surfaces[1].vertex_curvature == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize(
+    "changes, field",
+    [
+        ({"axes": {"exposur_s": [1]}}, "axes.exposur_s"),
+        ({"axes": {"f_number": [4]}}, "axes.f_number"),  # of a ready-made lens
+        ({"axes": {"iso": [123]}}, "iso"),
+        ({"outputs": ["tiff"]}, "outputs"),
+        ({"scenes": ["nothing-*.exr"]}, "scenes"),
+        ({"camera": "nosuch"}, "CAMERA"),
+        ({"tolerance": "7"}, "tolerance"),
+        ({"combine": "sample"}, "samples"),
+        ({"what": 1}, "what"),
+    ],
+)
+def test_mistakes_are_told_before_the_work(folder: Path, changes: dict, field: str):
+    done = run(written(folder, **changes), "--out", folder / "out")
+    assert isinstance(done.exception, UserError) and done.exception.field == field
+    assert not (folder / "out").exists()
+
+
+def test_a_frame_that_fails_is_told_and_the_others_are_there(folder: Path):
+    sweep = Sweep.load(written(folder, axes={"exposure_s": [0.01, 0.02], "seed": [0, -1]}))
+    out = folder / "out"
+    out.mkdir()
+    found = [one for task in tasks_of(sweep, out, TAKEN) for one in work(task)]
+    failed = [one for one in found if "error" in one]
+    assert len(failed) == 2 and all("seed" in one["error"] for one in failed)
+    assert len(status(sweep, out).done) == 2
+
+
+def test_the_dry_run_counts(folder: Path):
+    done = run(written(folder), "--out", folder / "out", "--dry-run", "--json")
+    facts = json.loads(done.output)
+    assert facts["frames"] == 12 and facts["lights"] == 1 and facts["pixels_a_frame"] == 32 * 48
+    assert not (folder / "out").exists()
+
+
+def command(folder: Path, *words: object) -> list[str]:
+    return [
+        sys.executable,
+        "-m",
+        "gpusim.cli",
+        "batch",
+        str(folder / "sweep.yaml"),
+        *map(str, words),
+    ]
+
+
+def environment() -> dict[str, str]:
+    return os.environ | {"SOURCE_DATE_EPOCH": str(int(TAKEN))}
+
+
+@pytest.mark.slow
+def test_a_batch_that_is_killed_ends_with_the_same_bytes(folder: Path):
+    """Client and workers are killed several times amid 60 frames; --resume ends the work."""
+    sweep = written(folder, axes={"seed": {"range": [0, 60]}})
+    whole, cut = folder / "whole", folder / "cut"
+    given = {"check": True, "env": environment(), "timeout": 300}
+    subprocess.run(command(folder, "--out", whole, "-q"), **given)
+    for attempt in range(4):
+        more = ["--resume"] if attempt else []
+        process = subprocess.Popen(
+            command(folder, "--out", cut, "-q", *more), env=environment(), start_new_session=True
+        )
+        wanted = min(60, 12 * (attempt + 1))
+        ends = time.monotonic() + 120
+        while len(list(cut.glob("frame-*.dng"))) < wanted and time.monotonic() < ends:
+            if process.poll() is not None:
+                break
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    subprocess.run(command(folder, "--out", cut, "-q", "--resume"), **given)
+    assert files_of(cut) == files_of(whole) and len(files_of(cut)) == 120
+    numbers = [one["number"] for one in status(Sweep.load(sweep), cut).done]
+    assert numbers == list(range(60))
+    assert not list(cut.glob(".*-frame-*")) and not (cut / ".lights").exists()
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_no_frame(folder: Path):
+    import psutil
+
+    written(folder, axes={"seed": {"range": [0, 60]}})
+    out = folder / "out"
+    process = subprocess.Popen(command(folder, "--out", out, "-q"), env=environment())
+    ends = time.monotonic() + 120
+    while len(list(out.glob("frame-*.json"))) < 5 and time.monotonic() < ends:
+        time.sleep(0.02)
+    workers = [
+        one
+        for one in psutil.Process(process.pid).children(recursive=True)
+        if "spawn_main" in " ".join(one.cmdline())
+    ]
+    assert workers
+    for one in workers:
+        one.kill()
+    assert process.wait(timeout=240) == 0
+    assert len(list(out.glob("frame-*.json"))) == 60
+
+
+@pytest.mark.slow
+def test_a_batch_gives_a_table_and_a_page(folder: Path):
+    done = run(written(folder), "--out", folder / "out", "--json")
+    assert done.exit_code == 0, done.output
+    facts = json.loads(done.output)
+    assert facts["done"] == facts["new"] == 12 and not facts["failed"]
+    table = parquet.read_table(folder / "out" / "frames.parquet").to_pydict()
+    assert table["set.seed"] == [seed for seed in range(6) for _ in (0, 1)]
+    assert np.all(np.diff(table["number"]) == 1)
+    page = (folder / "out" / "batch.html").read_text()
+    assert page.count("data:image/jpeg") == 12 and "mean of the raw" in page
+    again = run(written(folder), "--out", folder / "out")
+    assert isinstance(again.exception, UserError) and "--resume" in again.exception.allowed
+    other = run(written(folder, axes={"seed": [1]}), "--out", folder / "out", "--resume")
+    assert isinstance(other.exception, UserError) and "another sweep" in other.exception.problem
