@@ -12,6 +12,8 @@ import pytest
 from harness import assert_close, run_stage, unwritten
 from optics.made import ULP
 
+from gpusim.gpu import default_device
+from gpusim.optics.blur import straight_through
 from gpusim.reference.mix import mix
 
 LENGTH, HALF, CHANNELS = 160, 81, 2
@@ -43,7 +45,8 @@ def on_device(
     cells: tuple[int, int],
     rows: int,
     lines: int | None = None,
-    straight: bool = True,
+    *,
+    straight: bool,
 ):
     transformed = np.fft.rfft(psfs[..., :rows, :]) / LENGTH**2
     down, across = (count * per_cell for count in cells)
@@ -89,6 +92,8 @@ def bound(spectra: np.ndarray, psfs: np.ndarray) -> float:
 def test_columns_are_those_of_the_reference(
     side: int, per_cell: int, cells: tuple[int, int], rows: int, straight: bool
 ):
+    if straight and not straight_through(str(default_device().report()["driver"])):
+        pytest.skip("nothing runs straight through on this driver, and it would compile too long")
     spectra, psfs = made(side, per_cell, cells, rows)
     found = on_device(spectra, psfs, side, per_cell, cells, rows, straight=straight)
     across = cells[1] * per_cell
@@ -105,8 +110,8 @@ def test_columns_are_those_of_the_reference(
 
 
 def test_no_more_lines_than_asked_for_are_written():
-    spectra, psfs = made(80, 1, (1, 1), 32)
-    found = on_device(spectra, psfs, 80, 1, (1, 1), 32, lines=70)
+    spectra, psfs = made(80, 1, (1, 1), 10)
+    found = on_device(spectra, psfs, 80, 1, (1, 1), 10, lines=70, straight=False)
     assert unwritten(found[0, 0, 70:].reshape(-1)).all()
     assert unwritten(found[1].reshape(-1)).all()
     assert not unwritten(found[0, 0, :70].reshape(-1)).any()
