@@ -56,6 +56,12 @@ def test_dots_are_centroids():
     assert lgd_errors(found, BARREL).max() < 1e-4
 
 
+def test_dots_are_found_beside_brighter_things():
+    values = 0.25 * picture(dots)  # dots 0.2 deep
+    values[:60, :90] = 1.9
+    assert len(measured(values).cell) > 120
+
+
 def test_noise_moves_corners_by_what_its_law_says():
     k = BARREL
     noise = 0.01 * np.random.default_rng(4).normal(size=picture(checks, k).shape)
