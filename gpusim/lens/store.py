@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
 from itertools import chain
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 CHECKSUM = "sha256"  # global attribute of a saved file
 # Of all files of the cache together. A camera's take 0.15 GiB, the densest bank 0.5 GiB and more.
 CACHE_BYTES = 4 << 30
+ABANDONED_S = 3600  # a file half written and not touched for so long has lost its process
 PACKED = ("scale_factor", "add_offset")  # attributes of variables whose numbers are not the values
 
 
@@ -174,21 +176,24 @@ def _used(path: Path) -> None:
 def prune(folder: Path, most_bytes: int, kept: Path) -> None:
     """Remove files of the cache, least recently used first, until the rest fits; one is kept.
 
+    What a process that was killed left half written goes at once, after an hour.
+
     Several processes may do so at once. One that is about to read a file which goes makes it
     again, and one that has it open reads on; where the system forbids to remove an open file, it
     stays.
     """
     files = []
-    # What a process that was killed left half written counts as well, and goes in its turn.
+    excess, abandoned_ns = -most_bytes, time.time_ns() - ABANDONED_S * 10**9
     for path in chain(folder.glob("*.nc"), folder.glob("*.part")):
         try:
             status = path.stat()
         except OSError:  # another process removed it
             continue
-        files.append((status.st_mtime_ns, status.st_size, path))
-    excess = sum(size for _, size, _ in files) - most_bytes
-    for _, size, path in sorted(files):
-        if excess <= 0:
+        abandoned = path.suffix == ".part" and status.st_mtime_ns < abandoned_ns
+        files.append((not abandoned, status.st_mtime_ns, status.st_size, path))
+        excess += status.st_size
+    for needed, _, size, path in sorted(files):
+        if needed and excess <= 0:
             return
         if path == kept:
             continue

@@ -1,6 +1,7 @@
 """The cache of what is known of lenses: bounded, the least recently used go first."""
 
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -44,13 +45,19 @@ def test_files_go_that_were_not_used_for_longest_and_never_the_one_just_made(
     assert names_in(tmp_path) == left
 
 
-def test_what_a_killed_process_left_half_written_goes_too(tmp_path):
-    aged(tmp_path, "bc")
+@pytest.mark.parametrize(
+    ("age_s", "kib", "left"), [(4000, 99, "bc"), (3000, 99, "abc"), (3000, 2, "bc")]
+)
+def test_what_a_killed_process_left_half_written_goes_after_an_hour_or_for_room(
+    tmp_path, age_s, kib, left
+):
+    for number, path in enumerate(aged(tmp_path, "bc")):
+        os.utime(path, (time.time() - number, time.time() - number))
     half = tmp_path / "a.part"
     half.write_bytes(bytes(KIB))
-    os.utime(half, (0, 0))
-    prune(tmp_path, 2 * KIB, tmp_path / "c.nc")
-    assert names_in(tmp_path) == "bc"
+    os.utime(half, (time.time() - age_s, time.time() - age_s))
+    prune(tmp_path, kib * KIB, tmp_path / "c.nc")
+    assert names_in(tmp_path) == left
 
 
 def test_many_may_prune_at_once(tmp_path):
