@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from gpusim.batch.sweep import Sweep
     from gpusim.camera import Camera
     from gpusim.errors import UserError
     from gpusim.library.frame import Burst, Frame
@@ -34,6 +35,7 @@ _HOMES = {
     "Scene": "gpusim.scene.scene",
     "Sensor": "gpusim.sensor.sensor",
     "Session": "gpusim.library.session",
+    "Sweep": "gpusim.batch.sweep",
     "UserError": "gpusim.errors",
     "expose": "gpusim.library.light",
 }
@@ -46,6 +48,7 @@ __all__ = [
     "Scene",
     "Sensor",
     "Session",
+    "Sweep",
     "UserError",
     "expose",
 ]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, Field, PrivateAttr, field_validator
 
@@ -26,6 +26,9 @@ from gpusim.library.session import LENS_SETTINGS
 from gpusim.plan import Accuracy
 from gpusim.scene.charts import CHARTS
 from gpusim.sensor.sensor import Sensor
+
+if TYPE_CHECKING:
+    from gpusim.batch.run import Outcome
 
 READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
 OF_SCENE = ("luminance_cd_m2", "illuminant")
@@ -189,15 +192,47 @@ class Sweep(Strict):
             for number, one in enumerate(one for group in groups.values() for one in group)
         ]
 
+    def run(self, out: str | Path, **options: Any) -> Outcome:
+        """Render the frames into a folder, on Dask: see `gpusim.batch.run.run`."""
+        from gpusim.batch.run import run
+
+        self.check()
+        return run(self, Path(out), **options)
+
     @property
     def digest(self) -> str:
         """What tells this sweep from others: a digest of all that it says."""
         text = self.model_dump_json()
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
-    def __iter__(self) -> Iterator[Frame]:  # type: ignore[override]
-        """Yield the frames to render: see `gpusim.batch.work.rendered`."""
-        return iter(self.frames)
+    def rendered(self, shard: int = 0, shards: int = 1) -> Iterator[tuple[Frame, Any]]:
+        """Yield frames with what was taken, rendered in this process and without files.
+
+        Parameters
+        ----------
+        shard, shards : int
+            Which of how many workers this one is: each takes its own frames.
+
+        Yields
+        ------
+        frame : Frame
+            Its ``settings`` are the parameters.
+        taken : gpusim.library.frame.Frame
+            ``raw``, ``truth_dn``, ``saturated`` and more, (rows, cols) each.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> sweep = gs.Sweep(
+        ...     camera="mtf-only", scenes=["colorchecker"], axes={"seed": {"range": [0, 4]}},
+        ...     rows=48, cols=64, tolerance=1e-2, probes=0,
+        ... )
+        >>> [(frame.settings["seed"], taken.raw.shape) for frame, taken in sweep.rendered(1, 2)]
+        [(1, (48, 64)), (3, (48, 64))]
+        """
+        from gpusim.batch.work import rendered
+
+        return rendered(self.frames[shard::shards])
 
     def __len__(self) -> int:
         return len(self.frames)

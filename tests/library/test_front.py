@@ -40,6 +40,7 @@ def test_every_public_name_is_there_and_documented():
     "module",
     [
         "gpusim",
+        "gpusim.batch.sweep",
         "gpusim.camera",
         "gpusim.lens.views",
         "gpusim.library.lens",
