@@ -15,8 +15,8 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from gpusim.batch.sweep import Sweep
-    from gpusim.camera import Camera
     from gpusim.errors import UserError
+    from gpusim.library.camera import Camera
     from gpusim.library.frame import Burst, Frame
     from gpusim.library.lens import Lens
     from gpusim.library.light import Light, expose
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 # takes milliseconds.
 _HOMES = {
     "Burst": "gpusim.library.frame",
-    "Camera": "gpusim.camera",
+    "Camera": "gpusim.library.camera",
     "Frame": "gpusim.library.frame",
     "Lens": "gpusim.library.lens",
     "Light": "gpusim.library.light",

@@ -136,20 +136,6 @@ class Camera:
         if not self.title:
             object.__setattr__(self, "title", f"{self.lens.title}, {self.sensor.name}")
 
-    @classmethod
-    def load(cls, name_or_path: str | Path, **changes: object) -> Camera:
-        """Return a camera of the package by its name, or that of a file: see `load_camera`.
-
-        ``changes``: fields of its lens in place of the file's, and ``sensor``.
-
-        Examples
-        --------
-        >>> Camera.load("demo", f_number=4.0).sensor.cols
-        2028
-        """
-        sensor = changes.pop("sensor", None)
-        return load_camera(name_or_path, changes or None, sensor)
-
     def bank(
         self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
     ) -> FieldBank:

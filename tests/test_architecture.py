@@ -1,6 +1,6 @@
 """The layers, read from the source: who may import whom, and one name for each stage everywhere.
 
-chain, plan, certify, report, batch, preview, cli -> domain packages -> gpu -> wgpu; reference/
+render, library, plan, certify, report, batch, cli -> domain packages -> gpu -> wgpu; reference/
 stands apart, so that it can judge. An import inside a function counts like one at the top.
 """
 
@@ -21,7 +21,18 @@ from gpusim.gpu.wgsl import load
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "gpusim"
 DOMAIN = ("camera", "scene", "lens", "optics", "sensor", "isp", "metrics")
-TOP = ("chain", "plan", "certify", "pareto", "stress", "report", "batch", "preview", "cli")
+TOP = (
+    "render",
+    "library",
+    "plan",
+    "certify",
+    "pareto",
+    "stress",
+    "report",
+    "batch",
+    "preview",
+    "cli",
+)
 HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")
 STAGES = shader_names()
 # Stages whose float64 twin is no file of its own: the tracer of gpusim/lens/trace.py also prepares

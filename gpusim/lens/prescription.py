@@ -25,7 +25,6 @@ from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
-from gpusim.lens.views import Views
 
 if TYPE_CHECKING:
     from gpusim.lens.field_bank import FieldBank
@@ -224,7 +223,7 @@ class Check(Strict):
     indices: Literal["catalogue", "printed"] = "catalogue"
 
 
-class Prescription(Strict, Views):
+class Prescription(Strict):
     """A lens as published. ``load_prescription`` makes one; the methods derive others."""
 
     title: str

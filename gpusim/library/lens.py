@@ -1,21 +1,27 @@
-"""Where lenses come from: presets, files of other programs, ready-made PSFs."""
+"""Lenses that one asks by hand: presets, files of other programs, fields of one's own."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.ready import ReadyLens, is_ready, load_ready
+from gpusim.library.views import Views
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 
-class Lens:
-    """Makes lenses: a `Prescription`, which can be changed and traced, or a `ReadyLens`."""
+class Lens(Prescription, Views):
+    """A lens by its surfaces: a `Prescription` that shows its PSF, MTF and layout.
 
-    @staticmethod
-    def load(name_or_path: str | Path) -> Prescription | ReadyLens:
+    Made by `Lens.load`, or of the fields of a lens file: ``Lens(title=..., surfaces=[...], ...)``.
+    Its methods give changed lenses: `scaled` to a focal length, `stopped` to an f-number, `limited`
+    to a field, `looking` at a distance, `defocused`, `with_element_moved`.
+    """
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Lens | ReadyLens:
         """Return a lens of the package by its name, or that of a file.
 
         Parameters
@@ -23,7 +29,7 @@ class Lens:
         name_or_path : str or path
             ``gpusim lens`` lists the names; YAML, Zemax .zmx, CODE V .seq and pbrt .dat are
             prescriptions; a bank (.nc, .npz), an ISETCam folder, Zemax's exports or an MTF table
-            are ready-made.
+            are ready-made PSFs, which can be used and not be changed: a `ReadyLens`.
 
         Raises
         ------
@@ -36,17 +42,19 @@ class Lens:
         >>> Lens.load("double-gauss").scaled(12.0).stopped(2.8).history[0]
         'every length multiplied by 0.119444868'
         """
-        return (
-            load_ready(name_or_path) if is_ready(name_or_path) else load_prescription(name_or_path)
-        )
+        if is_ready(name_or_path):
+            return load_ready(name_or_path)
+        return cls.of(load_prescription(name_or_path))
 
-    @staticmethod
-    def of(**fields: object) -> Prescription:
-        """Return a lens of the fields of a lens file: see `Prescription`.
+    @classmethod
+    def of(cls, prescription: Prescription) -> Self:
+        """Return a prescription as one that shows itself; file, history and account stay."""
+        lens = cls.model_construct(prescription.model_fields_set)
+        for name in ("__dict__", "__pydantic_private__"):
+            object.__setattr__(lens, name, dict(getattr(prescription, name)))
+        return lens
 
-        Raises
-        ------
-        pydantic.ValidationError
-            A field is wrong, unknown or missing.
-        """
-        return Prescription(**fields)
+    def __repr__(self) -> str:
+        return f"Lens({self.title!r}, {len(self.surfaces)} surfaces)"
+
+    __str__ = __repr__

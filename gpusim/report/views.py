@@ -11,7 +11,7 @@ from gpusim.report.drawing import INK, SOFT
 from gpusim.report.lens.colours import PALETTE
 
 if TYPE_CHECKING:
-    from gpusim.lens.views import Layout, Mtf, Psf
+    from gpusim.library.views import Layout, Mtf, Psf
 
 DECADES = 4
 

@@ -65,7 +65,7 @@ def test_frames_that_share_a_light_are_exposed_once(folder: Path, monkeypatch):
     monkeypatch.setattr(worker, "exposed", lambda frame: exposures.append(1) or right(frame))
     axes = SWEEP["axes"] | {"luminance_cd_m2": [100, 300]}
     sweep = Sweep.load(written(folder, axes=axes, probes=4))
-    assert len(sweep) == 24 and len({frame.light_key for frame in sweep}) == 2
+    assert len(sweep) == 24 and len({frame.light_key for frame in sweep.frames}) == 2
     out = folder / "out"
     out.mkdir()
     found = [one for task in tasks_of(sweep, out, TAKEN) for one in work(task)]

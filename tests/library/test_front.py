@@ -41,8 +41,8 @@ def test_every_public_name_is_there_and_documented():
     [
         "gpusim",
         "gpusim.batch.sweep",
-        "gpusim.camera",
-        "gpusim.lens.views",
+        "gpusim.library.camera",
+        "gpusim.library.views",
         "gpusim.library.lens",
         "gpusim.library.light",
         "gpusim.library.session",

@@ -103,7 +103,7 @@ class Layout:
 
 
 class Views:
-    """PSF, MTF and layout of a lens that can be traced: of a `Prescription`."""
+    """PSF, MTF and layout of a lens that can be traced."""
 
     def psf(
         self,

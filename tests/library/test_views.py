@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.transfer import otf
+from gpusim.library.lens import Lens
 
-LENS = load_prescription("double-gauss").scaled(12.0).stopped(8.0)
+LENS = Lens.load("double-gauss").scaled(12.0).stopped(8.0)
 
 
 def test_the_psf_and_the_mtf_are_those_of_one_wavefront():

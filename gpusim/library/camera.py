@@ -1,0 +1,50 @@
+"""A camera whose lens shows itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from gpusim import camera
+from gpusim.lens.prescription import Prescription
+from gpusim.library.lens import Lens
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Camera(camera.Camera):
+    """A lens in front of a sensor.
+
+    Attributes
+    ----------
+    lens : Lens or ReadyLens
+    sensor : Sensor
+    title : str
+        By default made of their names.
+    """
+
+    @classmethod
+    def load(cls, name_or_path: str | Path, **changes: object) -> Camera:
+        """Return a camera of the package by its name, or that of a file.
+
+        ``changes``: fields of its lens in place of the file's (``f_number``, ``focal_length_mm``,
+        ``focus_distance_m`` ...), and ``sensor``.
+
+        Raises
+        ------
+        UserError
+            Unknown preset, missing or malformed file, or a field that is wrong.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> camera = gs.Camera.load("demo", f_number=4.0)
+        >>> camera.sensor.cols, camera.lens.f_number
+        (2028, 4.0)
+        """
+        sensor = changes.pop("sensor", None)
+        found = camera.load_camera(name_or_path, changes or None, sensor)
+        lens = Lens.of(found.lens) if isinstance(found.lens, Prescription) else found.lens
+        return cls(lens, found.sensor, found.title)
