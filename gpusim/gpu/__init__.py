@@ -7,6 +7,7 @@ from .kernel import Kernel
 from .layout import ShaderError
 from .pool import OutOfMemoryError, Use
 from .recording import Recording, Result
+from .wgsl import held
 
 __all__ = [
     "Array",
@@ -23,5 +24,6 @@ __all__ = [
     "compiling",
     "default_device",
     "devices",
+    "held",
     "need_double_float",
 ]

@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from gpusim.errors import UserError
+from gpusim.gpu import held
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.levels import iso_speed, saturation_dn
@@ -339,11 +340,12 @@ def taken(
         sensors.append(at.sensor)
         if truth and number < len(pairs):
             means[number] = truth_dn(at, shots[number])
-    for first in range(0, count, TOGETHER):
-        chunk = slice(first, min(first + TOGETHER, count))
-        raw[chunk] = light.raws(sensors[chunk], shots[chunk])
-        if progress is not None:
-            progress("burst", chunk.stop, count)
+    with held():
+        for first in range(0, count, TOGETHER):
+            chunk = slice(first, min(first + TOGETHER, count))
+            raw[chunk] = light.raws(sensors[chunk], shots[chunk])
+            if progress is not None:
+                progress("burst", chunk.stop, count)
     clean = None
     if truth:
         clean = np.stack([means[number % len(pairs)] for number in range(count)])
