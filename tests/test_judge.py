@@ -35,7 +35,7 @@ def camera_of(name: str, focal_mm: float, f_number: float, field_deg: float) -> 
     """Return a lens before a monochrome sensor without veiling glare, as wide as its circle."""
     lens = load_prescription(name).scaled(focal_mm).stopped(f_number).limited(field_deg)
     sensor = load_camera("machine-vision").sensor.model_copy(update={"veiling_glare": 0.0})
-    return Camera(name, lens, sensor)
+    return Camera(lens, sensor, name)
 
 
 def render(camera: Camera, scene: Scene, tile: tuple[int, int, int, int]) -> np.ndarray:

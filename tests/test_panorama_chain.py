@@ -29,7 +29,7 @@ def camera():
     sensor = load_sensor("imx249-mono").model_copy(
         update={"rows": 101, "cols": 161, "pixel_pitch_um": PITCH_UM, "veiling_glare": 0.0}
     )
-    return Camera("fisheye, 140 um", load_prescription("fisheye"), sensor)
+    return Camera(load_prescription("fisheye"), sensor, "fisheye, 140 um")
 
 
 def rate(camera, scene):

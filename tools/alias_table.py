@@ -113,9 +113,9 @@ def cameras() -> dict[str, Camera]:
     """Return the middles of cameras by name."""
     found = {name: load_camera(name) for name in ("demo", "arvr", "machine-vision")}
     large = load_sensor("imx249-mono").model_copy(update={"pixel_pitch_um": 8.0})
-    found["double Gauss f/2, 8 um"] = Camera("f/2", load_prescription("double-gauss"), large)
+    found["double Gauss f/2, 8 um"] = Camera(load_prescription("double-gauss"), large, "f/2")
     return {
-        name: Camera(one.title, one.lens, one.sensor.roi(ROWS, COLS)) for name, one in found.items()
+        name: Camera(one.lens, one.sensor.roi(ROWS, COLS), one.title) for name, one in found.items()
     }
 
 

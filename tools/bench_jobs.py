@@ -392,7 +392,7 @@ def tolerances_job(
     sensor = load_sensor("imx477").roi(rows, cols)
     table, slower, worst, last = [], 0, 0.0, None
     for lens, load in lenses.items():
-        camera = Camera(lens, load(), sensor)
+        camera = Camera(load(), sensor, lens)
         for name in scenes:
             scene, pixels, times = make_scene(name), None, []
             for tolerance in TOLERANCES:

@@ -59,7 +59,7 @@ def regret_job(
             return
         table.clear()
         for lens, load in lenses.items():
-            camera = Camera(lens, load(), sensor)
+            camera = Camera(load(), sensor, lens)
             for name in scenes:
                 found: dict[str, Any] = {"lens": lens, "scene": name}
                 table.append(found)

@@ -197,7 +197,7 @@ def camera_of(spot: Spot, pitch_um: float) -> Camera:
             "veiling_glare": 0.0,
         }
     )
-    return Camera(f"{spot.lens.title}, {pitch_um:g} um", spot.lens, sensor)
+    return Camera(spot.lens, sensor, f"{spot.lens.title}, {pitch_um:g} um")
 
 
 def predicted(plan) -> float:
