@@ -90,7 +90,7 @@ class Certificate:
     worst_position : (int, int)
         Row and column of the probe with the largest error, in the tolerance's unit.
     unit : str
-        Of the tolerance, and of what follows: "relative" or "sigma".
+        Unit of the tolerance, and of what follows: "relative" or "sigma".
     engine_rms, engine_worst, bank_rms, bank_worst, sensor_rms, sensor_worst, window : float
         The parts of the error: see the module. 0 where a part cannot err.
     total_rms, total_worst : float

@@ -1,7 +1,7 @@
 """Where in a frame the bank of a lens is judged: between its fields, on the scene's edges.
 
-Of a lens with an axis at image heights, and pixels on rings; of one without at image points, and
-pixels near to them.
+A lens with an axis is judged at image heights and on rings of pixels. A lens without one is judged
+at image points and at pixels near to them.
 """
 
 from __future__ import annotations
@@ -73,8 +73,9 @@ def points_of(
 ) -> tuple[np.ndarray, list[int]]:
     """Return image points (P, 2), um, in a rectangle to judge a bank without an axis at.
 
-    Of each cell between its fields the middle, or the point of the rectangle next to it; or else
-    the fields of odd rows and columns, to be judged by their neighbours, with their numbers.
+    Between the fields, each cell gives its middle, or else the point of the rectangle next to that.
+    Otherwise the points are the fields of odd rows and columns, with their numbers: their
+    neighbours judge them.
     """
     corner = (np.array(origin) - np.array([sensor.rows, sensor.cols]) / 2)[::-1]
     low = corner * sensor.pixel_pitch_um

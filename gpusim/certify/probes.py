@@ -19,7 +19,7 @@ def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
     rate : ndarray (rows, cols)
         Mean signal.
     period : int
-        Of the filter pattern: edges are sought between pixels of one colour.
+        Period of the filter pattern: edges are sought between pixels of one colour.
     count : int
 
     Returns

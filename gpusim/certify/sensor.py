@@ -75,7 +75,7 @@ class MeanSignal:
     mean : Placed
         Mean electrons.
     charge : Placed, optional
-        Of a CCD: mean electrons of whole columns, before the serial transfer.
+        CCDs only: mean electrons of whole columns, before the serial transfer.
     """
 
     rate: Placed
@@ -102,7 +102,7 @@ def sensor_share(
     pixels : ndarray (P, 2) of int
         Row and column of lit pixels.
     exposure_s, temperature_c : float
-        Of the frame.
+        Those of the frame.
     noise : bool
         Whether the frame has noise and fixed patterns; else it is clipped at the full well.
     accuracy : Accuracy
