@@ -39,7 +39,7 @@ def run(
     ev : float, optional
         Stops; by default the settings file's, or 0.
     settings_file : Path, optional
-        Of our engine.
+        File with the settings of our engine.
     options : dict
         Fields of `Settings` and their values, None where the user gave none: they go before the
         settings file's.

@@ -38,7 +38,7 @@ def deliver(
     Parameters
     ----------
     name : str
-        Of the files, without what follows the dot.
+        Name of the files, without what follows the dot.
     path : Path
         The picture.
     out : Path, optional
@@ -46,7 +46,7 @@ def deliver(
     facts : dict
         Plain data.
     rows : iterable of sequences
-        Of the CSV file, its titles first.
+        Rows of the CSV file, its titles first.
     draw, html, show : callable
         Called only where they are needed.
     as_json : bool
