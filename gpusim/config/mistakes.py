@@ -65,7 +65,7 @@ def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> Us
     Parameters
     ----------
     error : ValidationError
-        Of the file's content.
+        What is wrong with the file's content.
     model : type of BaseModel
         What the file was held against.
     path : Path

@@ -220,7 +220,8 @@ def _at(mark: yaml.Mark | None, problem: str) -> str:
 def _check_events(text: str) -> None:
     """Refuse what would grow or recurse beyond bounds when it is constructed, and doubled keys."""
     sizes: dict[str, int | None] = {}  # of each anchor; None while it is open
-    # Of each open list or mapping: its anchor, values up to now, keys (None: a list), key or value.
+    # Each open list or mapping has: its anchor, values up to now, keys (None: a list), key or
+    # value.
     stack: list[list] = [[None, 0, None, False]]
 
     def add(count: int, key: str | None, mark: yaml.Mark) -> None:
