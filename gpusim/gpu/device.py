@@ -375,7 +375,7 @@ Triple = tuple[int, int, int]
 def texel_rows(nbytes: int) -> list[tuple[Triple, dict[str, int], Triple]]:
     """Return the rectangles of a texture that so many bytes fill: whole rows, part of a last one.
 
-    Of each its origin and its size in texels, and between them where its bytes lie.
+    Each one is its origin, where its bytes lie, and its size in texels.
     """
     rows, rest = divmod(nbytes, TEXEL_ROW_BYTES)
     parts = (0, TEXEL_ROW_BYTES // TEXEL_BYTES, rows), (rows, rest // TEXEL_BYTES, 1)

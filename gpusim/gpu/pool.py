@@ -43,7 +43,7 @@ class Use(Enum):
     )
 
 
-# Of a texture, its view: that is what a shader is given; `texture` is what is copied to.
+# A texture is held as its view, which a shader is given. Copies go to the view's `texture`.
 Memory = wgpu.GPUBuffer | wgpu.GPUTextureView
 
 

@@ -157,7 +157,7 @@ class Recording:
         Raises
         ------
         ShaderError
-            Of other uses, or of another size.
+            The arrays have other uses, or their sizes differ.
         """
         uses = (source.use, target.use)
         if uses != (Use.DATA, Use.TEXELS) or source.nbytes != target.nbytes:
