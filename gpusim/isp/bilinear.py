@@ -42,7 +42,7 @@ def record_bilinear(
     frame : (row, col, rows, cols)
         Where in `light` the picture lies; what is outside does not count.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -30,7 +30,7 @@ def response(qe: dict[str, np.ndarray], transmission: np.ndarray | None = None) 
     qe : dict of str to ndarray (61,)
         Quantum efficiency by filter colour, electrons per photon.
     transmission : ndarray (61,), optional
-        Of the lens, to a common factor; 1 if not given.
+        Transmission of the lens, to a common factor; 1 if not given.
 
     Returns
     -------

@@ -17,7 +17,7 @@ def record_directional(rec: Recording, light: Array, *, label: str = "planes") -
     light : Array (rows, cols), f32
         Red at even rows and columns; rows and columns even.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -141,7 +141,7 @@ def write_dng(
     Parameters
     ----------
     path : path
-        Of the file.
+        Path of the file.
     raw : ndarray (rows, cols), uint16
         Digital numbers, those of the optical black included.
     sensor : Sensor
@@ -153,7 +153,7 @@ def write_dng(
         Exposure time, s. Exif's rationals end at 2.3e-10 s: ShutterSpeedValue, the logarithm, holds
         any.
     transmission : ndarray (61,), optional
-        Of the lens, to a common factor; neutral if not given.
+        Transmission of the lens, to a common factor; neutral if not given.
     active_area : (row, col, rows, cols), optional
         Where the lit pixels lie in the raw, with the filter pattern's phase at the first of them.
         By default the whole raw is lit.
@@ -164,7 +164,7 @@ def write_dng(
     place : (int, int)
         Row and column of the first lit pixel of the raw, counted from the sensor's own.
     temperature_c : float, optional
-        Of the sensor.
+        Temperature of the sensor.
     ev : float
         By how many stops readers are to show the picture brighter.
     taken : datetime, optional

@@ -34,7 +34,7 @@ def develop_raw(
     binned : bool
         Whether a quad Bayer frame gets one pixel for each cell of 2 x 2; else all, remosaiced.
     bits : int
-        Of each colour of the picture: 8 or 16.
+        Bits of each colour of the picture: 8 or 16.
     progress : callable, optional
         Called with (bands done, bands in all).
 

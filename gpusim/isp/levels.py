@@ -76,11 +76,11 @@ def linearization_table(sensor: Sensor) -> tuple[np.ndarray, int]:
 def noise_profile(sensor: Sensor, temperature_c: float | None = None) -> tuple[float, float]:
     """Return DNG's NoiseProfile (S, O): the variance is S x + O where x = 0 is black and 1 white.
 
-    Of EMVA 1288's linear camera model, in DN^2: sigma^2 = K^2 sigma_d^2 + 1/12 + K (mu - black),
-    with reset noise and that of rows and columns in sigma_d. Where the noise is given by two
-    numbers, the second is the variance for each electron. Of two merged reads the line runs from
-    the noise of the first one in the dark to that of the second one at saturation: between them it
-    is off by less than the difference of their read noise.
+    The line follows EMVA 1288's linear camera model, in DN^2: sigma^2 = K^2 sigma_d^2 + 1/12 + K
+    (mu - black). The noise of resets, rows and columns is part of sigma_d. Where two numbers give
+    the noise, the second is the variance for each electron. With two merged reads the line runs
+    from the noise of the first one in the dark to that of the second one at saturation. Between
+    these ends it is off by less than the difference of their read noise.
 
     Parameters
     ----------

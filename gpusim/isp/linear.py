@@ -31,7 +31,7 @@ def record_linear(
     table : ndarray (codes,), optional
         What a linear converter would have given in place of each code.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

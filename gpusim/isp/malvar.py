@@ -14,7 +14,7 @@ def record_malvar(rec: Recording, light: Array, *, label: str = "planes") -> Arr
     light : Array (rows, cols), f32
         Red at even rows and columns; rows and columns even.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -20,7 +20,7 @@ def record_matrix(
         Rows times columns a multiple of 4.
     matrix : ndarray (3, colours)
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -139,7 +139,7 @@ def develop_source(
     settings : Settings
     device : Device
     bits : int
-        Of each colour of the picture: 8 or 16.
+        Bits of each colour of the picture: 8 or 16.
     progress : callable, optional
         Called with (bands done, bands in all).
 

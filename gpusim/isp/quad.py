@@ -45,7 +45,7 @@ def write_bayer(raw: RawFile, path: Path, *, binned: bool) -> None:
     Parameters
     ----------
     raw : RawFile
-        Of a quad Bayer array.
+        Raw picture of a quad Bayer array.
     path : Path
     binned : bool
         Add the charge of 2 x 2 photosites of one filter: half as many pixels along each side, and a

@@ -52,7 +52,7 @@ class CodedFile:
     Attributes
     ----------
     codes : ndarray (rows, cols), uint16
-        Of the lit pixels.
+        Codes of the lit pixels.
     table : ndarray (codes,), uint16, optional
         What a linear converter would have given in place of each code.
     black : ndarray (PY, PX), float64

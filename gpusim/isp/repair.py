@@ -31,7 +31,7 @@ def record_repair(
     noise : (float, float)
         Variance of light x: noise[0] x + noise[1], as DNG's NoiseProfile has it.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -30,7 +30,7 @@ class Source:
     Attributes
     ----------
     codes : ndarray (rows, cols), uint16
-        Of the lit pixels.
+        Codes of the lit pixels.
     table : ndarray (codes,), optional
         What a linear converter would have given in place of each code.
     black : ndarray (PY, PX)

@@ -83,8 +83,8 @@ def write_tiff(path: Path, pixels: np.ndarray, tags: Tags, exif: Tags) -> None:
         Which appears whole or not at all.
     pixels : ndarray (rows, cols), uint16
     tags : mapping of int to (type, values)
-        Of the picture, beside those that say where its pixels lie. Texts are str; rationals are
-        numerators and denominators in turns.
+        Tags of the picture, beside those that say where its pixels lie. Texts are str. Rationals
+        are numerators and denominators in turns.
     exif : mapping of int to (type, values)
         The tags of the Exif part.
 
