@@ -44,7 +44,7 @@ class Stated(Strict):
     working_f_number : float
         N_w = 1 / (2 sin theta') on the axis: projected solid angle pi / (2 N_w)^2.
     transmission : float or tuple of float
-        Of the glass and its coatings on the axis, for all wavelengths or each.
+        Transmission of the glass and its coatings on the axis, for all wavelengths or each.
     exit_pupil_mm : float, optional
         Distance from the exit pupil to the image plane, from which the angles of the light at the
         image follow: for sensors whose quantum efficiency goes with them.
@@ -235,9 +235,9 @@ def make_bank(
 def _even_spline(height: np.ndarray, light: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return light (F, L) at other heights: splines through it and its mirror image, never below 0.
 
-    Of degree 7 (Schoenberg's cardinal splines: errors of 1.3e-4 h^8 d^8/dr^8, with steps h); of few
-    fields the polynomial through them. Of cos^4 in steps of an eighth of the focal length cubics
-    err by 4e-4, these by 2e-6 between the inner ones.
+    The splines have degree 7 (Schoenberg's cardinal splines: errors of 1.3e-4 h^8 d^8/dr^8, with
+    steps h). Few fields take the polynomial through them instead. On cos^4 in steps of an eighth of
+    the focal length cubics err by 4e-4, these by 2e-6 between the inner ones.
     """
     spline = make_interp_spline(
         np.concatenate([-height[:0:-1], height]),

@@ -191,7 +191,7 @@ class Bank:
         take over where the window's light is let out softly: see ``levels``.
     beyond_energy, halo_misfit : ndarray, shape (F, L), or None
     spectral_degree : int
-        Of what lies between the wavelengths: see ``gpusim.lens.lines``.
+        Degree of the spline for what lies between the wavelengths: see ``gpusim.lens.lines``.
     ray_deg, ray_um : ndarray, shape (M,), and ndarray, shape (M, L), or None
         Chief rays between the fields, and theirs: see ``gpusim.lens.chief_rays``.
     principal_mm : float, or None

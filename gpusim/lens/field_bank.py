@@ -27,7 +27,7 @@ class FieldBank(Protocol):
         As the lens is known.
     psf : ndarray (..., L, n, n)
     pitch_um : float
-        Of the PSFs' samples.
+        Pitch of the PSFs' samples.
     projected_solid_angle_sr, transmission : ndarray (L,)
         On the axis.
     centre_um : (float, float)
@@ -39,7 +39,7 @@ class FieldBank(Protocol):
     probes : tuple of int
         Fields that stand for all, the middle first.
     spectral_degree : int
-        Of what lies between the wavelengths: see `gpusim.lens.lines`.
+        Degree of the spline for what lies between the wavelengths: see `gpusim.lens.lines`.
     projection : Projection
         How the scene lies on the ideal plane.
     """

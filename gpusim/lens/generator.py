@@ -84,7 +84,7 @@ class Generator:
     field_deg : ndarray, shape (F,)
         Field angles.
     pitch_um, size : float, int
-        Of the PSFs; size at most half of TRANSFORM.
+        Pitch and size of the PSFs; size at most half of TRANSFORM.
     rays : int
         Nodes across the pupil each way; one half of them is traced, the other mirrors it.
     progress : callable, optional
@@ -121,8 +121,8 @@ class Generator:
         self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
         self.pitch_um, self.size = pitch_um, size
         self._lossy = goes_with_the_ray(system.prescription)
-        # Of what is kept at the nodes, which is rho^2, or -ln of the amplitude where losses go with
-        # the ray. That may be less than 0: edges of glass may be thinner than its middle.
+        # The factor of what the nodes keep: rho^2, or -ln of the amplitude where losses go with the
+        # ray. That logarithm may be less than 0: edges of glass may be thinner than its middle.
         self._apodisation = 1.0 if self._lossy else system.prescription.gaussian_apodisation
         self._least = -1.0 if self._lossy else 0.0
         self._na, self._nb = rays // 2, rays
@@ -235,7 +235,7 @@ class Generator:
         grid["chief_beta"] = self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
 
-        # Of a beam that is vignetted to little, few rays were aimed: at least two a coefficient.
+        # A strongly vignetted beam has few rays: each coefficient takes at least two.
         degree = min(DEGREE, int(np.sqrt(len(alpha))) - 1)
         i, j = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1), indexing="ij")
         in_a = chebyshev.chebvander(alpha / half, degree)

@@ -34,7 +34,7 @@ from gpusim.lens.wavefront import Pupil
 
 AnyBank = TypeVar("AnyBank")  # Bank or PlaneBank
 
-# Of the levels: samples across, and the pitch of each in that of the one within it. Three of them
+# The levels: samples across each, and its pitch over that of the level within it. Three of them
 # reach 16 mm from the chief ray where the core's pitch is 0.5 um; at f/2.8 they miss 2e-5.
 SIZE = 128
 STEP = 8
@@ -326,7 +326,7 @@ def _diffracted(
     strength : ndarray (M,)
         lambda dl / (4 pi^2 S), um.
     edges : ndarray (R + 1,)
-        Of the bins, in ln r.
+        Edges of the bins, in ln r.
 
     Returns
     -------

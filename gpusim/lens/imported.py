@@ -31,8 +31,8 @@ ON_LINE = "by a model glass with the partial dispersions that most glasses have"
 # Systems, sec. 12.4): with f = 50 mm at f/4 it is blurred by 28 um here, by 180 um at 5 deg.
 SMALL_FIELD_DEG = 2.0
 _LEAST_FIELD_DEG = 0.05
-# Of the searches for a field. Chief-ray maps are monotone: a step need only stay below the field at
-# which a lens that passes more than that has lost the chief ray.
+# Steps of the searches for a field. Chief-ray maps are monotone. A step need only stay below the
+# field at which a lens that passes more than that has lost the chief ray.
 _STEP_DEG = 4.0
 _LAST_DEG = 116.0  # a whole number of steps below the model's limit of 120 deg
 

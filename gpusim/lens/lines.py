@@ -11,8 +11,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 
 CUBIC, STRAIGHT = 3, 1  # degrees
-# Of chief rays, which are known to far less than a PSF's width. Largest miss between lines 25 nm
-# apart, um: fisheye 0.06 with 3, 0.004 with 5, 0.0004 with 7; wide 0.04, 0.008, 0.0009.
+# Degree for chief rays, which are known to far less than a PSF's width. Largest miss between lines
+# 25 nm apart, um: fisheye 0.06 with 3, 0.004 with 5, 0.0004 with 7; wide 0.04, 0.008, 0.0009.
 CHIEF_RAYS = 7
 
 

@@ -45,7 +45,7 @@ class Blend(NamedTuple):
     weights : tuple of float
         Sum 1.
     cos, sin : float
-        Of the direction that the PSFs' x axis has at the point.
+        Direction that the PSFs' x axis has at the point.
     """
 
     fields: tuple[int, ...]
@@ -65,9 +65,9 @@ class Places(Protocol):
         Signs of x and y of the quadrants that differ; one where all are the mirror images of it,
         if only the PSFs are symmetric about their x axis.
     main : slice
-        Of the list, the fields that hold the light: others only change how it is spread.
+        The fields of the list that hold the light: others only change how it is spread.
     opposite : tuple of int
-        Of the list, the fields that stand beyond the axis: their PSFs are turned by half a turn.
+        The fields of the list that stand beyond the axis: their PSFs are turned by half a turn.
     neighbours : list of (int, int, float)
         Pairs of the list that lie next to each other, and how far apart, um.
     """
@@ -172,7 +172,7 @@ class Heights:
         """
         numbers, weights = self.blended(np.minimum(radius_um, self.radius_um[-1]))
         both = np.concatenate([table, table[1:2]])
-        # Of one after the other: maps are large.
+        # One after the other, because maps are large.
         return sum(
             one.reshape(-1, *[1] * (table.ndim - 1)) * both[number]
             for number, one in zip(numbers.T, weights.T, strict=True)

@@ -349,7 +349,7 @@ class PlaneBank:
         grid = FieldGrid(self.field_x_deg, self.field_y_deg, self.field_deg)
         table = self.relative_illumination.reshape(-1, len(self.wavelengths_nm))
         numbers, weights = grid.blended(x_um, y_um)
-        # Of one after the other: maps are large.
+        # One after the other, because maps are large.
         light = sum(
             weights[..., one, None] * table[numbers[..., one]] for one in range(weights.shape[-1])
         )

@@ -24,8 +24,8 @@ MAP_ERROR_UM = 0.01
 FIT_ERROR_UM = 1e-3
 FEWEST_CELLS, MOST_CELLS = 8, 128
 SAMPLES = 3  # of what a spline is to follow, each way in a cell at the rim
-# Of the control points' third differences against the samples: what lies beyond the circle, and no
-# sample sees, goes on evenly.
+# Weight of the control points' third differences against the samples. It makes the map go on evenly
+# beyond the circle, where no sample lies.
 EVENNESS = 1e-7
 STEPS = 33  # rings where the map must not fold, and points across the circle that stand for all
 DEGREE = 7  # of the splines across the rings: see `gpusim.lens.field_map`
@@ -46,7 +46,7 @@ class PlaneMap:
     ideal_height_um : callable
         Returns heights on the ideal plane of field angles, rad.
     centre_um : (float, float)
-        Of the image circle.
+        Centre of the image circle.
     radius_um : float
 
     Attributes

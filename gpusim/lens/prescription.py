@@ -449,7 +449,7 @@ class Prescription(Strict):
         Parameters
         ----------
         object_distance_m : float, optional
-            Of the object plane, infinity too (as it is).
+            Distance of the object plane; infinity is allowed too. By default it stays as it is.
         focus_distance_m : float, optional
             That the lens is focused on, infinity too (on the object, unless the lens has another).
 

@@ -1,7 +1,7 @@
 """How a scene lies on the ideal image plane: where a camera without distortion puts a field angle.
 
-Of focal length f: rectilinear, u = f tan(theta), in which what is straight in the world is straight
-and which ends short of 90 degrees; and angular, u = f theta, in which every angle has its place.
+With focal length f there are two. Rectilinear is u = f tan(theta): what is straight in the world
+stays straight, and it ends short of 90 degrees. Angular is u = f theta: every angle has its place.
 Radiance is carried from place to place and not spread: no projection makes anything brighter.
 """
 

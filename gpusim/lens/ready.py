@@ -193,7 +193,7 @@ def _netcdf(path: Path) -> Bank:
     import h5py
 
     try:
-        # Of a broken file, h5netcdf leaves an object that complains when it is collected.
+        # For a broken file, h5netcdf would leave an object that complains when it is collected.
         with h5py.File(path, "r") as file:
             list(file), list(file.attrs)
         bank = Bank.load(path)

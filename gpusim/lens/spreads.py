@@ -147,7 +147,7 @@ def spreads(
     Parameters
     ----------
     prescription : Prescription
-        Of a lens with an axis.
+        A lens with an axis.
     wavelengths_nm, field_deg : ndarray (L,), (F,)
         See `Spreads`.
     progress : callable, optional

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from gpusim.lens.prescription import Prescription
 
 CHECKSUM = "sha256"  # global attribute of a saved file
-# Of all files of the cache together. A camera's take 0.15 GiB, the densest bank 0.5 GiB and more.
+# Size of all files of the cache together. A camera's take 0.15 GiB, the densest bank 0.5 GiB and
+# more.
 CACHE_BYTES = 4 << 30
 ABANDONED_S = 3600  # a file half written and not touched for so long has lost its process
 PACKED = ("scale_factor", "add_offset")  # attributes of variables whose numbers are not the values
@@ -126,7 +127,7 @@ def from_cache(
     Parameters
     ----------
     kind : type
-        Of what is stored, a bank for instance.
+        Class of what is stored, a bank for instance.
     compute : callable
         Takes the prescription and the settings.
     prescription : Prescription

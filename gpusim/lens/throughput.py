@@ -1,8 +1,8 @@
 """What a lens lets through of a ray: Fresnel losses, coatings, internal transmission.
 
-Of unpolarised light, the mean of both polarisations at each surface. A coating is a curve, taken to
-hold at every angle, or one layer of magnesium fluoride, by its characteristic matrix. Absorption
-goes by the path in the glass (Beer and Lambert).
+The light is unpolarised: each surface counts with the mean of both polarisations. A coating is a
+curve, taken to hold at every angle, or one layer of magnesium fluoride, by its characteristic
+matrix. Absorption goes by the path in the glass (Beer and Lambert).
 """
 
 from __future__ import annotations

@@ -39,10 +39,10 @@ class Geometry:
     rotation : ndarray, shape (S, 3, 3)
         From the frame of each surface to that of the lens.
     object_z : float
-        Of the object plane, mm before the first vertex as a number < 0; -inf: at infinity.
+        Place of the object plane, mm before the first vertex as a number < 0; -inf: at infinity.
     field_z : float
-        Of the point of the axis at which the angle of a point of the object plane is its field:
-        the paraxial entrance pupil's. Of no meaning where the object is at infinity.
+        Point of the axis, the paraxial entrance pupil's, at which the angle of a point of the
+        object plane is its field. It means nothing where the object is at infinity.
     """
 
     curvature: np.ndarray
@@ -90,7 +90,7 @@ class Launch:
         E of each wavelength, mm. ``launch_field`` puts it where the chief ray meets the first
         surface, so that (px, py) = 0 is the chief ray.
     azimuth : float
-        Of the field, rad: 0 in the y-z plane, which is all that a centred lens needs.
+        Azimuth of the field, rad: 0 in the y-z plane, which is all that a centred lens needs.
     source : ndarray, shape (3,), or None
         Point of the object, mm; None where it is at infinity.
     """
@@ -370,7 +370,7 @@ def launch_field(
     tolerance_mm : float
         Accepted miss at the centre of the stop.
     azimuth : float
-        Of the field, rad.
+        Azimuth of the field, rad.
 
     Returns
     -------

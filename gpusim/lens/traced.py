@@ -45,7 +45,7 @@ def traced_bank(
     Parameters
     ----------
     prescription : Prescription
-        Of a lens with an axis.
+        A lens with an axis.
     wavelengths_nm : ndarray (L,)
         Rising.
     field_deg : ndarray (F,)
@@ -53,7 +53,7 @@ def traced_bank(
     reference_nm : float
         One of the wavelengths.
     pitch_um, size : float, int
-        Of the PSFs.
+        Pitch and size of the PSFs.
     progress : callable, optional
         Called with (fields done, fields in all).
 
@@ -126,7 +126,7 @@ def traced_plane_field(
     reference_nm : float
         One of the wavelengths.
     pitch_um, size : float, int
-        Of the PSFs.
+        Pitch and size of the PSFs.
     progress : callable, optional
         Called with (1, 1) in the end.
 

@@ -178,7 +178,7 @@ class Beams:
         p_mm : ndarray, shape (P, R, 2)
             On the launch plane.
         miss : ndarray, shape (P, R)
-            Of the stop's radius; -1 where no such ray was found.
+            Miss, in units of the stop's radius; -1 where no such ray was found.
         """
         rec = Recording(self.device)
         rays = len(wanted_mm)

@@ -225,7 +225,7 @@ def polychromatic(
     Parameters
     ----------
     otfs : ndarray of complex, shape (L, K)
-        Of each wavelength, 1 at frequency 0.
+        One for each wavelength, 1 at frequency 0.
     weight : ndarray, shape (L,)
         Light of each wavelength: any spectrum times transmission and solid angle.
     frequency_cy_mm : ndarray, shape (K,)
@@ -319,7 +319,7 @@ def field_pupils(
     depth_mm : float
         Largest shift of the image plane for which ``otf`` will be asked.
     azimuth : float
-        Of the field, rad. Whatever it is, tangential is along y and sagittal along x.
+        Azimuth of the field, rad. Whatever it is, tangential is along y and sagittal along x.
 
     Raises
     ------

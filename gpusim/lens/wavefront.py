@@ -192,7 +192,7 @@ def sample_rays(
     stop_x, stop_y : ndarray, shape (R,)
         Points of the stop surface, mm.
     azimuth : float
-        Of the field, from y towards x, rad.
+        Azimuth of the field, from y towards x, rad.
     whole : bool
         Keep each ray on its own side of the meridional plane, also where that is one of symmetry.
 

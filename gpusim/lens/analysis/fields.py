@@ -12,7 +12,7 @@ from gpusim.lens.wavefront import Samples, sample_rays
 # Light from 400 to 700 nm: 50 nm are enough for a curve of a lens that is corrected for colour.
 WHITE_NM = np.arange(400.0, 701.0, 50.0)
 WHITE_REFERENCE = 3  # 550 nm
-# Of more design wavelengths figures show so many, evenly spread.
+# Lines that figures show, evenly spread, where a lens has more design wavelengths.
 MOST_LINES = 5
 
 

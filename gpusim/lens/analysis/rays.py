@@ -154,7 +154,7 @@ class Wavefront:
     Attributes
     ----------
     stop : ndarray, shape (P,)
-        Of columns (x) and rows (y), relative to the stop's radius.
+        Positions of columns (x) and rows (y), relative to the stop's radius.
     opd_waves : ndarray, shape (P, P)
         Rows y, columns x; NaN where no light passes.
     """
@@ -199,9 +199,9 @@ class Arrival:
     chief_deg : float
         Its whole angle from the normal.
     upper_deg, lower_deg : float
-        Of the outermost rays along y that pass, of the greater and of the smaller angle.
+        Angles of the outermost rays along y that pass: the greater and the smaller one.
     sagittal_deg : tuple of float
-        Of the outermost rays along x that pass.
+        Angles of the outermost rays along x that pass.
 
     Angles of rims are NaN where no light passes on that diameter of the stop.
     """
