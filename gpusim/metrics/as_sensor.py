@@ -46,7 +46,7 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
     Parameters
     ----------
     found : Characterisation
-        Of one channel or of several, whose gain and noise are then taken as one.
+        Figures of one channel, or of several whose gain and noise are then taken as one.
     frames : Frames
     size : (int, int)
         Rows and columns of the frames.

@@ -30,7 +30,7 @@ class Colours:
     Attributes
     ----------
     xyz : ndarray (24, 3)
-        Of the illuminant's white, Y = 1.
+        On the scale on which the illuminant's white has Y = 1.
     delta_e : dict of str to ndarray (24,)
         ``76``, ``94`` and ``2000``.
     """

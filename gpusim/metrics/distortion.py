@@ -47,7 +47,7 @@ class Fit:
     coefficients : ndarray (K,)
         k_1, k_2 ... of a polynomial, s of the tangent; of radii in shares of the way to the corner.
     covariance : ndarray (K, K)
-        Of the coefficients, by the misses' own spread.
+        Covariance of the coefficients, by the misses' own spread.
     rms_px : float
         Root mean square of the misses, of x and y together.
     worst_px : float
@@ -94,11 +94,12 @@ class Shift:
     ----------
     channel : str
     away_px : ndarray (N, 2)
-        Of each mark from the same one of the reference, x and y; NaN where it was not found.
+        Where each mark lies from the same one of the reference, x and y; NaN where it was not
+        found.
     radial_px : ndarray (N,)
         Outwards.
     slope_px, cubic_px : float
-        Of the fit radial = slope r + cubic r^3, r in shares of the way to the corner.
+        Coefficients of the fit radial = slope r + cubic r^3, r in shares of the way to the corner.
     """
 
     channel: str
@@ -141,7 +142,7 @@ class Distortion:
     left_out : int
         Marks that lie far from the lattice.
     shifts : tuple of Shift
-        Of the other channels.
+        Shifts of the other channels.
     """
 
     marks: Marks

@@ -22,7 +22,8 @@ ROUNDS = 12  # of placing the window on the line anew; each one takes the rest d
 WINDOW_PX = (
     9.0  # least half width in which a row's edge is sought, about the line of the last round
 )
-# Of a coefficient more, in units of Schwarz's penalty: at 1 noise bends every tenth straight edge.
+# Cost of one more coefficient, in units of Schwarz's penalty: at 1 noise bends every tenth straight
+# edge.
 DEAR = 2.0
 DEGREES = (1, 2, 3, 5)  # of the polynomial: ISO 12233:2023 fits the fifth, a straight edge wants 1
 
@@ -75,7 +76,7 @@ class Line:
 
     @property
     def slope(self) -> float:
-        """Of the edge at its middle: px along x for each px along y."""
+        """Slope of the edge at its middle: px along x for each px along y."""
         return float(self.x_of_y.deriv()(self.middle_px))
 
     @property
@@ -170,8 +171,8 @@ def _variation(value: np.ndarray, mask: np.ndarray, axis: int) -> float:
 def find_line(samples: Samples) -> Line:
     """Return the edge through a region.
 
-    Of each row the edge is the centroid of the derivative under a Hann window about the line that
-    the last round found (ISO 12233:2017, annex D, centres its window on the row); the polynomial's
+    In each row the edge is the centroid of the derivative under a Hann window about the line that
+    the last round found (ISO 12233:2017, annex D, centres its window on the row). The polynomial's
     degree is the least whose residuals no higher one explains clearly better (Schwarz 1978).
 
     Raises

@@ -2,7 +2,7 @@
 
 EMVA Standard 1288, release 3.1 (European Machine Vision Association, 2016), whose sections and
 equations are quoted; release 4.0 Linear for the row, column and pixel parts of the non-uniformity.
-Of a colour sensor each channel is measured for itself, at the wavelength to which it responds most.
+Each channel of a colour sensor is measured for itself, at the wavelength to which it responds most.
 
 Uncertainties are standard ones (k = 1) and statistical: the spread of the same measurement on other
 frames, and on other pieces of the same type as far as the pixels of an array are a sample.
@@ -82,9 +82,9 @@ class Characterisation:
     channels : tuple of Channel
     series : DarkSeries
     dark : Pattern or None
-        Of all photosites.
+        Pattern of all photosites.
     figures : dict of str to Figure
-        Of all photosites: ``system_gain_dn_per_e`` and ``response_gain_dn_per_e``;
+        Figures of all photosites: ``system_gain_dn_per_e`` and ``response_gain_dn_per_e``;
         ``temporal_dark_noise_dn``, ``temporal_dark_noise_e`` and the parts of it that whole rows
         and columns share, ``row_noise_e`` and ``column_noise_e``; ``dark_current_e_per_s`` and
         ``dark_current_variance_e_per_s``; ``dsnu_e`` and its parts ``dsnu_pixel_e``,

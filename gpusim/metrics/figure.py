@@ -19,8 +19,9 @@ class Figure:
     u : float
         Standard uncertainty.
     square, square_u : float or None
-        Of a figure that is the root of a variance, that variance, which may have come out negative
-        where there is nothing to be found, and its uncertainty: these are normal, the root is not.
+        The variance whose root the figure is, and its uncertainty; None for other figures. The
+        variance may have come out negative where there is nothing to be found. It is distributed
+        normally; its root is not.
     """
 
     value: float

@@ -146,7 +146,7 @@ def measure(
     runs : callable
         Whether a stage runs, by its name in the plan; those BETWEEN_PIXELS do not in any case.
     seed : int
-        Of the temporal noise; no two frames have the same.
+        Seed of the temporal noise; no two frames have the same.
     keep : callable, optional
         Called with each light, the number of the frame among all, and the frame: (rows, cols), u16.
     progress : callable, optional

@@ -50,13 +50,13 @@ class Frames:
     ----------
     folder : Path
     name : str
-        Of the camera.
+        Name of the camera.
     pattern : tuple of tuple of str
         Filter pattern.
     groups : dict
         Files of each exposure time, number of photons and wavelength.
     bit_depth : int or None
-        Of the frames; None where the list does not say it.
+        Bit depth of the frames; None where the list does not say it.
     pixel_pitch_um : float or None
     """
 

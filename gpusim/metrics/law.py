@@ -44,7 +44,8 @@ class PixelLaw:
         self.z = np.linspace(-_SIGMAS, _SIGMAS, _NODES)
         self.weight = np.exp(-(self.z**2) / 2)
         self.weight /= self.weight.sum()
-        # Of the pixels' responses, and of their offsets under light, where no single step matters.
+        # Nodes for the pixels' responses, and for their offsets under light: no single step matters
+        # there.
         nodes, weight = np.polynomial.hermite_e.hermegauss(9)
         self.nodes, self.node_weight = nodes, weight / weight.sum()
 
@@ -115,7 +116,7 @@ class PixelLaw:
         Parameters
         ----------
         middle, noise : ndarray
-            Of the read at high gain, DN.
+            Those of the read at high gain, DN.
         electrons : ndarray
         """
         sensor, low = self.sensor, self.sensor.at_low_gain()

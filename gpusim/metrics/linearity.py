@@ -20,7 +20,7 @@ class Linearity:
     Attributes
     ----------
     offset_dn, slope_dn : float
-        Of the line with the least relative deviations (section 6.7, equations (35) to (37)).
+        The line with the least relative deviations (section 6.7, equations (35) to (37)).
     fitted : ndarray of bool (n,)
     deviation_percent : ndarray (n,)
         Equation (38).

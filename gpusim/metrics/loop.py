@@ -43,7 +43,7 @@ class Row:
         EMVA's symbol, with the channel where it is of one.
     unit : str
     data_sheet : float
-        Of the sensor file.
+        Value that the sensor file gives.
     expected : float
         What the measurement should find.
     reason : str
@@ -74,7 +74,7 @@ def rows(found: Characterisation, sensor: Sensor) -> list[Row]:
     Parameters
     ----------
     found : Characterisation
-        Of frames of this sensor.
+        What was found from frames of this sensor.
     sensor : Sensor
     """
     exposure_s = float(found.channels[0].transfer.exposure_s[0])

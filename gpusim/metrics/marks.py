@@ -35,8 +35,8 @@ CUT = 4.0  # standard deviations, where the weight ends: at 3 its rim moves corn
 ROUNDS = 30
 STILL_PX = 1e-5  # a round that moves the corner less is the last
 FARTHEST_PX = 2.0  # from where it was first seen
-# Of the picture's range: how far a dot departs from its surroundings. Beside brighter things, as
-# the patches of a chart of many parts, dots are faint.
+# How far a dot departs from its surroundings, over the picture's range. Dots are faint beside
+# brighter things, such as the patches of a chart of many parts.
 DEPTHS = (0.25, 0.12, 0.06)
 LEAST_DOT_PX = 12  # pixels of a dot
 FULLEST = 0.5  # of the distance of dots: their radius, at most

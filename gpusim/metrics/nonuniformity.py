@@ -28,7 +28,8 @@ class Pattern:
     residual_dn2 : float
         That temporal noise, DN^2.
     covariance, covariance_u2 : float
-        Of the pixels' mean and temporal variance, DN^3, and its squared standard uncertainty.
+        Covariance of the pixels' mean and temporal variance, DN^3, and its squared standard
+        uncertainty.
     images : tuple of ndarray
         The average of each site, DN.
     """
@@ -105,7 +106,7 @@ def response_nonuniformity(
     Parameters
     ----------
     bright, dark : Pattern
-        Of the photosites of a channel.
+        Patterns of the photosites of a channel.
     gain : Figure
         K, DN per electron.
 

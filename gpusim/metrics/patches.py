@@ -20,7 +20,7 @@ from gpusim.metrics.regions import filled
 
 COLUMNS, ROWS = 6, 4
 SMOOTH_PX = 1.0
-# Of the range of a channel, per px: a gradient above it is an edge between patches.
+# Gradient above which an edge lies between patches, over the range of a channel, per px.
 EDGE = 0.02
 LEAST_PX = 8  # sides of a patch
 SQUARE = 0.6  # least ratio of its sides, and least share of its box that it fills
@@ -36,7 +36,7 @@ class Patches:
     Attributes
     ----------
     corners : ndarray (24, 4, 2)
-        Of the measured part of each, x and y, px, in the chart's reading order.
+        Corners of the measured part of each, x and y, px, in the chart's reading order.
     mean, noise : ndarray (24, channels)
         Mean and standard deviation of a pixel.
     clipped : ndarray (24,) of bool
@@ -63,7 +63,7 @@ def find_patches(
     planes : dict of str to Plane
         Red, green and blue.
     misfit : callable
-        Of the 24 means, shape (24, channels): how badly they fit the chart's colours.
+        Function of the 24 means, shape (24, channels): how badly they fit the chart's colours.
     given : ndarray (4, 2), optional
         Middles of the patches in the chart's corners, x and y, px: dark skin, bluish green, black,
         white, clockwise.

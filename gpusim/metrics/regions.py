@@ -37,7 +37,8 @@ def find_regions(plane: Plane, progress: Callable[[int, int], None] | None = Non
     Parameters
     ----------
     plane : Plane
-        Of a filter array the most frequent filter, filled in between its photosites.
+        With a filter array, the plane of the most frequent filter, filled in between its
+        photosites.
     progress : callable, optional
         Called with (done, total) ridges.
     """

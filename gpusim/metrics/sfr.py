@@ -36,8 +36,8 @@ STEP_PX = 1 / 16  # of the sum over d: the integrand holds less than 2 cycles/px
 # their distance is that share of the way from there.
 CORE_RISES, CORE_PX, GROWTH, WIDEST_PX = 1.0, 1.5, 0.25, 4.0
 FLAT_SHARE = 0.75  # of the window
-# Of the penalty on the third derivative, against the data's own weight: it decides where no pixel
-# lies, and changes SFR at 0.5 cycles/px by less than 1e-5.
+# Weight of the penalty on the third derivative, against the data's own weight. It decides where no
+# pixel lies, and changes SFR at 0.5 cycles/px by less than 1e-5.
 PENALTY = 1e-7
 FREQUENCIES_CY_PX = np.linspace(0.0, 1.0, 201)
 CLIPPED_SHARE = 2e-3  # of the pixels at the largest or smallest code
@@ -94,7 +94,8 @@ class Sfr:
         ----------
         level : float
         of_peak : bool
-            Of the largest response, not of that at 0: MTF50P, which sharpening does not move.
+            Whether the level is a share of the largest response, not of that at 0. This gives
+            MTF50P, which sharpening does not move.
 
         Returns
         -------

@@ -39,7 +39,7 @@ class Sinusoid:
     amplitude : Figure
         Half the swing, in the unit of the picture.
     mean : float
-        Of the plane below it, in the region's middle.
+        Mean of the plane below it, in the region's middle.
     modulation : Figure
         Amplitude over mean.
     phase_deg : float

@@ -137,14 +137,14 @@ class SiteStatistics:
     mean : float
         Over pixels and frames, DN.
     temporal : Parts
-        Of one frame, from differences of pairs of frames, in which the fixed pattern cancels.
+        Noise of one frame, from differences of pairs of frames, in which the fixed pattern cancels.
     average : ndarray (rows, cols), float64, or None
-        Of all frames, DN; of a pair it is not kept, because it has too much noise in it.
+        Average of all frames, DN. That of a pair is not kept, because it has too much noise in it.
     zero_share : float
-        Of the pixels that are 0 DN.
+        Share of the pixels that are 0 DN.
     covariance, covariance_u2 : float or None
-        Of the pixels' mean and their temporal variance, DN^3, and its squared standard uncertainty;
-        of more than two frames.
+        Covariance of the pixels' mean and their temporal variance, DN^3, and its squared standard
+        uncertainty; only with more than two frames.
     """
 
     shape: tuple[int, int]
@@ -175,9 +175,9 @@ class Level:
     photons : float
         Mean number per pixel during the exposure; 0 in the dark.
     wavelength_nm : float or None
-        Of the light; None in the dark, or where it is not known.
+        Wavelength of the light; None in the dark, or where it is not known.
     sites : tuple of SiteStatistics
-        Of each site of the filter pattern, row by row.
+        One for each site of the filter pattern, row by row.
     """
 
     exposure_s: float

@@ -105,7 +105,7 @@ def transfer_of(lit: Sequence[Level], dark: Sequence[Level], sites: Sequence[int
     ----------
     lit, dark : sequence of Level
     sites : sequence of int
-        Of the filter pattern: those of one channel.
+        Sites of the filter pattern that belong to one channel.
 
     Raises
     ------
