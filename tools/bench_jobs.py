@@ -17,6 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 import scipy.fft
 from bench_blur import blur_1mp
+from bench_burst import burst_job
 from bench_ccd import linear_job, smear_job, trap_job
 from bench_isp import develop_job
 from bench_regret import regret_job
@@ -974,6 +975,7 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
     "adc": ("quantisation", partial(sensor_job, "adc")),
     "sensor-12mp": ("exposure, noise and adc: electrons/s to digital numbers", sensor_chain_job),
+    "burst": ("20 frames of 512 x 512 of one light", partial(burst_job, job=Job)),
     "smear": (
         "light in a CCD's packets on their way along the columns",
         partial(smear_job, job=Job),
