@@ -70,9 +70,23 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
     done = bench("--list")
     assert done.returncode == 0
     lines = [line.split(maxsplit=1) for line in done.stdout.splitlines()]
-    whole = [*FRAMES, "regret", "tolerances", "psf-bank", "psf-refocus", "blur-1mp", *DEVELOP]
+    whole = [
+        *FRAMES,
+        "regret",
+        "tolerances",
+        "psf-bank",
+        "psf-refocus",
+        "blur-1mp",
+        *DEVELOP,
+        "burst",
+    ]
     assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)
+
+
+def test_a_burst_is_its_frames_one_by_one(device: Device):
+    job = tool("bench_jobs").JOBS["burst"][1](device, SMALL)
+    assert job.error == {"pixels that differ": 0} and job.pixels == 20 * 128 * 128
 
 
 def test_a_job_prints_one_line_of_json_and_appends_it_to_a_file(tmp_path: Path):

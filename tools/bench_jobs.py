@@ -959,6 +959,7 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
         "the same, demosaiced along edges",
         partial(develop_job, method="directional", job=Job),
     ),
+    "burst": ("20 frames of 512 x 512 of one light", partial(burst_job, job=Job)),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
     "rows": ("row transforms, one plane", partial(convolution_job, "rows")),
@@ -975,7 +976,6 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "noise": ("shot noise, full well, read noise", partial(sensor_job, "noise")),
     "adc": ("quantisation", partial(sensor_job, "adc")),
     "sensor-12mp": ("exposure, noise and adc: electrons/s to digital numbers", sensor_chain_job),
-    "burst": ("20 frames of 512 x 512 of one light", partial(burst_job, job=Job)),
     "smear": (
         "light in a CCD's packets on their way along the columns",
         partial(smear_job, job=Job),
