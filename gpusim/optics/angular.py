@@ -34,7 +34,7 @@ from gpusim.sensor.sensor import Sensor
 AZIMUTHS = 72
 FEW = 4  # azimuths that stand for all where spectra are told apart
 EVERYWHERE_UM = 1e9  # farther than any image reaches
-# Of a pixel that answers alike from all sides the map's azimuths differ by rounding only.
+# A pixel that answers alike from all sides: there the map's azimuths differ by rounding only.
 ROUNDING = 1e-12
 
 
@@ -178,7 +178,7 @@ class TurnedHeights:
     heights : Heights
         Where the fields lie.
     gains : list of CubicSpline
-        Of each field, how its terms count, by azimuth.
+        One for each field: how its terms count, by azimuth.
     """
 
     heights: Heights
@@ -227,7 +227,7 @@ class PlaceWeights:
     per_photon : ndarray (L, K)
         Electrons/s of a unit of spectral radiance at a quantum efficiency of 1, on the axis.
     spectra : ndarray (J, K)
-        Of the planes.
+        Spectra of the planes.
     error : float
         How much of a plane's light in a channel the terms may leave out, at any azimuth.
     """

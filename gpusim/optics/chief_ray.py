@@ -20,7 +20,7 @@ FIT_ERROR_UM = 1e-4
 # Pieces of a radial spline: doubled until it follows. 4096 take 64 KiB.
 FEWEST_PIECES, MOST_PIECES = 16, 4096
 BETWEEN = 4  # places in a piece at which a spline is held against the map
-# Of the image circle's radius: where the map's value on the axis is taken, for there it is 0 / 0.
+# On the axis the map is 0 / 0: its value is taken at this share of the image circle's radius.
 NEAR_AXIS = 1e-4
 # Below that an image is not distorted: far less than the shaders' own rounding, 2^-24 of 5 mm.
 UNDISTORTED_UM = 1e-4
@@ -33,7 +33,7 @@ class RadialMap:
     Attributes
     ----------
     pieces : ndarray (n, 4)
-        Of d, a cubic spline of n even pieces: coefficients, low to high, of how far into a piece.
+        Cubic spline d of n even pieces: coefficients, low to high, of how far into a piece.
     radius_um : float
         R, um.
     distortion : bool
@@ -225,7 +225,7 @@ def radial_map(ideal_um: Callable[[np.ndarray], np.ndarray], radius_um: float) -
     ideal_um : callable
         Returns the ideal heights of real ones, um, from the axis to the rim, where they rise.
     radius_um : float
-        Of the image circle.
+        Radius of the image circle.
     """
     count = FEWEST_PIECES
     while True:
@@ -271,7 +271,7 @@ def block_bounds_um(
     ----------
     grid : SimGrid
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     chief_ray : ChiefRayMap
     margin : float
         By which each block is taken to be larger on every side, samples.

@@ -19,7 +19,7 @@ from gpusim.optics.kernels import kernel_spectra
 from gpusim.optics.nodes import NodeStore, Outputs, Scale, folds_of, outputs_of
 from gpusim.sensor.aperture import Response
 
-# Of a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
+# First radix for a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
 FIRST_RADIX = {16: 2, 32: 4, 64: 8, 128: 2, 256: 4, 512: 8, 1024: 2}
 
 
@@ -271,7 +271,7 @@ class Convolve(Transforms, NodeStore):
         scratch : Scratch
             Its planes hold the block's source.
         rates : buffer (S, rows, cols)
-            Of the rectangle; electrons/s are added to it.
+            Rates of the rectangle; electrons/s are added to them.
         rect : (row0, col0, rows, cols)
             Rectangle of pixels, aligned to the CFA period.
         """

@@ -39,7 +39,7 @@ class TapLayout:
         Places of photosites within a stride, over all sites side by side, and how many of them an
         invocation takes.
     offsets : tuple of int
-        Of the places, samples.
+        Offsets of the places, samples.
     groups : int
         vec4f in a line of taps.
     eights : int
@@ -169,7 +169,7 @@ def support_within(
     ----------
     kernels : FieldKernels
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     reach_um : float
         As far as the kernels go.
     half_um : (float, float)

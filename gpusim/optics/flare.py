@@ -37,7 +37,7 @@ def veiling_glare(
     weights : ndarray (J, C, L)
         Electrons/s of each plane in each channel, by bank wavelength.
     coefficients : ndarray (M, J)
-        Of the scene's spectra.
+        Coefficients of the scene's spectra.
     elsewhere : PlaceWeights, optional
         In place of the weights, where they go with the place.
 

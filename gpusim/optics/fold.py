@@ -75,7 +75,7 @@ class Basis:
     Attributes
     ----------
     coefficients : ndarray (M, J)
-        Of each scene spectrum.
+        Coefficients of each scene spectrum.
     weights : ndarray (J, C, L)
         Electrons/s of each plane in each channel, by bank wavelength.
     residual : float
@@ -84,7 +84,7 @@ class Basis:
     rms : float
         Root mean square of these errors over spectra and channels.
     spectra : ndarray (J, K)
-        Of the planes, W m^-2 sr^-1 nm^-1.
+        Spectra of the planes, W m^-2 sr^-1 nm^-1.
     response : ndarray (C, L, K)
         As `spectral_weights` returns it.
     elsewhere : PlaceWeights, optional
@@ -240,7 +240,7 @@ def reduce_spectra(
     turn = _commonest_first((vectors / material_scale[:, None])[common_first])
     coefficients = vectors / material_scale[:, None] @ turn
     size = np.linalg.norm(coefficients, axis=1, keepdims=True)
-    # Of a black material the decomposition leaves subnormal numbers.
+    # For a black material the decomposition leaves subnormal numbers.
     coefficients[np.abs(coefficients) < np.maximum(ROUNDING * size, np.finfo(float).tiny)] = 0.0
     return Basis(
         coefficients=coefficients,
@@ -282,5 +282,5 @@ def _commonest_first(coefficients: np.ndarray) -> np.ndarray:
             directions.append(rest / np.linalg.norm(rest))
         if len(directions) == len(row):
             break
-    # Of a scene that no channel sees one plane is left, of zeros.
+    # A scene that no channel sees keeps one plane, of zeros.
     return np.stack(directions or [np.eye(coefficients.shape[1])[0]], axis=1)

@@ -132,7 +132,8 @@ def coefficients(samples: np.ndarray, grown: Rect, wanted: Rect) -> np.ndarray:
     Parameters
     ----------
     samples : ndarray (C, rows, cols)
-        Of the rectangle `grown`; beyond it, at the border of the coarse sensor, they stay.
+        Samples of the rectangle `grown`. Beyond it, at the border of the coarse sensor, the values
+        stay.
     grown, wanted : Rect
     """
     result = samples.astype(np.float64)
@@ -175,11 +176,11 @@ class Halo:
     device : Device
     sensor : Sensor
     grids : list of CoarseGrid
-        Of the levels, the finest first.
+        Grids of the levels, the finest first.
     light : list of ndarray (C, rows, cols)
         Electrons/s on the coarse pixels of each level that `needed` names.
     rect : Rect
-        Of lit pixels.
+        Rectangle of lit pixels.
     """
 
     def __init__(
@@ -234,7 +235,7 @@ class Halo:
         rec : Recording
         rates : buffer (S, rows, cols)
         rect : (row0, col0, rows, cols)
-            Of pixels, aligned to the CFA period.
+            Rectangle of pixels, aligned to the CFA period.
         """
         row0, col0, rows, cols = (-(-value // self.period) for value in rect)
         top, left, given_rows, given_cols = self.wanted

@@ -54,11 +54,12 @@ BASIS = (
     )
     / 120
 )
-# Of the splines in one sample of the sim grid, where the bank has more: of the demonstration
-# camera's tails (6.2) every second one errs by 5e-5 of the tail's sum, every fourth by 2.5e-4.
+# Samples of the splines in one sample of the sim grid, where the bank has more. In the tails of the
+# demonstration camera (6.2), taking every second one errs by 5e-5 of the tail's sum, every fourth
+# by 2.5e-4.
 SAMPLES_WITHIN = 3.0
-# Of PSFs, relative to the largest sample, below which both sides count as one. Those that were
-# traced are symmetric to the last bit.
+# Difference between the sides of PSFs, relative to the largest sample, below which both count as
+# one. PSFs that were traced are symmetric to the last bit.
 ASYMMETRY = 1e-6
 # The kernels' band ends at the sim grid's Nyquist frequency, with a raised-cosine edge below it: a
 # sharp end would ring.
@@ -87,7 +88,7 @@ class FieldKernels:
     places : Places
         Where the fields lie.
     pitch_um : float
-        Of the grid: the bank's, or a multiple of it.
+        Pitch of the grid: the bank's, or a multiple of it.
     mirrored : bool
         Whether the kernels of a place are those of its mirror images about both axes, mirrored.
     ringing : bool
@@ -151,7 +152,7 @@ def field_images(
         On the bank's grid, [y, x]; of rates that are sums of terms, all fields of a term after
         those of the one before.
     places : Places
-        Of the F' fields.
+        Places of the F' fields.
     """
     n = bank.psf.shape[-1] + 2 * PAD
     fields, listed = bank.places(reach_um)
@@ -188,7 +189,7 @@ def _streaks(
     chief_um : ndarray (2, K)
         x, y of the chief rays.
     pitch_um : float
-        Of the PSFs.
+        Pitch of the PSFs.
 
     Returns
     -------
@@ -215,7 +216,7 @@ def _streaks(
             np.einsum("alf,lf->af", transfer.reshape(-1, lines, half), spectrum, out=of_row)
         mixed = scipy.fft.ifft(mixed, axis=0, workers=2, overwrite_x=True).swapaxes(0, 1)
     else:
-        # Of a lens with an axis the shifts are radial: each frequency along the rows has one
+        # The shifts of a lens with an axis are radial: each frequency along the rows has one
         # transfer, and a transform along the rows is enough.
         transfer = (flat @ turn_x).reshape(-1, lines, half)
         mixed = np.matmul(
@@ -510,7 +511,7 @@ def kernel_spectra(
     shaped = np.empty((length, length // 2), np.complex64)
     # One after the other: what is at hand, 1 MiB at T = 512, then stays in the cache.
     for plane, channel in np.ndindex(sampled.shape[:2]):
-        # Of the rows that are there, not of the padding's.
+        # Only the rows that are there are transformed, not those of the padding.
         rows = scipy.fft.rfft(sampled[plane, channel].astype(np.float32), length)
         spectrum = scipy.fft.fft(rows[:, :-1], length, axis=0)  # [ky, kx]
         for place, (of_channel, shift_x, shift_y) in enumerate(outputs):

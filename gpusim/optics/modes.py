@@ -41,7 +41,8 @@ class Decomposition:
     maps : ndarray (R, ny, nx)
         Weights at the nodes, from one end of the source region to the other; of mean square one.
     singular_values : ndarray (R,)
-        Of the kernels relative to each channel's signal, each frequency by how edges see it.
+        Those of the kernels relative to each channel's signal. Each frequency counts by how edges
+        see it.
     errors : ndarray (R,)
         Predicted error of an edge response when the first 1, 2, ... modes are kept, relative to
         the signal: the root of the mean square over nodes, channels and both axes.
@@ -107,7 +108,7 @@ def mode_decomposition(
     grid : SimGrid
         Its blocks cover what the map covers; kernels reach as far as its `half_size`.
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     cells : (int, int)
         Between the map's nodes in x and in y.
     planes : int
@@ -199,7 +200,7 @@ class ModesWork:
     products : int
         Complex multiply-adds with the modes' spectra.
     kernel_bytes : int
-        Of the modes' spectra.
+        Bytes of the modes' spectra.
     """
 
     row_transforms: int
@@ -243,7 +244,7 @@ class Modes(Transforms, KernelStore):
     site_channels : list of int
         Colour channel of each CFA site, row by row.
     decomposition : Decomposition
-        Of kernels on the scale's grid, of the planes that are needed at least.
+        Decomposition of kernels on the scale's grid, with at least the planes that are needed.
     """
 
     def __init__(

@@ -20,8 +20,8 @@ from gpusim.sensor.aperture import Response
 
 Node = tuple[int, int]  # x, y of a PSF node
 CROSS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # nodes from which `node_kernels` makes one
-# Of kernels at nodes that are kept on the host: what was made above the axis serves below it. Those
-# of the demonstration take 70 MiB.
+# Kernels at nodes that are kept on the host: what was made above the axis serves below it. Those of
+# the demonstration take 70 MiB.
 POINTS_BYTES = 256 << 20
 
 
@@ -34,18 +34,18 @@ class Scale:
     name : str
     grid : SimGrid
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     sigma : float
         Gaussian low-pass of the sampled scene, sim samples.
     kernels : FieldKernels
     method : str
         One of gpusim.optics.methods.METHODS.
     support : int
-        Of the direct sum: sim samples from a photosite's centre to the last tap.
+        With the direct sum: sim samples from a photosite's centre to the last tap.
     map_cells : (int, int)
-        Of modes: cells of their maps in x and in y.
+        With modes: cells of their maps in x and in y.
     rank_error : float
-        Of modes: as many are kept as this error of an edge response takes.
+        With modes: the error of an edge response that decides how many modes are kept.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Outputs:
     Attributes
     ----------
     places : list of (channel, shift_x, shift_y)
-        Of each kernel: its colour channel, and where the pixel's centre lies, sim samples.
+        For each kernel: its colour channel, and where the pixel's centre lies, sim samples.
     step : int
         Samples from a site to the next; 0 where each site has a kernel of its own.
     of_site : list of int

@@ -46,10 +46,10 @@ def primitives_by_block(
     chart : Chart
         Placed, in um on the ideal plane.
     coefficients : ndarray (M, J)
-        Of the chart's materials.
+        Coefficients of the chart's materials.
     grid : SimGrid
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     chief_ray : ChiefRayMap
 
     Returns
@@ -104,13 +104,13 @@ def samples_at_edges(chart: Chart, half_um: tuple[float, float], pitch_um: float
     half_um : (float, float)
         Half the width and height of the frame.
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     """
     near_um = (TILE / np.sqrt(2) + 6 * SIGMA) * pitch_um
     area = 0.0
     for shape in chart.primitives:
         band = _band(shape, near_um)
-        # Of its box, what lies in the frame.
+        # The part of its box that lies in the frame.
         box = [
             (min(at + shape.reach, end) - max(at - shape.reach, -end)) / (2 * shape.reach)
             for at, end in zip((shape.cx, shape.cy), half_um, strict=True)
@@ -149,7 +149,7 @@ def tiles_by_block(
     chart : Chart
         Placed, in um on the ideal plane.
     blocks : sequence of (int, int)
-        Of which lists are made.
+        Blocks whose lists are made.
     seen, needed : dict
         As `primitives_by_block` returns them.
     scale : Scale
@@ -210,9 +210,9 @@ def with_steps(
     Parameters
     ----------
     coefficients : ndarray (M, J)
-        Of the materials.
+        Coefficients of the materials.
     materials, under : sequence of int (P,)
-        Of each primitive, and of what it lies in.
+        Material of each primitive, and of what it lies in.
 
     Returns
     -------
@@ -237,13 +237,13 @@ def primitive_row(
     step : int
         Row of the step from what is around it to its own material.
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     sigma : float
-        Of the Gaussian, sim samples.
+        Sigma of the Gaussian, sim samples.
     least_stretch : float
-        Of the chief-ray map.
+        Least stretch of the chief-ray map.
     first : int
-        Of a polygon's corners in the list of all.
+        Place of a polygon's first corner in the list of all corners.
     """
     centre = (shape.cx / pitch_um, shape.cy / pitch_um)
     if isinstance(shape, Polygon):
@@ -302,7 +302,7 @@ class Paint:
     chart : Chart
         Placed, in um on the ideal plane.
     coefficients : ndarray (M, J)
-        Of the chart's materials in the reduced basis.
+        Coefficients of the chart's materials in the reduced basis.
     scale : Scale
     chief_ray : ChiefRayMap
 

@@ -58,12 +58,13 @@ CHANGE = 0.01
 # by 1e-3 to 2e-3 of a highlight next to it, and by 4e-5 rms of its light elsewhere (double Gauss at
 # f/2.8, squares of 1 to 2 pixels); with the square of the step.
 BINS = 16
-# Of the spline's spectrum, which its samples fold onto their own frequencies: multiples of their
-# rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely enough.
+# Parts of the spline's spectrum that its samples fold onto their own frequencies, as multiples of
+# the samples' rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely
+# enough.
 ALIASES = (0, -1, 1, -2, 2)
 SLIGHT = 1e-5
 DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds as much
-# Of all tables. Scattered highlights need many, and are content with FEWEST angles.
+# All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
@@ -384,9 +385,9 @@ class Splat:
     highlights : Highlights
         One or more.
     spectra : ndarray (M, K)
-        Of the scene.
+        Spectra of the scene.
     tolerance : float
-        Of the planner.
+        Tolerance of the planner.
     wavelengths_nm : ndarray (K,)
         Samples of the spectra.
     """
@@ -662,7 +663,7 @@ class Mixture(NamedTuple):
     keys : ndarray (N, K, 3) of int
         Tables, by place of their field in the list, by angle, and by the number of the size.
     shares : ndarray (N, K)
-        Of the tables; sum 1.
+        Shares of the tables; sum 1.
     axis : ndarray (N, 2)
         Direction of the PSFs' x axis.
     """
@@ -738,7 +739,7 @@ def lists(
     position : ndarray (N, 2)
         x, y of the highlights, CFA cells.
     reach : float
-        Of their light, CFA cells.
+        Reach of their light, CFA cells.
     size : (int, int)
         Squares across and down the sensor.
 

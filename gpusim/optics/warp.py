@@ -120,10 +120,10 @@ def planes_by_block(
     ----------
     raster : PlacedRaster
     coefficients : ndarray (M, J)
-        Of the scene's spectra in the reduced basis.
+        Coefficients of the scene's spectra in the reduced basis.
     grid : SimGrid
     pitch_um : float
-        Of the sim grid.
+        Pitch of the sim grid.
     chief_ray : ChiefRayMap
 
     Returns
@@ -154,7 +154,7 @@ class Warp:
     raster : PlacedRaster
         Its pitch is not finer than the sim grid's.
     coefficients : ndarray (M, J)
-        Of the scene's spectra in the reduced basis.
+        Coefficients of the scene's spectra in the reduced basis.
     scale : Scale
     chief_ray : ChiefRayMap
     """
