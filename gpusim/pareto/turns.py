@@ -54,17 +54,18 @@ class Point:
     met : bool
         Whether the certificate meets its tolerance.
     frame_s, frame_low_s, frame_high_s : float or None
-        Of a prepared frame: median over the rounds, and quartiles.
+        Seconds of a prepared frame: median over the rounds, and quartiles.
     first_s, first_low_s, first_high_s : float or None
-        Of a first frame: planning, placing the scene and making the kernels included; the bank of
-        the lens at hand, and all shaders compiled. The planning is that of the chosen plan.
+        Seconds of a first frame. Planning, placing the scene and making the kernels are included.
+        The bank of the lens is at hand, and all shaders are compiled. The planning is that of the
+        chosen plan.
     regret, first_regret : float or None
-        Of the planner's plans that meet their tolerance: their time over that of the fastest of all
-        that meet the same tolerance, as the median of the ratios within each round; 1 at least.
+        Time of the planner's plans that meet their tolerance, over that of the fastest of all plans
+        that meet the same tolerance. It is the median of the ratios within each round; 1 at least.
     fastest, first_fastest : str
         Which that is.
     samples_per_pixel, nodes, reach_samples : str
-        Of each scale.
+        One text with the values of all scales.
     planes : int or None
     obstacle : str
         Why there is no frame; empty where there is one.
@@ -105,9 +106,9 @@ class Sweep:
     ----------
     points : tuple of Point
     certificate : Certificate
-        Of the chosen plan.
+        Certificate of the chosen plan.
     shortfall : str
-        Of the chosen plan: see `gpusim.plan.Plan`.
+        Shortfall of the chosen plan: see `gpusim.plan.Plan`.
     rounds : int
         In which all were timed.
     """
