@@ -29,8 +29,8 @@ class Accuracy:
     probes : int
         Pixels of the certificate; 0 leaves it out.
     unit : str
-        Of the tolerance: "relative", to the local signal; or "sigma", of the pixel's temporal noise
-        at the exposure. An error below a tenth of a sigma is invisible in the raw.
+        Unit of the tolerance. "relative" is relative to the local signal; "sigma" is the pixel's
+        temporal noise at the exposure. An error below a tenth of a sigma is invisible in the raw.
     best_effort: bool
         Whether a tolerance that cannot be met is planned for as well as can be; else it is refused.
     """
@@ -102,7 +102,7 @@ class Accuracy:
         brightest_e : float
             Largest mean signal of the frame, electrons.
         dark_noise_e, full_well_e : float
-            Of the sensor, electrons.
+            Figures of the sensor, electrons.
 
         Raises
         ------

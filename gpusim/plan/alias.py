@@ -1,9 +1,9 @@
 """What the sim grid costs: it folds the scene's finest detail back, and its band ends.
 
-Of a scene a, low-passed by a Gaussian G and sampled at a pitch p, the samples' spectrum is that of
+A Gaussian G low-passes a scene a, which is sampled at a pitch p. The samples' spectrum is that of
 the scene at f and, folded onto it, at f + k / p (Shannon 1949; Bracewell 2000, ch. 10). The kernels
 are the PSF's spectrum H times the aperture's S, with the Gaussian divided out, up to the grid's
-band B, so that what a pixel sees errs by
+band B. So what a pixel sees errs by
 
     E(f) = sum_k A(f + k / p) G(f + k / p) / G(f) B(f) H(f) S(f) - A(f) H(f) S(f),
 
@@ -57,16 +57,16 @@ class Alias:
     images : ndarray (F, J, C, n, n)
         Channel kernels on the bank's grid, as `gpusim.optics.kernels.field_images` returns them.
     places : Places
-        Of the F fields.
+        Places of the F fields.
     bank_pitch_um : float
     sensor : Sensor
     placed : Chart or PlacedRaster
         On the sensor, um on the ideal plane.
     coefficients : ndarray (M, J)
-        Of the scene's spectra in the planes.
+        Coefficients of the scene's spectra in the planes.
     chief_ray : ChiefRayMap
     sigma : float
-        Of the Gaussian, sim samples; 0 for none.
+        Sigma of the Gaussian, sim samples; 0 for none.
     period : int
         Pixels between two of one colour, along an axis.
     """
@@ -336,15 +336,15 @@ def _through(
     Parameters
     ----------
     spectrum, transfer : ndarray [fy, fx]
-        Of the scene from the patch's corner, and of all that blurs it.
+        Spectrum of the scene from the patch's corner; transfer of all that blurs it.
     f : ndarray
         Frequencies along an axis.
     pitch : float
-        Of the pixels.
+        Pitch of the pixels.
     oversampling, side : int
         Sim samples a pixel, and pixels a side.
     sigma : float
-        Of the Gaussian, in the unit of the pitch.
+        Sigma of the Gaussian, in the unit of the pitch.
     """
     true = spectrum * transfer
     error = -true
@@ -383,7 +383,7 @@ def _relative(signal: np.ndarray, error: np.ndarray, period: int) -> float:
 def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float, ...]]:
     """Return points of an outline, with the directions outwards.
 
-    Of sides that are long beside the frame, whose middle may lie beyond it, several within.
+    Sides that are long beside the frame give several points: their middle may lie beyond it.
     """
     turns = [2.4 * (shape.cx + shape.cy) / shape.reach]  # any direction
     near = min(half_um) / RINGS

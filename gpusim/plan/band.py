@@ -20,7 +20,7 @@ from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import ALL_NM, LONGEST_NM, SHORTEST_NM, STEP_NM, grid_nm, seen_by_eye
 from gpusim.sensor.sensor import Sensor
 
-# Of the tolerance: how much of a signal may be left out at both ends together.
+# How much of a signal may be left out at both ends together: share of the tolerance.
 DROPPED_SHARE = 0.01
 # Silicon's band gap is 1.12 eV: where a sensor's data end, nothing is expected beyond it.
 BAND_GAP_NM = 1100.0
@@ -37,8 +37,8 @@ class Unknown:
     lacking : tuple of str
         What has no data there.
     share : float
-        Of all electrons that the scene's white makes, in the channel that has most of them there;
-        an estimate, by what is known at the ends.
+        Share of all electrons that the scene's white makes, in the channel that has most of them
+        there. It is an estimate, by what is known at the ends.
     channel : str
         Empty of a sensor with one channel.
     """

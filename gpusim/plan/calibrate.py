@@ -200,8 +200,8 @@ def _scale(grid: SimGrid, channels: int = 1) -> Scale:
 def _host(device: Device) -> dict[str | int, float]:
     """Time the making of kernels, on all cores, and their way to the device.
 
-    Of three planes and channels each, into memory that the second turn finds in use, as further
-    frames do: a first frame's takes up to three times as long.
+    Kernels of three planes and three channels go into memory that the second turn finds in use, as
+    further frames do. A first frame's take up to three times as long.
     """
     half_size, length = 32, 256
     kernels = _scale(_grid(length, 2)).kernels
@@ -330,8 +330,8 @@ def _transforms(device: Device) -> dict[str | int, float]:
         for channels in (1, 3)
         for planes in (1, PLANES)
     }
-    # Of as many planes as a photograph has: kernels around a block then take 36 MiB at T = 512,
-    # which no cache holds, and those of one plane a third.
+    # As many planes as a photograph has: kernels around a block then take 36 MiB at T = 512, which
+    # no cache holds. Those of one plane take a third.
     others = {
         length: _convolved(device, length, 3, PLANES) for length in TRANSFORMS if length != 256
     }

@@ -18,16 +18,16 @@ class Part:
     ----------
     name : str
     pitch_um : float
-        Of its sim grid.
+        Pitch of its sim grid.
     layout : Layout
     method : str
     options : mapping
         Further fields of its `Scale`.
     rank : int
-        Of modes: how many are expected.
+        With modes: how many are expected.
     nodes : int
-        Of other methods: PSF nodes of which a frame takes kernels. Not those that see no light, nor
-        those whose blocks are mirror images of others.
+        With other methods: PSF nodes of which a frame takes kernels. Nodes that see no light do not
+        count, nor do those whose blocks are mirror images of others.
     """
 
     name: str

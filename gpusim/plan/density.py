@@ -51,10 +51,10 @@ TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, SMALLEST)
 # 16. Photographs count as the former.
 CONTRASTS = (1.0, 5.0, 20.0)
 PHOTOGRAPH = 5.0
-# Of the tolerance, for what fields and what lines leave each.
+# What the fields and what the lines may each leave: shares of the tolerance.
 FIELDS_SHARE, LINES_SHARE = 0.25, 0.25
-# Of what it is planned for, the engine errs by so much at most: measured over five scenes and three
-# lenses at three tolerances.
+# The engine errs by at most this share of what it is planned for: measured over five scenes and
+# three lenses at three tolerances.
 ENGINE = 0.78
 MOST_SHARE = 0.85  # of the tolerance: a bank that leaves more is refused
 # Lines at which fields are compared, of the twelve: 550 nm and both ends are among them. Below and
@@ -79,7 +79,7 @@ class Density:
     ----------
     field_deg, wavelengths_nm : ndarray (F,), (L,)
     height_um : ndarray (F,)
-        Of the fields.
+        Heights of the fields.
     fields_error : ndarray (F - 1,)
         Half-way between the fields; 0 beyond the sensor's corners.
     lines_um, lines_error : ndarray (A,)
@@ -87,9 +87,9 @@ class Density:
     pupil_error : float
         What the generator errs by at the nodes themselves: it samples the pupil's rim in cells.
     contrast : float
-        Of edges that the bank was made for, 1 where the scene has none.
+        Contrast of the edges that the bank was made for, 1 where the scene has none.
     ratio : float
-        Of the scene's own edges.
+        Contrast of the scene's own edges.
     """
 
     field_deg: np.ndarray
@@ -120,7 +120,7 @@ class Density:
     def rms(self) -> float:
         """What is expected of the whole sensor: the root of the mean square over its area.
 
-        Of each interval between fields the ring counts; towards the fields the error falls.
+        Each interval between fields counts by its ring. Towards the fields the error falls.
         """
         ends = self.height_um
         middles = (ends[1:] + ends[:-1]) / 2
@@ -173,7 +173,7 @@ class LensShare:
     def window(self) -> float:
         """What the light beyond the last level costs: it is spread evenly, and dark pixels lack it.
 
-        Of a scene half black and half white, a black pixel lacks half of it times the contrast.
+        In a scene half black and half white, a black pixel lacks half of it times the contrast.
         """
         beyond = getattr(self.bank, "beyond_energy", None)
         share = 0.0 if beyond is None else float(beyond.max())

@@ -16,11 +16,11 @@ from gpusim.scene.scene import Scene
 # much more. A level is left out where it brings less than this share of the tolerance even then.
 CONTRAST = 20.0
 LEFT_OUT = 0.1
-# Of the tolerance, for what a level may err; its light counts by the contrast that edges of
+# What a level may err by: share of the tolerance. Its light counts by the contrast that edges of
 # charts have where it matters, between a patch and its neighbours of another brightness.
 SHARE = 0.3
 AROUND = 5.0
-# Of photographs, it is measured: their mean over what their darkest DARK hold, up to MOST_AROUND.
+# Photographs are measured instead: their mean over what their darkest DARK hold, up to MOST_AROUND.
 # Fivefold care took the phone camera's first level three times as long as the core, and its engine
 # from an RMS of 9e-5 to 3e-5, of the 1e-3 that were asked for.
 DARK = 0.05
@@ -34,9 +34,9 @@ class HaloLevel:
     Attributes
     ----------
     number : int
-        Of the bank's levels.
+        Place among the bank's levels.
     share : float
-        Of the light, at the field and wavelength where it is largest.
+        Share of the light, at the field and wavelength where it is largest.
     accuracy : Accuracy
         With which the level is rendered, relative to its own light.
     """

@@ -13,7 +13,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.plan.predict import GUARD
 from gpusim.sensor.sensor import Sensor
 
-# Of the kernels around one block: half of the 1 GiB that the device may use.
+# Kernels around one block: half of the 1 GiB that the device may use.
 BLOCK_BYTES = 512 << 20
 TRANSFORMS = (256, 512, 1024)  # lengths that shaders/common/line_fft takes
 
@@ -79,7 +79,7 @@ def cheapest_grid(
     stride, period : int
         See `SimGrid`.
     reach : float
-        Of the kernels, sim samples.
+        Reach of the kernels, sim samples.
     cells : (int, int)
         The fewest that the tolerance allows.
     needed : callable
@@ -143,7 +143,7 @@ def planes_at_nodes(
 ) -> np.ndarray:
     """Return the planes of each node's kernels: the most that a block around it needs.
 
-    Of which blocks are mirror images of others, `gpusim.optics.nodes.folds_of` says.
+    `gpusim.optics.nodes.folds_of` says which blocks are mirror images of others.
     """
     across, down = grid.blocks_per_cell
     planes = np.zeros(grid.blocks, int)
@@ -161,9 +161,9 @@ def planes_at_nodes(
 def planes_at_points(planes: np.ndarray, mirrored: tuple[bool, bool]) -> int:
     """Return the planes of PSFs that are sampled for nodes, all points together.
 
-    Of each node, and of those beside it (see `gpusim.optics.kernels.node_kernels`), the ones beyond
-    the grid included: for few nodes nearly as many again. Where kernels are mirrored, points on one
-    side of the axis serve the other.
+    Each node counts, and so do those beside it (see `gpusim.optics.kernels.node_kernels`), the ones
+    beyond the grid included: with few nodes these are nearly as many again. Where kernels are
+    mirrored, points on one side of the axis serve the other.
 
     Parameters
     ----------

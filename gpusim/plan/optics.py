@@ -66,7 +66,8 @@ NODE_SHARE = 0.7
 # neighbouring pixels err alike. It is the mean over the sensor: within 40 pixels of the rim of the
 # phone lens's image circle four times as much was found.
 TONE_SHARE = 0.1
-# Of a plane's light, by which the terms of a quantum efficiency that goes with the azimuth may err.
+# By how much the terms of a quantum efficiency that goes with the azimuth may err: share of a
+# plane's light.
 ANGLE_SHARE = 0.05
 TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
 # Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
@@ -455,8 +456,8 @@ class _Problem:
         tolerance, period = self.accuracy.tolerance, self.planes.period
         pitch_um = self.sensor.pixel_pitch_um / oversampling
         weights = self._parts(cut_um)
-        # Of a core 20 um hold 98 % of the energy at f/2.8; a halo's levels are as much wider as
-        # their samples.
+        # Within 20 um a core holds 98 % of its energy at f/2.8. A halo's levels are as much wider
+        # as their samples.
         first = self._first(weights[0], pitch_um)
         reach_um = held_um(first, pitch_um, cut_um or self.reach_um)
         most_um = max(20.0 * max(self.bank.pitch_um / PITCH_UM, 1.0), (RINGING - GUARD) * pitch_um)
@@ -898,8 +899,9 @@ def _samples(oversampling: int) -> str:
 def shown_mixtures(scene: Scene) -> np.ndarray | None:
     """Return coefficients (P, M) of samples of a spectral photograph; None of other scenes.
 
-    Of a lattice of them, and for each spectrum the one with the largest share of it. A scene of
-    bands shows smooth spectra: far fewer planes keep these apart than the bands themselves.
+    The samples lie on a lattice; each spectrum adds the sample with the largest share of it. A
+    scene of bands shows smooth spectra: far fewer planes keep these apart than the bands
+    themselves.
     """
     if isinstance(scene.source, Chart) or len(scene.spectra) <= FEW_SPECTRA:
         return None

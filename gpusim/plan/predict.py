@@ -114,7 +114,7 @@ def even_error(
     Parameters
     ----------
     kernels : FieldKernels
-        Of the first plane.
+        Kernels of the first plane.
     half_um : (float, float)
         Half the sensor's sides.
     sides_um, cells : (float, float), (int, int)
@@ -169,7 +169,7 @@ def even_error(
 def _moments(kernels: FieldKernels) -> np.ndarray:
     """Return moments (F, 6, C) of the first plane's kernels, in the frame of their PSFs.
 
-    Of 1, x, y, x^2, y^2 and x y, um from the chief ray.
+    The six are those of 1, x, y, x^2, y^2 and x y, um from the chief ray.
     """
     images = kernels.splines[:, 0]
     n = images.shape[-1]

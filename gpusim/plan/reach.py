@@ -60,7 +60,7 @@ def within_reach(
     accuracy : Accuracy
         What was asked for, in the user's unit.
     share : float
-        Of the signal, that one unit of it is: see `Accuracy.share`.
+        Share of the signal that one unit of it is: see `Accuracy.share`.
     floor : callable, optional
         The excess at a relative tolerance, or less: known without planning. Where that is above 1,
         nothing is planned in search of the nearest.

@@ -40,9 +40,9 @@ class Plan:
     name : str
         How the convolution is done, in a line.
     predicted_s : float
-        Of one frame, everything together.
+        Time of one frame, everything together.
     kernels_s : float
-        Of the kernels and the highlights' light, which are made once.
+        Time of the kernels and the highlights' light, which are made once.
     rates : str
         Whose rates the predictions are made from.
     runners_up : tuple of RunnerUp

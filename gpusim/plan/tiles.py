@@ -50,7 +50,7 @@ def tiles_of(
     ----------
     rect : (row, col, rows, cols)
     period : int
-        Of the filter pattern: tiles meet between whole patterns.
+        Period of the filter pattern: tiles meet between whole patterns.
     budget : int
         Device memory, bytes.
     side : int, optional
