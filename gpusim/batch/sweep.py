@@ -12,11 +12,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, Field, PrivateAttr, field_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator
 
 from gpusim.batch.axes import Axis, combined
+from gpusim.batch.values import check_value
 from gpusim.camera import Camera, load_camera
-from gpusim.config.mistakes import checked
+from gpusim.config.mistakes import checked, user_error
 from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
@@ -24,6 +25,7 @@ from gpusim.errors import UserError
 from gpusim.library.light import OPTICAL
 from gpusim.library.session import LENS_SETTINGS
 from gpusim.plan import Accuracy
+from gpusim.render.renderer import rectangle
 from gpusim.scene.charts import CHARTS
 from gpusim.sensor.sensor import Sensor
 
@@ -96,6 +98,12 @@ class Sweep(Strict):
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise user_error(error, type(self)) from error
+
     @field_validator("axes", mode="before")
     @classmethod
     def _lists(cls, given: object) -> object:
@@ -136,12 +144,17 @@ class Sweep(Strict):
                     allowed=", ".join(OUTPUTS),
                 )
         Accuracy.parse(str(self.tolerance), self.probes)
-        for name in self.axes:
+        for name, axis in self.axes.items():
             _check_axis(name)
+            for value in axis.listed:
+                check_value(name, value)
         first = self.frames[0]
-        first.camera()
+        sensor = first.camera().sensor
+        rectangle(self.tile, sensor)
         for step in self.axes["iso"].listed if "iso" in self.axes else ():
             self.base.sensor.at_iso(int(step))
+        for step in self.axes["gain"].listed if "gain" in self.axes else ():
+            self.base.sensor.at_gain(step)
 
     @cached_property
     def base(self) -> Camera:
@@ -220,6 +233,11 @@ class Sweep(Strict):
         taken : gpusim.library.frame.Frame
             ``raw``, ``truth_dn``, ``saturated`` and more, (rows, cols) each.
 
+        Raises
+        ------
+        UserError
+            No such shard, or what `check` refuses.
+
         Examples
         --------
         >>> import gpusim as gs
@@ -232,6 +250,14 @@ class Sweep(Strict):
         """
         from gpusim.batch.work import rendered
 
+        if not 0 <= shard < shards:
+            raise UserError(
+                "no such shard",
+                field="shard",
+                value=f"{shard} of {shards}",
+                allowed="0 to shards - 1",
+            )
+        self.check()
         return rendered(self.frames[shard::shards])
 
     def __len__(self) -> int:

@@ -51,11 +51,16 @@ def checked(model: type[Model], data: object, path: Path, **context: object) -> 
         return model.model_validate(data, context=context)
     except ValidationError as error:
         raise user_error(error, model, path) from error
+    except UserError as error:  # of a model that told its mistake itself: it knew no file
+        error.file = error.file or path
+        raise
     except RecursionError as error:
         raise UserError("lists and mappings are too deep", file=path) from error
 
 
-def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> UserError:
+def user_error(
+    error: ValidationError, model: type[BaseModel], path: Path | None = None
+) -> UserError:
     """Return what was found in a file as the user's mistake.
 
     That is the first unknown field, with the one that is likely meant; else the first wrong one;
@@ -68,8 +73,8 @@ def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> Us
         What is wrong with the file's content.
     model : type of BaseModel
         What the file was held against.
-    path : Path
-        The file.
+    path : Path, optional
+        The file; none where the fields came from Python.
     """
     found = error.errors()
     missing = [one for one in found if one["type"] == "missing"]
@@ -91,7 +96,7 @@ def user_error(error: ValidationError, model: type[BaseModel], path: Path) -> Us
     return made
 
 
-def _unknown(finding: dict, model: type[BaseModel], path: Path) -> UserError:
+def _unknown(finding: dict, model: type[BaseModel], path: Path | None) -> UserError:
     where = finding["loc"]
     fields = list(_fields(model, where[:-1]))
     return UserError(
@@ -103,7 +108,7 @@ def _unknown(finding: dict, model: type[BaseModel], path: Path) -> UserError:
     )
 
 
-def _missing(findings: list[dict], model: type[BaseModel], path: Path) -> UserError:
+def _missing(findings: list[dict], model: type[BaseModel], path: Path | None) -> UserError:
     fields = _fields(model, findings[0]["loc"][:-1])
     needed = [name for name, info in fields.items() if info.is_required()]
     return UserError(
@@ -114,7 +119,7 @@ def _missing(findings: list[dict], model: type[BaseModel], path: Path) -> UserEr
     )
 
 
-def _wrong(finding: dict, model: type[BaseModel], path: Path) -> UserError:
+def _wrong(finding: dict, model: type[BaseModel], path: Path | None) -> UserError:
     where, value = finding["loc"], finding["input"]
     field = _place(where) or None
     if finding["type"] == "sensor":

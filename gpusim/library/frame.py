@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from itertools import cycle, islice
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -153,6 +154,16 @@ class Frame:
             Another suffix, or the file cannot be written.
         """
         path = Path(path)
+        try:
+            self._save(path, ev, taken)
+        except OSError as error:
+            raise UserError(
+                f"the frame cannot be written: {error.strerror or error}",
+                file=path,
+                allowed="a file in a folder that is there",
+            ) from error
+
+    def _save(self, path: Path, ev: float, taken: datetime | None) -> None:
         suffix = path.suffix.lower()
         if suffix in (".dng", ".tif", ".tiff"):
             self._write_raw(path, ev, taken)
@@ -324,8 +335,13 @@ def taken(
     progress: Callable[[str, int, int], None] | None,
 ) -> Burst:
     """Return a burst: see `Light.burst`."""
-    if count < 1:
+    if not isinstance(count, Integral) or count < 1:
         raise UserError("no frame was asked for", field="count", value=count, allowed="1 or more")
+    for name, given in (("exposure_s", exposure_s), ("iso", iso)):
+        if not all(one is None or isinstance(one, Real) for one in _several(given)):
+            raise UserError("not numbers", field=name, value=given, allowed="numbers, in turns")
+        if not _several(given):
+            raise UserError("an empty list", field=name, allowed="one or several, or None")
     speeds = [light.at(iso=one) for one in _several(iso)]
     exposures = [
         speeds[0].white_exposure_s if one is None else float(one) for one in _several(exposure_s)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
+from pydantic import ValidationError
+
+from gpusim.config.mistakes import user_error
 from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.ready import ReadyLens, is_ready, load_ready
 from gpusim.library.views import Views
@@ -18,7 +21,18 @@ class Lens(Prescription, Views):
     Made by `Lens.load`, or of the fields of a lens file: ``Lens(title=..., surfaces=[...], ...)``.
     Its methods give changed lenses: `scaled` to a focal length, `stopped` to an f-number, `limited`
     to a field, `looking` at a distance, `defocused`, `with_element_moved`.
+
+    Raises
+    ------
+    UserError
+        A field is wrong, unknown or missing.
     """
+
+    def __init__(self, **fields: Any) -> None:
+        try:
+            super().__init__(**fields)
+        except ValidationError as error:
+            raise user_error(error, type(self)) from error
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Lens | ReadyLens:

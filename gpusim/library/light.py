@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -405,6 +406,18 @@ class Light:
 
 def _checked(shot: Shot, sensor: Sensor) -> Shot:
     """Return a shot with its seed made that of exposure and gain, or say what is out of range."""
+    if not isinstance(shot.exposure_s, Real):
+        raise UserError(
+            "the exposure is no number", field="exposure", value=shot.exposure_s, allowed="seconds"
+        )
+    for name in ("seed", "frame"):
+        if not isinstance(getattr(shot, name), Integral):
+            raise UserError(
+                f"the {name} is no whole number",
+                field=name,
+                value=getattr(shot, name),
+                allowed="a whole number, 0 or more",
+            )
     check_shot(shot.exposure_s, shot.seed, shot.frame)
     temperature_c = shot.temperature_c
     if temperature_c is None:
@@ -450,7 +463,8 @@ def expose(
     Raises
     ------
     UserError
-        The tolerance cannot be met, the memory does not suffice, or a value is out of range.
+        The tolerance cannot be met, the memory does not suffice, a value is out of range, or
+        what is given is no camera and no scene.
 
     Examples
     --------
@@ -460,6 +474,7 @@ def expose(
     >>> gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
     Light('small', 'colorchecker', 64 x 48 pixels)
     """
+    _check_given(camera, scene, probes, tile, exposure_s)
     accuracy = Accuracy.parse(str(tolerance), probes, best_effort=best_effort)
     rect = rectangle(tile, camera.sensor)
     # Only a tolerance in sigmas asks for the exposure.
@@ -471,6 +486,39 @@ def expose(
         return lit(renderer, rect, progress)
     finally:
         renderer.release()
+
+
+def _check_given(
+    camera: object, scene: object, probes: object, tile: object, exposure_s: float | None
+) -> None:
+    """Refuse a name in place of a camera or a scene, the two in each other's place, and the like.
+
+    What has a lens and a sensor is a camera, what has spectra and a source is a scene.
+    """
+    if not (hasattr(camera, "lens") and hasattr(camera, "sensor")):
+        raise UserError(
+            "not a camera",
+            field="camera",
+            value=camera,
+            allowed="gs.Camera(lens, sensor), or gs.Camera.load of a name or file",
+        )
+    if not (hasattr(scene, "spectra") and hasattr(scene, "source")):
+        raise UserError(
+            "not a scene",
+            field="scene",
+            value=scene,
+            allowed="gs.Scene.from_rgb, gs.Scene.from_spectra, or gs.Scene.load of a name or file",
+        )
+    if not isinstance(probes, Integral):
+        raise UserError(
+            "not a number of probes", field="probes", value=probes, allowed="whole, 0 or more"
+        )
+    if tile is not None and len(tile) != 4:
+        raise UserError("not a tile", field="tile", value=tile, allowed="x, y, width, height")
+    if exposure_s is not None and not 0 < exposure_s:
+        raise UserError(
+            "no such exposure", field="exposure_s", value=exposure_s, allowed="seconds above 0"
+        )
 
 
 def lit(

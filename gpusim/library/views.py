@@ -42,6 +42,12 @@ class Psf:
     wavelength_nm: float
     outside: float
 
+    def __repr__(self) -> str:
+        return (
+            f"Psf({len(self.values)} x {len(self.values)} samples of {self.pitch_um:.3g} um, "
+            f"field {self.field_deg:.4g} deg, {self.wavelength_nm:g} nm)"
+        )
+
     def plot(self) -> Figure:
         """Return a picture of it, on a scale of four decades."""
         from gpusim.report.views import psf_figure
@@ -67,6 +73,13 @@ class Mtf:
     sagittal: np.ndarray
     field_deg: float
     limit: np.ndarray | None = None
+
+    def __repr__(self) -> str:
+        highest = max(self.frequency_cy_mm, default=0.0)
+        return (
+            f"Mtf({len(self.frequency_cy_mm)} frequencies up to {highest:.4g} cy/mm, "
+            f"field {self.field_deg:.4g} deg)"
+        )
 
     def at(self, frequency_cy_mm: float) -> tuple[float, float]:
         """Return tangential and sagittal contrast at a frequency."""
@@ -94,6 +107,9 @@ class Layout:
 
     system: System
     title: str
+
+    def __repr__(self) -> str:
+        return f"Layout({self.title!r})"
 
     def plot(self) -> Figure:
         """Return a drawing to scale."""
@@ -129,7 +145,8 @@ class Views:
         Raises
         ------
         UserError
-            A field that does not pass the lens, or a wavelength that its glasses have no data for.
+            A field that does not pass the lens, a wavelength that its glasses have no data for, or
+            a window without a width.
 
         Examples
         --------
@@ -145,6 +162,10 @@ class Views:
 
         if samples < 2 or samples % 2:
             raise UserError("no such window", field="samples", value=samples, allowed="even")
+        if window_um is not None and not 0 < window_um < math.inf:
+            raise UserError(
+                "no such window", field="window_um", value=window_um, allowed="um, above 0"
+            )
         system = build(self)
         line = np.array([self.reference_nm if wavelength_nm is None else float(wavelength_nm)])
         theta = self._theta(field)
@@ -169,7 +190,7 @@ class Views:
         Raises
         ------
         UserError
-            A field that does not pass the lens.
+            A field that does not pass the lens, or frequencies that are none.
 
         Examples
         --------
@@ -193,6 +214,12 @@ class Views:
             lost = np.flatnonzero(np.abs(traced.otf(tried, "tangential")) < 0.1)
             frequency_cy_mm = np.linspace(0, tried[lost[0]] if lost.size else cut_off, 101)
         frequency = np.asarray(frequency_cy_mm, float)
+        if frequency.ndim != 1 or not (frequency >= 0).all():
+            raise UserError(
+                "no such frequencies",
+                field="frequency_cy_mm",
+                allowed="an array (K,) of cycles per mm, none negative",
+            )
         both = [np.abs(traced.otf(frequency, way)) for way in transfer.DIRECTIONS]
         perfect = np.array([transfer.diffraction_mtf(frequency, one, number) for one in WHITE_NM])
         limit = traced.weight @ perfect / traced.weight.sum()

@@ -60,6 +60,14 @@ def spectral_scene(
 
 
 def _finite(values: np.ndarray, field: str, allowed: str) -> np.ndarray:
+    if getattr(values, "dtype", None) == np.uint8:
+        raise UserError(
+            "bytes are a picture with its curve, not light",
+            field=field,
+            value="uint8",
+            allowed="linear light in floating point, 1 for white; a PNG or TIFF: gpusim render "
+            "FILE --transfer srgb",
+        )
     try:
         found = np.asarray(values, np.float32)
     except (TypeError, ValueError):
@@ -68,6 +76,8 @@ def _finite(values: np.ndarray, field: str, allowed: str) -> np.ndarray:
         raise UserError(
             "the array has values that are no light", field=field, allowed="finite, none negative"
         )
+    if not found.size:
+        raise _shape(field, found, f"{allowed}, none of them 0")
     return found
 
 

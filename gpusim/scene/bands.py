@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -110,11 +111,7 @@ def band_scene(
         level = luminance or DEFAULT_WHITE_LUMINANCE_CD_M2
         notes += (f"reflectances under {Path(lamp).name}, a white of {level:g} cd/m^2",)
         known += (illuminant_known(lamp),)
-
-        def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            white = white_radiance(lamp, level, wavelengths_nm)
-            return _hats(nm, wavelengths_nm) * white, white
-
+        light = partial(_under_lamp, nm, lamp, level)
     else:
         lamp = "the file's own"
         white_bands, words = _white(planes, nm, bands)
@@ -122,13 +119,25 @@ def band_scene(
         wanted = luminance or (own if bands.kind == RADIANCE else DEFAULT_WHITE_LUMINANCE_CD_M2)
         scale = wanted / own if own > 0 else 1.0
         notes += (f"white is {words}, {wanted if own > 0 else 0.0:.4g} cd/m^2",)
-
-        def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            spectra = scale * _hats(nm, wavelengths_nm)
-            return spectra, white_bands @ spectra
-
+        light = partial(_of_its_own, nm, white_bands, scale)
     spectra, white = light(WAVELENGTHS_NM)
     return Scene(name, spectra, raster, Path(lamp).name, white, notes, light=light, made_of=known)
+
+
+def _under_lamp(
+    nm: np.ndarray, lamp: str, level: float, wavelengths_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectra of bands of reflectance under a lamp, and that of white."""
+    white = white_radiance(lamp, level, wavelengths_nm)
+    return _hats(nm, wavelengths_nm) * white, white
+
+
+def _of_its_own(
+    nm: np.ndarray, white_bands: np.ndarray, scale: float, wavelengths_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectra of bands of radiance, and that of the picture's white."""
+    spectra = scale * _hats(nm, wavelengths_nm)
+    return spectra, white_bands @ spectra
 
 
 def _hats(nm: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:

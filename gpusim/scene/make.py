@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +111,14 @@ def make_scene(
     )
 
 
+def _lit(
+    fills: Sequence[Fill], level: float, lamp: str, wavelengths_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectra of a chart's fills under a lamp, and that of white."""
+    white = white_radiance(lamp, level, wavelengths_nm)
+    return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
+
+
 def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
     laid = load_chart(name, frame)
     source, fills = laid.source, laid.fills
@@ -118,10 +128,7 @@ def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
         plane = sum(share * one for share, one in zip(shares, source.planes, strict=True))
         source, fills = replace(source, planes=plane[None]), (Fill("white", 1.0),)
 
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        white = white_radiance(lamp, level, wavelengths_nm)
-        return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
-
+    light = partial(_lit, fills, level, lamp)
     spectra, white = light(WAVELENGTHS_NM)
     known = dict.fromkeys((illuminant_known(lamp), *(fill.known for fill in fills)))
     made_of = tuple(one for one in known if one is not None)

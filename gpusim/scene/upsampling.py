@@ -9,6 +9,8 @@ colour, the nodes are the corners and what lies midway.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from gpusim.errors import UserError
@@ -35,6 +37,18 @@ WORDS = {
 }
 BAND_ROWS = 256  # that are worked out at once
 SHOWN = 64  # rows and columns of a picture whose colours are compared, at most
+
+
+def _daylight(
+    table: str | None, white: np.ndarray, scale_cd_m2: float, wavelengths_nm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectra of a photograph's planes under D65, and that of its white."""
+    daylight = white_radiance("D65", scale_cd_m2, wavelengths_nm)
+    if table is None:
+        spectra = rgb_reflectances(wavelengths_nm) * daylight
+    else:
+        spectra = rgb_nodes(table, wavelengths_nm)[1] * daylight
+    return spectra, white @ spectra
 
 
 def check_upsampling(name: str) -> str:
@@ -91,14 +105,7 @@ def lit_rgb(
         shares = node_shares(planes, nodes)
         white = node_shares(np.maximum(white, 0.0)[:, None, None], nodes)[:, 0, 0].astype(float)
 
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        daylight = white_radiance("D65", scale_cd_m2, wavelengths_nm)
-        if table is None:
-            spectra = rgb_reflectances(wavelengths_nm) * daylight
-        else:
-            spectra = rgb_nodes(table, wavelengths_nm)[1] * daylight
-        return spectra, white @ spectra
-
+    light = partial(_daylight, table, white, scale_cd_m2)
     spectra, white_spectrum = light(WAVELENGTHS_NM)
     if table is not None:
         mean, worst = round_trip(planes, shares, spectra, scale_cd_m2)

@@ -139,6 +139,15 @@ def test_lens_axes_change_the_lens(folder: Path):
         ({"tolerance": "7"}, "tolerance"),
         ({"combine": "sample"}, "samples"),
         ({"what": 1}, "what"),
+        ({"axes": {"exposure_s": ["1/60"]}}, "axes.exposure_s"),  # YAML reads a text
+        ({"axes": {"exposure_s": {"linspace": [0, 1, 3]}}}, "axes.exposure_s"),
+        ({"axes": {"seed": [0.5]}}, "axes.seed"),
+        ({"axes": {"iso": [None]}}, "axes.iso"),
+        ({"axes": {"temperature_c": [-400]}}, "axes.temperature_c"),
+        ({"axes": {"noise": ["maybe"]}}, "axes.noise"),
+        ({"axes": {"luminance_cd_m2": [True]}}, "axes.luminance_cd_m2"),
+        ({"axes": {"gain": [3.3]}}, "gain"),
+        ({"tile": [0, 0, 9999, 4]}, "tile"),
     ],
 )
 def test_mistakes_are_told_before_the_work(folder: Path, changes: dict, field: str):
@@ -147,13 +156,30 @@ def test_mistakes_are_told_before_the_work(folder: Path, changes: dict, field: s
     assert not (folder / "out").exists()
 
 
+def test_mistakes_in_python_are_told_alike():
+    given = {"camera": "mtf-only", "scenes": ["colorchecker"], "rows": 32, "cols": 48}
+    with pytest.raises(UserError, match="perhaps scenes is meant"):
+        Sweep(camera="mtf-only", scene=["colorchecker"])
+    for axes in ({"isso": [100]}, {"seed": [0.5]}):
+        with pytest.raises(UserError, match=f"axes.{next(iter(axes))}"):
+            next(Sweep(**given, axes=axes).rendered())
+    for shard, shards in ((2, 2), (-1, 2), (0, 0)):
+        with pytest.raises(UserError, match="no such shard"):
+            Sweep(**given).rendered(shard, shards)
+
+
+def test_a_setting_left_to_the_camera_is_no_mistake(folder: Path):
+    axes = {"exposure_s": [None, 0.01], "temperature_c": [None, 20], "noise": [True, False]}
+    assert len(Sweep.load(written(folder, axes=axes))) == 8
+
+
 def test_a_frame_that_fails_is_told_and_the_others_are_there(folder: Path):
-    sweep = Sweep.load(written(folder, axes={"exposure_s": [0.01, 0.02], "seed": [0, -1]}))
+    sweep = Sweep.load(written(folder, axes={"exposure_s": [0.01, 0.02], "frame": [0, 2**32]}))
     out = folder / "out"
     out.mkdir()
     found = [one for task in tasks_of(sweep, out, TAKEN) for one in work(task)]
     failed = [one for one in found if "error" in one]
-    assert len(failed) == 2 and all("seed" in one["error"] for one in failed)
+    assert len(failed) == 2 and all("frame" in one["error"] for one in failed)
     assert len(status(sweep, out).done) == 2
 
 

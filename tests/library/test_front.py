@@ -62,10 +62,33 @@ def test_lens_sensor_camera_and_scene_are_values():
     again = pickle.loads(pickle.dumps(camera))
     assert again == camera and again.lens.history == lens.history
     scene = gs.Scene.from_rgb(np.full((6, 8, 3), 0.5))
+    lines = np.array([450.0, 550.0])
+    for given in (scene, gs.Scene.load("colorchecker")):
+        back = pickle.loads(pickle.dumps(given))
+        for one, other in zip(given.light(lines), back.light(lines), strict=True):
+            assert (one == other).all()
     with pytest.raises(AttributeError):
         camera.lens = lens
     with pytest.raises(AttributeError):
         scene.name = "other"
+
+
+@pytest.mark.parametrize(
+    "changes, field",
+    [
+        ({"focal_lenght_mm": 50.0}, "focal_lenght_mm"),
+        ({"max_field_deg": -3.0}, "max_field_deg"),
+        ({"surfaces": "none"}, "surfaces"),
+    ],
+)
+def test_a_lens_of_fields_tells_what_is_wrong(changes: dict, field: str):
+    fields = gs.Lens.load("tessar").model_dump()
+    assert gs.Lens(**fields).title == fields["title"]
+    with pytest.raises(UserError) as error:
+        gs.Lens(**(fields | changes))
+    assert error.value.field == field and error.value.allowed and error.value.file is None
+    with pytest.raises(UserError, match="fields are missing"):
+        gs.Lens()
 
 
 def test_a_shifted_filter_array_acts_however_the_sensor_is_made(tmp_path: Path):
@@ -97,6 +120,8 @@ def test_masks_act_however_the_sensor_is_made(tmp_path: Path):
         (np.full((4, 4, 3), np.nan), "rgb"),
         (-np.ones((4, 4, 3)), "rgb"),
         ("text", "rgb"),
+        (np.zeros((0, 4, 3)), "rgb"),
+        (np.zeros((4, 4, 3), np.uint8), "rgb"),  # encoded, not light
     ],
 )
 def test_arrays_that_are_no_picture_are_refused(rgb: object, field: str):

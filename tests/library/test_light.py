@@ -12,10 +12,12 @@ from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 
 from gpusim.errors import UserError
 from gpusim.library import frame as frames
-from gpusim.library.light import Light, lit
+from gpusim.library.camera import Camera
+from gpusim.library.light import Light, expose, lit
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.render.renderer import rectangle
+from gpusim.scene.scene import Scene
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti
@@ -197,6 +199,9 @@ def test_another_sensor_reads_it_if_its_pixels_see_the_same(bayer: Light):
         ({"iso": 123}, "iso"),
         ({"iso": 100, "gain": 1.0}, "iso"),
         ({"temperature_c": -300.0}, "temperature_c"),
+        ({"exposure_s": "1/60"}, "exposure"),
+        ({"seed": 1.5}, "seed"),
+        ({"frame": 0.5}, "frame"),
     ],
 )
 def test_what_cannot_be_taken_is_refused(bayer: Light, changes: dict, field: str):
@@ -206,6 +211,47 @@ def test_what_cannot_be_taken_is_refused(bayer: Light, changes: dict, field: str
     if "frame" not in changes:
         with pytest.raises(UserError):
             bayer.burst(0 if not changes else 1, **changes if "gain" not in changes else {"iso": 1})
+
+
+@pytest.mark.parametrize(
+    "given, field",
+    [
+        ({"count": 2.5}, "count"),
+        ({"count": 2, "exposure_s": "1/60"}, "exposure_s"),
+        ({"count": 2, "exposure_s": []}, "exposure_s"),
+        ({"count": 2, "iso": "100"}, "iso"),
+    ],
+)
+def test_a_burst_that_cannot_be_taken_is_refused(bayer: Light, given: dict, field: str):
+    with pytest.raises(UserError) as error:
+        bayer.burst(**given)
+    assert error.value.field == field
+
+
+def test_a_folder_that_is_not_there_is_told(bayer: Light, tmp_path: Path):
+    for name in ("a.png", "a.npz", "a.exr", "a.dng"):
+        with pytest.raises(UserError) as error:
+            bayer.capture(EXPOSURE_S).save(tmp_path / "none" / name)
+        assert error.value.file == tmp_path / "none" / name
+
+
+@pytest.mark.parametrize(
+    "changes, field",
+    [
+        ({"camera": "phone"}, "camera"),
+        ({"scene": "colorchecker"}, "scene"),
+        ({"probes": 1.5}, "probes"),
+        ({"tile": (0, 0, 9)}, "tile"),
+        ({"exposure_s": 0.0}, "exposure_s"),
+    ],
+)
+def test_what_is_no_camera_and_no_scene_is_refused(changes: dict, field: str):
+    given = {"camera": Camera.load("mtf-only"), "scene": Scene.load("colorchecker")}
+    with pytest.raises(UserError) as error:
+        expose(**(given | changes))
+    assert error.value.field == field
+    with pytest.raises(UserError, match="not a camera"):
+        expose(given["scene"], given["camera"])
 
 
 def test_a_frame_is_written_as_its_suffix_says(bayer: Light, tmp_path: Path):

@@ -41,6 +41,22 @@ def test_each_draws_itself():
         assert figure.axes and figure.axes[0].has_data()
 
 
+def test_each_says_what_it_is_in_a_line():
+    psf, mtf, layout = LENS.psf(samples=32), LENS.mtf(frequency_cy_mm=[10.0, 40.0]), LENS.layout()
+    assert repr(psf).startswith("Psf(32 x 32 samples of ")
+    assert repr(mtf) == "Mtf(2 frequencies up to 40 cy/mm, field 0 deg)"
+    assert LENS.title in repr(layout) and len(repr(layout)) < 120
+
+
+def test_windows_and_frequencies_that_are_none_are_refused():
+    for width in (0.0, -3.0, float("nan")):
+        with pytest.raises(UserError, match="window_um"):
+            LENS.psf(window_um=width)
+    for frequency in ([-1.0], [float("nan")], 20.0):
+        with pytest.raises(UserError, match="frequency_cy_mm"):
+            LENS.mtf(frequency_cy_mm=frequency)
+
+
 @pytest.mark.parametrize("field", [1.5, -2.0])
 def test_a_field_beyond_the_lens_is_refused(field: float):
     for ask in (LENS.psf, LENS.mtf):
