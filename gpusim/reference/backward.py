@@ -443,7 +443,7 @@ class Aperture:
     field : ndarray of complex (A, B)
         A exp(i k V).
     solid_angle_sr : float
-        Of the light that arrives, in direction cosines at the image.
+        Solid angle of the light that arrives, in direction cosines at the image.
     residual_waves : float
         RMS misfit of the polynomial to the rays' paths.
     """

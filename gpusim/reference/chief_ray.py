@@ -24,7 +24,7 @@ def chief_ray(
         an axis, u = x + the bicubic spline with these control points, over n x n cells of the
         square around the circle.
     radius : float
-        Of the image circle, samples.
+        Radius of the image circle, samples.
     circle : (float, float)
         Its centre.
 

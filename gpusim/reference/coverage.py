@@ -67,7 +67,7 @@ def centroid(polygons: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
 def part_of(quads: np.ndarray, shape: Any) -> tuple[np.ndarray, np.ndarray]:
     """Return the share of small quadrilaterals inside a primitive, and its centre of mass.
 
-    Of a disc the share is exact; the centre of mass takes the outline as straight.
+    The share is exact for a disc. The centre of mass takes the outline as straight.
 
     Parameters
     ----------

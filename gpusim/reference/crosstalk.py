@@ -19,7 +19,7 @@ def crosstalk(
     ----------
     signal : ndarray (rows, cols)
     channels : ndarray (rows, cols) of str
-        Of each pixel; repeats after `period`.
+        Channel of each pixel; repeats after `period`.
     between : callable
         Returns the kernel (side, side) from a channel to another.
     period : (int, int)
@@ -70,7 +70,7 @@ def crosstalk_at(
     Parameters
     ----------
     row, col : ndarray of int
-        Of the pixels, in shapes that go together.
+        Rows and columns of the pixels, in shapes that go together.
     signal : callable
         Returns what pixels (row, col) hold.
     pattern : sequence of sequences of str

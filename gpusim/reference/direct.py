@@ -41,7 +41,7 @@ def direct(
     Returns
     -------
     ndarray (S, rows, cols), float64
-        Of the window's photosites.
+        Values of the window's photosites.
     """
     planes = np.asarray(planes, np.float64)
     _, height, width = planes.shape

@@ -1,8 +1,9 @@
 """Fields of a bank: where its PSFs stand, which of them a source point needs, and its place.
 
-Of a lens with an axis they are image heights (`Heights`), of one without a grid (`Grid`). Both have
-the image circle: its centre on the sensor, um, and its radius. Between fields everything is the
-polynomial of Newton through the nearest four, two on either side, or the outer four.
+The fields of a lens with an axis are image heights (`Heights`), those of a lens without one a grid
+(`Grid`). Both have the image circle: its centre on the sensor, um, and its radius. Between fields
+everything is the polynomial of Newton through the nearest four, two on either side, or the outer
+four.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ class Cubics:
     nodes : range
         All that some point needs.
     shares : ndarray (K, P)
-        Of each of them, zero where it is not among a point's nearest.
+        Share of each of them, zero where it is not among a point's nearest.
     nearest : ndarray (N, P) of int
         The four nodes of each point, or as many as there are.
     """

@@ -15,7 +15,7 @@ def gather(columns: np.ndarray, side: int, length: int) -> np.ndarray:
     side : int
         Samples from a block to the next.
     length : int
-        Of the transform T.
+        Length of the transform T.
 
     Returns
     -------

@@ -12,7 +12,7 @@ def halo(coefficients: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     coefficients : ndarray (C, rows, cols)
-        Of the B-splines centred on the samples.
+        Coefficients of the B-splines centred on the samples.
     x, y : ndarray (P,)
         Points, in samples from the first one's centre; two samples and more within the border.
 

@@ -67,12 +67,12 @@ class View:
     frame : Frame
     wavelengths_nm : ndarray (L,)
     solid_angle_sr : ndarray (L,)
-        Of the pupil of the field whose chief ray lands here, as direction cosines: what the chain
-        calls the solid angle on the axis times the relative illumination.
+        Solid angle of the pupil of the field whose chief ray lands here, as direction cosines. The
+        chain calls it the solid angle on the axis times the relative illumination.
     radiance_sr : ndarray (L,)
-        Of the light that arrives at this very point: what the radiance theorem asks for. The two
-        differ where rays of one field land apart, by the order of that distance over the one to the
-        exit pupil, over the aperture.
+        Solid angle of the light that arrives at this very point, which the radiance theorem asks
+        for. The two differ where rays of one field land apart. The difference is of the order of
+        that distance over the distance to the exit pupil, over the aperture.
     core : ndarray (L, n, n)
         Share of the light per sample at places `at_um`; rows X1, columns X2.
     at_um : ndarray (n,)
@@ -245,8 +245,8 @@ class Judge:
         With square pixels; without angular response, motion and cross-talk.
     scene : gpusim.scene.scene.Scene
     wavelengths_nm : ndarray (61,)
-        Of the scene's spectra and of the quantum efficiency, evenly spaced: the integral is the
-        trapezoidal rule on them.
+        Wavelengths of the scene's spectra and of the quantum efficiency, evenly spaced: the
+        integral is the trapezoidal rule on them.
 
     Raises
     ------

@@ -24,7 +24,7 @@ def mix(
     per_cell : int
         Blocks between two nodes, each way.
     length : int
-        Of the transform T.
+        Length of the transform T.
 
     Returns
     -------

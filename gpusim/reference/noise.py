@@ -47,7 +47,7 @@ def poisson_quantile(mean: np.ndarray, words: np.ndarray) -> np.ndarray:
     ----------
     mean : ndarray (n,)
     words : ndarray (n, 2), uint32
-        Of u, high word first: see :func:`tails`.
+        Words of u, high word first: see :func:`tails`.
     """
     u, rest = tails(words)
     z = np.where(u < 0.5, ndtri(u), -ndtri(rest))

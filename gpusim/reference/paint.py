@@ -26,7 +26,7 @@ def rectangle_coverage(
     angle : float
         Direction of the width, radians from x towards y.
     covariance : ndarray (2, 2)
-        Of the Gaussian. Taken as diagonal in the rectangle's own axes.
+        Covariance of the Gaussian. It is taken as diagonal in the rectangle's own axes.
     """
     result = 1.0
     for half, direction in zip(half_size, (angle, angle + np.pi / 2), strict=True):
@@ -50,7 +50,7 @@ def disc_coverage(d: np.ndarray, radius: float, covariance: np.ndarray) -> float
     radius : float
         Same unit.
     covariance : ndarray (2, 2)
-        Of the Gaussian.
+        Covariance of the Gaussian.
     """
     inverse = np.linalg.inv(covariance)
     narrowest = np.sqrt(np.linalg.eigvalsh(covariance)[0])
@@ -79,7 +79,7 @@ def polygon_coverage(corners: np.ndarray, covariance: np.ndarray) -> float:
     corners : ndarray (N, 2)
         From the place, in turn.
     covariance : ndarray (2, 2)
-        Of the Gaussian.
+        Covariance of the Gaussian.
     """
     round_corners = np.linalg.solve(np.linalg.cholesky(covariance), corners.T).T
     total = 0.0

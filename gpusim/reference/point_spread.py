@@ -30,8 +30,9 @@ H_J_S = 6.62607015e-34
 C_M_S = 299792458.0
 PAD = 32  # samples around the bank's PSFs, room for their shifts
 KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
-# Of banks of 256 samples and 13 wavelengths: kernels of 0.04 MiB, and one in three of 0.8 MiB;
-# fields of 10 MiB. Probes come by height, and each needs four or five heights, of a grid 16 fields.
+# With banks of 256 samples and 13 wavelengths, kernels take 0.04 MiB, and one in three 0.8 MiB;
+# fields take 10 MiB. Probes come by height. Each needs four or five heights, or 16 fields of a
+# grid.
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
 KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
 TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
@@ -56,11 +57,11 @@ class PointSpread:
     bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
     fields : Heights or Grid
-        Of the bank.
+        Fields of the bank.
     spectra : ndarray (M, K)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
     wavelengths_nm : ndarray (K,)
-        Of the spectra.
+        Wavelengths of the spectra.
     """
 
     def __init__(
@@ -403,7 +404,7 @@ def _between(
     y, x : ndarray (...), P in all
         Rows and columns in squares of `side` coefficients each way, which end in nothing.
     side, degree, count : int
-        Of the splines, and coefficients in all.
+        Coefficients along a side, degree of the splines, and coefficients in all.
     begin : ndarray (...) of int
         Number of the first coefficient of the square.
     """
@@ -424,8 +425,8 @@ def _between(
 def _taps(at: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the first coefficient around places (...), and the B-splines (..., degree + 1) there.
 
-    Of an odd degree, by Cox and de Boor's recursion: where t of a cell has passed, the k + 1
-    splines of degree k are B_k,j = ((k - j + t) B_k-1,j-1 + (j + 1 - t) B_k-1,j) / k.
+    The degree is odd. Cox and de Boor's recursion makes the splines: where t of a cell has passed,
+    the k + 1 splines of degree k are B_k,j = ((k - j + t) B_k-1,j-1 + (j + 1 - t) B_k-1,j) / k.
     """
     cell = np.floor(at)
     t = at - cell

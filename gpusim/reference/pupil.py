@@ -66,7 +66,7 @@ def pupil(
     centre, cell : float
         Cell (i, j) lies at alpha = (i + 1/2) cell, beta = centre + (j - T/2 + 1/2) cell.
     chief_beta, waves_per_mm : float
-        Of the chief ray behind the lens; 1 / wavelength.
+        Direction cosine of the chief ray behind the lens; 1 / wavelength.
     length, rows : int
         T, and the rows that are wanted.
     fold_um, focus_mm : float

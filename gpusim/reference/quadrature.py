@@ -26,7 +26,7 @@ class Zone:
     split : int
         Squares along a cell into which it is cut where an outline crosses it.
     degree : int
-        Of the spline.
+        Degree of the spline.
     rises, falls : (float, float)
         Distances from the middle between which the ring's window rises from 0 to 1, and falls
         from 1 to 0.

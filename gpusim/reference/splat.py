@@ -22,7 +22,7 @@ def splat(
         x, y of their centres.
     channels : ndarray (P,) of int
     centres : ndarray (N, 2)
-        Of the highlights, in the same units.
+        Centres of the highlights, in the same units.
     axes : ndarray (N, 2)
         Radial direction, as long as there are table samples in a unit.
     radiance : ndarray (N, M)

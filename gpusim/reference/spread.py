@@ -13,11 +13,11 @@ def spread(image: np.ndarray, side: int, per_cell: int, length: int) -> np.ndarr
     image : ndarray (rows, cols)
         Multiples of `side`.
     side : int
-        Of a block, samples.
+        Side of a block, samples.
     per_cell : int
         Blocks between two nodes.
     length : int
-        Of the transform T; the rows are padded with zeros.
+        Length of the transform T; the rows are padded with zeros.
 
     Returns
     -------

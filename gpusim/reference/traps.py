@@ -26,9 +26,9 @@ def traps(
         Electrons; packet 0 lies next to the read-out.
     species : sequence of (density, release_transfers)
     well_fill_power, well_e, notch_e : float
-        Of the volume ((n - notch) / (well - notch))^power that n electrons fill.
+        Parameters of the volume ((n - notch) / (well - notch))^power that n electrons fill.
     groups : int, optional
-        Of sites, which packets pass at once; without it, each site is passed by itself.
+        Groups of sites, which packets pass at once; without it, each site is passed by itself.
     before : int
         Sites between packet 0 and the read-out.
     overscan : int

@@ -35,8 +35,9 @@ from gpusim.reference.quadrature import Zone
 FALLS_UM = (6.0, 10.0)
 CELLS = (2, 1)
 SPLITS = (8, 2)  # squares along a cell of each that an outline cuts
-# Of the splines between the bank's samples, and between the cells. A PSF at f/2.8 has detail of 0.4
-# cycles a sample, where cubic splines err by a tenth: 4e-4 of the light in a dark dot of 3 pixels.
+# Degrees of the splines between the bank's samples, and between the cells. A PSF at f/2.8 has
+# detail of 0.4 cycles a sample. Cubic splines err there by a tenth: 4e-4 of the light in a dark dot
+# of 3 pixels.
 DEGREES = (5, 3)
 # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal: of that
 # steps of a sample are enough, and beyond some um it is below 1e-6.
@@ -60,7 +61,7 @@ class Truth:
     spectra : ndarray (M, K)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
     wavelengths_nm : ndarray (K,)
-        Of the spectra and of the sensor's quantum efficiency.
+        Wavelengths of the spectra and of the sensor's quantum efficiency.
     fields : Heights or Grid, optional
         In place of the bank's own.
     less : (bank, Heights or Grid), optional
@@ -205,7 +206,7 @@ class Truth:
         whole : dict of ndarray
             Factors in the cells that lie in one material, by block of the zone.
         cut : dict of (ndarray (P, 2), ndarray (P,))
-            Of the cells that an outline cuts: centres of mass, as distances t, and areas times
+            The cells that an outline cuts: centres of mass, as distances t, and areas times
             factors.
         """
         corners = zone.cells[:, [0, 0, -1, -1], [0, -1, 0, -1]]
@@ -264,8 +265,8 @@ class Truth:
         t = cells[:, None] + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
         t = t.reshape(-1, 2)
         ideal = self.fields.ideal(centre - t)
-        # Of each material: its share of a square, and that times the way from the square's middle
-        # to the share's centre of mass.
+        # For each material: its share of a square, and that share times the way from the square's
+        # middle to the share's centre of mass.
         shares = {chart.background: (np.ones(len(t)), np.zeros((len(t), 2)))}
         for shape, under in near:
             distance = shape.distance(ideal[:, 0], ideal[:, 1])

@@ -4,8 +4,8 @@
 
 with A the pixel's aperture and H of one level of a bank's halo. H hardly changes over a cell, so
 the sum converges with the square of its side; outlines of charts count by points within the cells.
-Of a photograph the cells hold sums of its samples, each an even square, taken where the middle of
-their light is; its highlights come one by one.
+For a photograph the cells hold sums of its samples, each an even square, taken where the middle of
+their light is. Its highlights come one by one.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ class Wide:
     def _sums(self, raster: Any) -> np.ndarray:
         """Return sums over a raster from its corner to each edge (M + 2, rows + 3, cols + 3).
 
-        Of its coefficients, and of their total times x and y. Beyond its border it goes on as
-        there, as far as BEYOND: see `_edge`.
+        The sums are those of its coefficients, and of their total times x and y. Beyond its border
+        the raster goes on as at the border, as far as BEYOND: see `_edge`.
         """
         if self.summed is None or self.summed[0] is not raster:
             planes = np.pad(raster.planes.astype(np.float64), ((0, 0), (1, 1), (1, 1)), "edge")
