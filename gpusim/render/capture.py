@@ -30,7 +30,7 @@ class Capture:
     white_e : dict of str to float
         Mean electrons that the scene's white makes on the axis, by channel.
     transmission : ndarray (61,)
-        Of the lens, at WAVELENGTHS_NM.
+        Transmission of the lens, at WAVELENGTHS_NM.
     optics : Optics
         What files say of the lens.
     notes : tuple of str
@@ -46,7 +46,7 @@ class Capture:
         Kernels that the memory does not hold all at once are made within the render: see
         ``times_s["kernels"]``.
     memory : dict of str to int
-        Of the device, bytes: ``budget_bytes``, and ``peak_bytes`` that were held at most.
+        Memory of the device, bytes: ``budget_bytes``, and ``peak_bytes`` that were held at most.
     work : dict of str to int
         How many ``tiles`` were rendered and ``blocks`` convolved, and of how many PSF nodes the
         kernels were made (``nodes``).
@@ -59,7 +59,7 @@ class Capture:
     camera, scene, seed, frame, exposure_s, accuracy
         What was asked for.
     temperature_c : float
-        Of the sensor.
+        Temperature of the sensor.
     costs : Costs or None
         The rates that the plan was made from: with them it is made again.
     band : Band

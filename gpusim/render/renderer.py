@@ -253,11 +253,11 @@ class Renderer:
         ----------
         exposure_s : float
         seed : int
-            Of the temporal noise, 0 to 2^64 - 1.
+            Seed of the temporal noise, 0 to 2^64 - 1.
         frame : int
             Frames of one seed have independent noise; so have those of other exposures and gains.
         temperature_c : float, optional
-            Of the sensor; by default that at which its dark current was measured.
+            Temperature of the sensor; by default that at which its dark current was measured.
         tile : (x, y, width, height), optional
             The rectangle of lit pixels to render, and nothing that it does not need. It is the
             same, bit for bit, as that of the whole frame.
@@ -265,7 +265,7 @@ class Renderer:
             Largest side of what is rendered at once, by default chosen from the memory. It changes
             the memory that is needed, and not one bit of the result.
         keep : tuple of str
-            Of "rate" and "electrons".
+            Any of "rate" and "electrons".
         folder : path, optional
             Where to keep raw and planes as files while they are made, so that they take no memory
             of the host; they are there as long as the capture is used.
