@@ -22,7 +22,7 @@ def noise_html(found: Characterisation, rows: Sequence[Row] | None, title: str, 
     ----------
     found : Characterisation
     rows : sequence of Row, optional
-        Of a simulated sensor: what its file says beside what was found.
+        For a simulated sensor: what its file says beside what was found.
     title, how : str
         What was measured, and on which frames.
     """

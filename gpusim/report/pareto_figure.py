@@ -198,7 +198,7 @@ def placed(
     marks : sequence of float
         Their sides.
     sizes : sequence of (width, height)
-        Of the texts.
+        Sizes of the texts.
     bounds : (left, bottom, right, top)
         Within which they go.
 
@@ -270,8 +270,8 @@ def png(figure: Figure) -> bytes:
     """Return a figure as a PNG file."""
     drawn, file = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=DPI)
-    # Of a dozen colours and their blends: a third of the bytes of true colour, and no difference
-    # that is seen.
+    # The picture has a dozen colours and their blends. A palette takes a third of the bytes of true
+    # colour, and nobody sees a difference.
     with Image.open(drawn) as image:
         image.convert("RGB").quantize(256).save(file, "PNG", optimize=True)
     return file.getvalue()

@@ -108,7 +108,7 @@ def _otf(bank: PlaneBank, frequency: np.ndarray, axis: str) -> np.ndarray:
     light = field_light(bank)
     fields = np.ndindex(light.shape[:2])
     found = [
-        # Of one direction the shift is that of the chief rays, in either.
+        # The OTF is of one direction: its shift is that of the chief rays along it.
         transfer.polychromatic(otfs[f], light[f], frequency, shift[f])
         for f in fields
     ]

@@ -64,7 +64,7 @@ def _draw_distortion(on: Sheet, laws: list[str], axes: Axes) -> None:
         for name, percent in distortion(study).items():
             dash = DASHES[laws.index(name)]
             axes.plot(percent, np.degrees(study.theta), color=INK, linestyle=dash, **look)
-    # Of two laws the first is drawn solid and the second dashed.
+    # The first of two laws is drawn solid and the second dashed.
     axes.set(title=f"distortion, {', '.join(laws)}", xlabel="%")
     against_field_up(axes, on.studies)
     axes.set_ylabel("")

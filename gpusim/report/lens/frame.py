@@ -128,7 +128,7 @@ def way_handles(study: Study) -> list[Line2D]:
 def key(on: Sheet, up: float, handles: Sequence[Line2D], columns: int | None = None) -> None:
     """Write a legend across the sheet, ``up`` inches from the bottom: no curve is there.
 
-    Of several rows the first one lies there; each takes ``KEY_ROW_IN`` more below it.
+    With several rows the first one lies there; each takes ``KEY_ROW_IN`` more below it.
     """
     rows = -(-len(handles) // (columns or len(handles)))
     up -= (rows - 1) * KEY_ROW_IN / 2

@@ -27,7 +27,7 @@ class Plot:
     Attributes
     ----------
     name : str
-        Of its file.
+        Name of its file.
     title : str
     draw : callable
         From one or two studies to a figure; the second lens is laid over the first or drawn below.
