@@ -23,10 +23,10 @@ from gpusim.scene.spectra import (
     white_radiance,
 )
 
-# Of all bands together, 512 MiB in float32.
+# Samples of all bands together: 512 MiB in float32.
 MOST_SAMPLES = 1 << 27
 RADIANCE, REFLECTANCE, RELATIVE = "radiance", "reflectance", "relative"
-# Of a scene without a white of its own, the share of pixels that are darker than its white.
+# Share of pixels that are darker than the white, in a scene without a white of its own.
 DARKER = 0.99
 DARK = 1e-4  # of its brightest wavelength, where a light tells nothing of a reflectance
 
@@ -75,10 +75,11 @@ def band_scene(
     Parameters
     ----------
     path : Path
-        Of the file.
+        Path of the file.
     bands : Bands
     luminance : float, optional
-        Of the scene's white, cd/m^2. Of a radiance its own if not given, else 300.
+        Luminance of the scene's white, cd/m^2. If it is not given, a radiance keeps its own, and
+        others have 300.
     illuminant : str, optional
         Light on reflectances, D50 if not given; with it, a relative cube is one of reflectances,
         and a radiance whose own light is known is lit anew.

@@ -13,8 +13,8 @@ from gpusim.scene.shapes import Disc, Polygon, Primitive, Rect, clearance, depth
 
 __all__ = ["Chart", "Disc", "Polygon", "Primitive", "Rect", "materials_under"]
 
-# Of the larger one's reach, by which two outlines may overlap: what corners of a grid round to.
-# What is painted twice there, or not at all, is as much too bright or dark.
+# By how much two outlines may overlap, over the larger one's reach: what corners of a grid round
+# to. What is painted twice there, or not at all, is as much too bright or dark.
 ROUNDING = 1e-9
 
 

@@ -56,7 +56,7 @@ class Laid:
     source : Chart or Raster
         Lengths in half-heights of the sensor.
     fills : tuple of Fill
-        Of its materials, or planes.
+        Fills of its materials, or planes.
     notes : tuple of str
         What its reader should know: how a pattern was sampled.
     """

@@ -300,7 +300,7 @@ def _triangles(points: list[tuple[float, float]]) -> list[tuple[tuple[float, flo
             ear = (left[k - 1], left[k], left[(k + 1) % len(left)])
             triangle = Polygon(ear, 0)
             others = [one for one in left if one not in ear]
-            # Of the turn by which the ear's own sides differ from a straight line, so much is one.
+            # An ear that is flatter than this share of its reach counts as a straight line.
             if triangle.least_extent > 1e-9 * triangle.reach and not any(
                 triangle.distance(*one) < 0 for one in others
             ):

@@ -32,7 +32,7 @@ def linear(encoded: np.ndarray, transfer: str, path: Path) -> np.ndarray:
         "linear"; "srgb" (IEC 61966-2-1); "rec709", the inverse of the camera's curve (ITU-R
         BT.709-6, 1.2); "gamma2.2", the power 2.2.
     path : Path
-        Of the picture, for the message.
+        Path of the picture, for the message.
 
     Raises
     ------

@@ -167,8 +167,8 @@ def read_exr(path: str | Path, *, needs_luminance: bool = True) -> Photograph:
     Parameters
     ----------
     path : path
-        Of the file. The first part with R, G, B, with Y, RY, BY or with Y alone is taken, over its
-        display window.
+        Path of the file. The first part with R, G, B, with Y, RY, BY or with Y alone is taken, over
+        its display window.
     needs_luminance : bool
         Whether a ``whiteLuminance`` that is none is a mistake; else it is left out.
 
@@ -337,7 +337,7 @@ def write_exr(
     Parameters
     ----------
     path : path
-        Of the file.
+        Path of the file.
     channels : dict of str to ndarray (rows, cols), or (rows, cols, 3) under the name ``"RGB"``
         Written as float32. RGB is linear Rec.709.
     white_luminance_cd_m2 : float, optional

@@ -30,7 +30,7 @@ class Fill:
         A reflectance for all wavelengths, or pairs of wavelength (nm) and reflectance; None for a
         patch of the ColorChecker.
     luminance_cd_m2 : float or None
-        Of what shines by itself, in the colour of the scene's light.
+        Luminance of what shines by itself, in the colour of the scene's light.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Fill:
     def reflectance(self, wavelengths_nm: np.ndarray, white_luminance_cd_m2: float) -> np.ndarray:
         """Return the reflectance (K,), beyond what is known as at its ends.
 
-        Of what shines by itself: its luminance over that of the scene's white.
+        What shines by itself has its luminance over that of the scene's white.
         """
         if self.luminance_cd_m2 is not None:
             share = self.luminance_cd_m2 / white_luminance_cd_m2

@@ -32,14 +32,14 @@ def illuminated(scene: Scene, light: np.ndarray | LightMap, name: str = "a map")
     Parameters
     ----------
     scene : Scene
-        Of a raster.
+        A scene whose source is a raster.
     light : ndarray (rows, cols), or callable
         Relative, none negative; it is divided by its own value in the middle. An array covers the
         picture, samples at the middles of its cells, straight between them and beyond the outer
         ones as there. A function takes x and y, arrays in half-heights of the picture from its
         middle, to the right and down.
     name : str
-        Of the map, for the report.
+        Name of the map, for the report.
 
     Raises
     ------

@@ -43,7 +43,7 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     Parameters
     ----------
     scene : Scene
-        Of a chart; of one that is drawn on samples, made without a frame.
+        A scene whose source is a chart. One that is drawn on samples is made without a frame.
     rows : int
         Height of the result.
 

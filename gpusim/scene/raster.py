@@ -175,7 +175,7 @@ def _stepped(
     fit, samples : ndarray (rows, cols)
         The first is overwritten.
     weights : ndarray
-        Of coefficients in samples, VALUES or INTEGRALS.
+        Weights of coefficients in samples, VALUES or INTEGRALS.
     spare : ndarray (3, at least rows, cols)
         To work in.
 

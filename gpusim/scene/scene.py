@@ -46,8 +46,8 @@ class Scene:
     projection : Projection
         How it lies on the ideal image plane.
     wavelengths_nm : ndarray (K,)
-        Of spectra and white, as `gpusim.scene.spectra.grid_nm` returns them: 400 to 700 nm in steps
-        of 5, and farther where that is asked for (`on`).
+        Wavelengths of spectra and white, as `gpusim.scene.spectra.grid_nm` returns them: 400 to 700
+        nm in steps of 5, and farther where that is asked for (`on`).
     light : callable, optional
         Spectra and white at any wavelengths, of a scene that is known beyond its grid.
     made_of : tuple of Known

@@ -154,7 +154,7 @@ def on_grid(
     power = np.interp(at, nm, values)
     wide = np.diff(at)
     once = np.concatenate([[0.0], np.cumsum(wide * (power[1:] + power[:-1]) / 2)])
-    # Of a cubic, whose slope is `once` and whose curvature runs straight.
+    # `twice` is a cubic, whose slope is `once` and whose curvature runs straight.
     rise = wide * once[:-1] + wide**2 * (power[:-1] / 3 + power[1:] / 6)
     twice = np.concatenate([[0.0], np.cumsum(rise)])
     below, here, above = (

@@ -51,7 +51,7 @@ def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
     ----------
     path : Path
     reflective : bool
-        Of a file that holds both, take the reflectances, not the light.
+        Where a file holds both, take the reflectances, not the light.
 
     Raises
     ------

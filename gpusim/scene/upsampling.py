@@ -154,7 +154,7 @@ def node_shares(planes: np.ndarray, nodes: np.ndarray) -> np.ndarray:
         rows = np.arange(first, first + rgb.shape[1])[:, None]
         for k, weight in enumerate(weights):
             chosen = number[tuple(corner)]
-            # Of no weight, where the corner is no node.
+            # A corner that is no node has no weight.
             weight = np.where(chosen >= 0, weight, 0.0)
             out[np.maximum(chosen, 0), rows, cols] += (weight * top).astype(np.float32)
             corner = corner.copy()
@@ -169,7 +169,7 @@ def round_trip(
 ) -> tuple[float, float]:
     """Return the mean and the largest dE*ab (CIE 1976) between a picture's RGB and its spectra's.
 
-    Of some of its colours, each as bright as it is beside RGB (1, 1, 1).
+    Only some of its colours are compared, each as bright as it is beside RGB (1, 1, 1).
     """
     every = [max(1, -(-size // SHOWN)) for size in planes.shape[1:]]
     part = np.s_[:, :: every[0], :: every[1]]
