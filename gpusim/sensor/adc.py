@@ -29,7 +29,7 @@ def record_adc(
     origin : (int, int)
         Row and column of the first pixel.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
     column_offset : bool
         Whether the columns' converters have their offsets, if the sensor has any.
 

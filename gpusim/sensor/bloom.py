@@ -24,7 +24,7 @@ def record_bloom(
     photosites : (int, int), optional
         First row of the photosites, and the first after them; by default all rows.
     label : str
-        Of the buffer that is returned first.
+        Label of the buffer that is returned first.
 
     Returns
     -------

@@ -19,12 +19,12 @@ def record_border(
     at, rect : (row, col, rows, cols)
         Where that lies, within ``rect``; and what is wanted.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------
     Array (rows, cols), f32
-        Of ``rect``, in the units of ``inner``.
+        Values of ``rect``, in the units of ``inner``.
     """
     framed = rec.buffer(label, rect[2:], "f4")
     if inner is None:

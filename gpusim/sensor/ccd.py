@@ -46,8 +46,8 @@ from gpusim.sensor.smear import record_smear
 from gpusim.sensor.traps import record_traps
 
 BOUNDLESS_E = 1.6e7  # no full well: the most that the noise stage draws
-# Of a strip on its way: light and mean, each also framed, smeared, charge, bloomed, arrived, the
-# levels of traps, what goes to the host and comes from there.
+# Buffers of a strip on its way: light and mean, each also framed, smeared, charge, bloomed,
+# arrived, the levels of traps, what goes to the host and comes from there.
 PLANES = 12
 
 
@@ -263,7 +263,7 @@ class ReadOut:
     runs : callable
         Whether a stage runs, by its name in the plan.
     strip_bytes : int
-        Of the device, that a strip of columns or rows may take.
+        Device memory that a strip of columns or rows may take.
     run : callable
         Runs a recording.
     """
@@ -305,7 +305,7 @@ class ReadOut:
         ----------
         charge : ndarray (all rows that are read, cols), float32
         first_col : int
-            Of the charge.
+            First column of the charge.
         rect : (row, col, rows, cols)
             What is wanted.
         planes : dict of str to ndarray (rows, cols)

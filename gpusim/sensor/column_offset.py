@@ -20,7 +20,7 @@ def record_column_offset(
     col0, cols : int
         First column, on the chip, and how many.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

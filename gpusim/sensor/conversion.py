@@ -29,7 +29,7 @@ class Conversion:
     file : Path
         What was read.
     fields : dict
-        Of a sensor file, without ``sources``.
+        Fields of a sensor file, without ``sources``.
     sources : dict of str to str
         Where each comes from; "assumed: ..." where the file says nothing.
     unused : list of str

@@ -75,7 +75,7 @@ def record_crosstalk(
         All pixels between which there is cross-talk; by default those of the sensor, with its
         optical black.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -132,10 +132,10 @@ class Crosstalk(Strict):
     Attributes
     ----------
     optical : Kernels, optional
-        Of light and diffusing charge: on the mean signal, before the shot noise.
+        Spread of light and of diffusing charge: on the mean signal, before the shot noise.
     electrical : Kernels, optional
-        Of collected charge, such as inter-pixel capacitance: on electrons with their shot noise,
-        which it correlates (Moore, Ninkov and Forrest 2004).
+        Spread of collected charge, such as inter-pixel capacitance. It acts on electrons with their
+        shot noise, which it correlates (Moore, Ninkov and Forrest 2004).
     """
 
     optical: Kernels | None = None

@@ -87,7 +87,7 @@ def record_cti(
     before : int
         Elements between the first packet and the read-out.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -36,7 +36,7 @@ def record_defects(
     sensor : Sensor
     exposure_s : float
     temperature_c : float, optional
-        Of the sensor: further dark current doubles as the others' does.
+        Temperature of the sensor. Further dark current doubles as the others' does.
     origin : (int, int)
         Row and column of the first pixel.
     limit_e : float

@@ -37,11 +37,11 @@ def record_exposure(
         Gives responses and dark current.
     exposure_s : float
     temperature_c : float, optional
-        Of the sensor; by default that at which its dark current was measured.
+        Temperature of the sensor; by default that at which its dark current was measured.
     origin : (int, int)
         Row and column of the first pixel.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
     runs : callable, optional
         Whether an effect is drawn, by its name in the plan: "prnu", "prnu lines", "dcnu", "gain
         mask"; by default those that the sensor has.

@@ -19,7 +19,7 @@ def record_merge(
     sensor : Sensor
         Gives gains, black levels and the switch.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -23,7 +23,7 @@ def shares_along(shift: float, low: float, high: float) -> list[tuple[int, float
     Parameters
     ----------
     shift : float
-        Of the filters against the pixels, pixels; less than 1 in size.
+        Shift of the filters against the pixels, pixels; less than 1 in size.
     low, high : float
         Ends of the aperture, pixels from the pixel's middle.
 
@@ -56,14 +56,14 @@ def mixed_pattern(
     shift : (float, float)
         x, y of the filters against the pixels, pixels: to the right, and down.
     side : float
-        Of the square aperture in the middle of the pixel, pixels.
+        Side of the square aperture in the middle of the pixel, pixels.
 
     Returns
     -------
     names : list of list of str
         By site.
     mixtures : dict of tuple
-        Of each name: channels of the filters, with their shares.
+        For each name: channels of the filters, with their shares.
     """
     py, px = len(pattern), len(pattern[0])
     across, down = (shares_along(one, -side / 2, side / 2) for one in shift)
@@ -87,10 +87,10 @@ def mixed_pattern(
 def mixed(sensor: Sensor) -> Sensor:
     """Return the sensor whose channels are the mixtures that its pixels see.
 
-    Of a filter array that lies beside its pixels (``cfa.shift_px``) each photosite sees the
-    filters over it in proportion to the part of its aperture that they cover, and sites of one
-    letter become unlike channels (Gr, Gb). Scene and image are sampled as before; the aperture
-    is taken to see one mixture all over.
+    A filter array may lie beside its pixels (``cfa.shift_px``). Each photosite then sees the
+    filters over it in proportion to the part of its aperture that they cover. Sites of one letter
+    become unlike channels (Gr, Gb). Scene and image are sampled as before; the aperture is taken to
+    see one mixture all over.
 
     Raises
     ------

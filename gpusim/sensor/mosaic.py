@@ -40,7 +40,7 @@ def record_mosaic(
     cell_origin : (int, int)
         Row and column, in samples of the planes, of the first of them.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

@@ -51,15 +51,15 @@ def record_noise(
     sensor : Sensor
         Gives full well and all noise.
     seed : int
-        Of the capture, 0 to 2^64 - 1.
+        Seed of the capture, 0 to 2^64 - 1.
     frame : int
         Number of the frame, 0 to 2^32 - 1: each has noise of its own.
     temperature_c : float, optional
-        Of the sensor; by default that at which its dark current was measured.
+        Temperature of the sensor; by default that at which its dark current was measured.
     origin : (int, int)
         Row and column of the first pixel.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
     shot, read_out : bool
         The halves: shot noise and full well; what is added when the charge is read.
     runs : callable, optional

@@ -53,7 +53,7 @@ class ResetNoise(Strict):
     noise_e : float, optional
         Electrons.
     capacitance_ff : float, optional
-        Of the node, in femtofarads, in place of ``noise_e``.
+        Capacitance of the node, in femtofarads, in place of ``noise_e``.
     """
 
     noise_e: Positive | None = None
@@ -85,7 +85,8 @@ class ReadNoiseLaw(Strict):
     probabilities : list of float
         Rising, between 0 and 1.
     values : list of float
-        Of the read noise in any unit, of which so many are smaller; never falling.
+        Read noise in any unit, never falling. The share of the law below each value is its
+        probability.
     """
 
     probabilities: list[float] = Field(min_length=2)
@@ -285,8 +286,8 @@ class DefectPixel(Strict):
     kind : str
         "dead": sees no light. "hot": more dark current. "stuck": gives the same always.
     value : float
-        Of a hot pixel, electrons per second beside the dark current, at the reference temperature;
-        of a stuck one, the electrons that are read.
+        Electrons per second of a hot pixel beside the dark current, at the reference temperature;
+        for a stuck one, the electrons that are read.
     """
 
     row: int = Field(ge=0)
@@ -311,7 +312,7 @@ class Defects(Strict):
     ----------
     pixels : list of DefectPixel
     dead_fraction, hot_fraction, stuck_fraction : float
-        Of all pixels; which ones depends on the serial number alone.
+        Shares of all pixels. Which pixels they are depends on the serial number alone.
     hot_e_per_s : float
         Mean of the hot pixels' further dark current, which has an exponential law; at the reference
         temperature.

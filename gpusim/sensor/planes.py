@@ -16,7 +16,7 @@ PERIODS = (1, 2, 4)
 
 @dataclass(frozen=True)
 class Planes:
-    """Of a pattern that repeats after 1, 2 or 4 pixels both ways there is a plane for each site.
+    """A plane for each site of a pattern that repeats after 1, 2 or 4 pixels both ways.
 
     Other patterns, such as 6 x 6 or 3 x 2, have a plane for each channel, of all pixels.
 
@@ -25,7 +25,7 @@ class Planes:
     period : int
         Pixels from a sample of a plane to the next, both ways.
     channels : tuple of int
-        Of each plane: its place among the sensor's channels.
+        For each plane: its place among the sensor's channels.
     sites : ndarray (rows, cols, 2) of int
         By row and column of a pixel, modulo the array's: its plane, and its site in the sensor's
         pattern.

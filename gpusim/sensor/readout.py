@@ -55,7 +55,7 @@ def noise_seed(seed: int, exposure_s: float, analogue_gain: float) -> int:
     Parameters
     ----------
     seed : int
-        Of the capture, 0 to 2^64 - 1.
+        Seed of the capture, 0 to 2^64 - 1.
     exposure_s, analogue_gain : float
     """
     words = struct.pack("<Qdd", seed, exposure_s, analogue_gain)
@@ -70,11 +70,11 @@ class Shot:
     ----------
     exposure_s : float
     seed : int
-        Of the temporal noise, 0 to 2^64 - 1.
+        Seed of the temporal noise, 0 to 2^64 - 1.
     frame : int
         Frames of one seed have independent noise.
     temperature_c : float, optional
-        Of the sensor; by default that at which its dark current was measured.
+        Temperature of the sensor; by default that at which its dark current was measured.
     """
 
     exposure_s: float
@@ -97,7 +97,7 @@ def record_light(
     seen, rate = overlap(rect, sensor.frame.lit), sites
     if 0 in seen[2:]:
         return record_border(rec, None, seen, rect, label=f"framed {label}")
-    # Of a sensor without filters the plane is the frame, where one strip takes it whole.
+    # In a sensor without filters the plane is the frame: one strip takes it whole.
     if runs("mosaic") or seen != lit:
         period = planes_of(sensor).period
         cell = lit[0] // period, lit[1] // period

@@ -87,7 +87,7 @@ class Sensor(Strict):
     linearity : Linearity, optional
         Measured response of the read-out.
     channel_black_level_dn : dict of str to float, optional
-        Of the channels whose black level is another than ``black_level_dn``.
+        Black levels of the channels whose black level is not ``black_level_dn``.
     column_offset : ColumnOffset, optional
         Fixed offsets of the columns' converters.
     dual_gain : DualGain, optional
@@ -98,13 +98,13 @@ class Sensor(Strict):
         patterns above and to the left, for the pattern goes on there. A region (`roi`) keeps the
         border, as wide, around itself.
     overscan : Overscan, optional
-        Of a CCD, rows and columns that are read after the last ones: see `gpusim.sensor.ccd`.
+        CCDs only: rows and columns that are read after the last ones: see `gpusim.sensor.ccd`.
     smear : Smear, optional
-        Of a CCD, light that is collected while charge is shifted.
+        CCDs only: light that is collected while charge is shifted.
     bloom : bool
         Whether a CCD has no anti-blooming: charge above the full well then flows along the column.
     parallel_cti, serial_cti : Cti, optional
-        Of a CCD, charge that is left behind along columns and along rows.
+        CCDs only: charge that is left behind along columns and along rows.
     dcnu_percent : float
         Standard deviation of the dark current between pixels, per cent of its mean; log-normal.
     full_well_knee : float

@@ -30,7 +30,7 @@ def record_smear(
     limit_e : float
         Most that a pixel keeps, electrons: the full well where no noise is drawn after it.
     label : str
-        Of the buffer that is returned.
+        Label of the buffer that is returned.
 
     Returns
     -------

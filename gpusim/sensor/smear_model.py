@@ -23,10 +23,10 @@ class Smear(Strict):
         Seconds that a packet stays in each row: of an interline sensor the time of a line, of
         frame transfer the period of the fast vertical clock.
     leak : float
-        Of an interline sensor, the share of a photosite's light that makes charge in the register.
+        Interline only: share of a photosite's light that makes charge in the register.
     cleared_by_shift : bool
-        Of frame transfer: the columns were shifted through before the exposure too, by the clear
-        or by the transfer of the frame before, so that each packet's well came from the far end.
+        Frame transfer only: the columns were shifted through before the exposure too, by the clear
+        or by the transfer of the frame before. Each packet's well then came from the far end.
     """
 
     kind: Literal["interline", "frame_transfer"]

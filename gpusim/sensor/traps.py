@@ -45,7 +45,7 @@ def record_traps(
         How many of the last packets have no element of their own; below 0, how many elements lie
         beyond the last packet.
     label : str
-        Of the buffer that is returned first.
+        Label of the buffer that is returned first.
 
     Returns
     -------
