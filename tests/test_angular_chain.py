@@ -82,7 +82,7 @@ def test_a_flat_field_falls_and_greens_part():
     gr, gb = rate[0::2, 1::2], rate[1::2, 0::2]
     imbalance = (gr - gb) / (gr + gb)
     rows, cols = imbalance.shape
-    # Of the lean, 0.5 sin(theta) times what the spectrum makes of it, at both ends of the middle.
+    # The lean, 0.5 sin(theta), times what the spectrum makes of it, at both ends of the middle.
     ends = imbalance[rows // 2 - 4 : rows // 2 + 4, [2, -3]].mean(axis=0)
     assert ends[0] == pytest.approx(-ends[1], rel=0.05)
     assert ends[1] > 0.08

@@ -294,7 +294,7 @@ def test_shots_of_a_bracket_have_noise_of_their_own():
     n = found.size
     matrix = np.corrcoef(list(deviates.values()))
     assert matrix.shape == (4, 4)
-    # Of independent draws, normal with 1 / n: 5 sigma.
+    # Draws are independent, normal with 1 / n: 5 sigma.
     assert np.abs(matrix - np.eye(4)).max() < 5 / math.sqrt(n)
 
 
@@ -510,7 +510,7 @@ def test_exposure_makes_digital_numbers_of_the_rates(renderer: Renderer, whole: 
     assert whole.raw.dtype == np.uint16 and whole.raw.shape == (96, 128)
     mean = whole.rate * EXPOSURE_S
     codes = camera.system_gain_dn_per_e * mean + camera.black_level_dn
-    # Of 12288 pixels: noise of at most sqrt(500) + 3 electrons, each, PRNU 0.7 %.
+    # Over 12288 pixels: noise of at most sqrt(500) + 3 electrons, each, PRNU 0.7 %.
     assert (whole.raw - codes).mean() == pytest.approx(0, abs=4 * 26 * 0.47 / np.sqrt(12288) + 0.2)
     assert np.abs(whole.raw - codes).max() < 7 * 26 * 0.47
     twice = renderer.capture(2 * EXPOSURE_S, keep=("rate",))
@@ -609,7 +609,7 @@ def test_a_rectangle_alone_takes_less_work_and_gives_the_same_bits(subject: Scen
         assert_close(part.raw, np.ascontiguousarray(full.raw[inside(rect)]), atol=0)
         assert_close(part.rate, np.ascontiguousarray(full.rate[inside(rect)]), atol=0)
         assert part.work["blocks"] < full.work["blocks"] / 2
-        # Of a lens without mirror images; of one with them the whole frame takes few more.
+        # The lens has no mirror images. With one that has them the whole frame takes few more.
         every = sum(math.prod(scale.grid.nodes) for scale in full.plan.scales)
         assert part.work["nodes"] < every * 2 / 3
         # Those on the axes are their own mirror images.

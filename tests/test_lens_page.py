@@ -384,7 +384,8 @@ def test_an_apodised_stop_is_on_the_page(demo_lens):
     page = lens_page(bank, build(filtered))
     facts = dict(lens_facts(bank, page.system))
     assert "exp(-1 " in facts["apodised stop"]
-    # Of the apodised pupil: above the MTF, and below that of an even one at high frequency.
+    # The limit is that of the apodised pupil: above the MTF, and below that of an even one at high
+    # frequency.
     axis = page.curves[0].against_frequency
     assert (axis <= page.limit + 2e-3).all()
     assert page.limit[0] == pytest.approx(1, abs=3e-3)

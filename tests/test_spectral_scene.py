@@ -79,7 +79,8 @@ def planned() -> tuple[object, np.ndarray, np.ndarray]:
 def test_a_scene_of_31_bands_is_planned_at_1e_3_in_signed_planes(planned):
     plan, _, _ = planned
     count = plan.basis.coefficients.shape[1]
-    # Of six colours, though a camera of three channels tells twelve of the bands apart at 1e-3.
+    # The scene has six colours, though a camera of three channels tells twelve of the bands apart
+    # at 1e-3.
     assert 3 < count <= 6
     assert (plan.basis.coefficients < 0).any()
     assert plan.shortfall == ""

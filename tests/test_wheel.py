@@ -94,7 +94,7 @@ def test_it_renders_outside_the_checkout(installed: Path, tmp_path: Path):
     assert (report["capture"]["rows"], report["capture"]["cols"]) == (32, 48)
     with rawpy.imread(str(tmp_path / "out/raw.dng")) as raw:
         samples = raw.raw_image
-        # Of a scene with a white of 300 cd/m^2, neither all black nor all white.
+        # The scene has a white of 300 cd/m^2: the picture is neither all black nor all white.
         assert raw.black_level_per_channel[0] + 10 < np.median(samples) < raw.white_level - 10
 
 

@@ -123,7 +123,7 @@ def test_places_lie_next_to_the_middles_of_cells_and_in_the_frame(sound, rate):
     assert len(points) == len(set(numbers)) > 1
     field = np.stack(sound.field_deg(*points.T))
     share = np.mod(field - SIDE_DEG[0], 2.0) / 2.0
-    # Of whole cells: those that the frame cuts are judged where it ends.
+    # Whole cells are judged in their middles; cells that the frame cuts are judged where it ends.
     assert (np.abs(share - 0.5).max(axis=0) < 0.05).any() and (np.abs(share - 0.5) < 0.5).all()
     pixels, owners = pixels_near(SENSOR, rate, ORIGIN, points)
     middle = (pixels[:, ::-1] + 0.5 - 500) * SENSOR.pixel_pitch_um

@@ -49,7 +49,7 @@ def test_uploaded_texels_are_read_in_their_order(device: Device, count: int):
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_copied_texels_are_those_of_the_buffer(device: Device, count: int):
-    """Of memory that another recording has used: what it left is not read."""
+    """The memory was used by another recording: what it left is not read."""
     for given in (numbers(count), -numbers(count)):
         rec = Recording(device)
         buffer = rec.buffer("buffer", given.shape, np.float32)

@@ -26,7 +26,7 @@ def assert_close(
     Parameters
     ----------
     actual, reference : array
-        Of one shape; they must not share memory. The reference must be finite.
+        Arrays of the same shape; they must not share memory. The reference must be finite.
     atol, rtol : float or array
         One of them must be given; an array gives each element its own derived bound. ``atol=0``
         asks for equality.

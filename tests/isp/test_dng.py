@@ -351,7 +351,7 @@ def test_every_filter_array_has_its_file(tmp_path, pattern: str, kind: int):
         assert file.pages.first.photometric == kind
         assert_close(file.pages.first.asarray(), frame(), atol=0)
     assert ("DNGVersion" in tags) == (kind != BLACK_IS_ZERO)
-    # Of a plain TIFF too, readers can know what it is.
+    # Readers can tell what a plain TIFF is, too.
     assert (tags["BlackLevel"], tags["WhiteLevel"], tags["Make"]) == (256, 4095, "gpusim")
     assert exif(path)["ExposureTime"] == (1, 60)
     if kind == LINEAR_RAW:

@@ -72,7 +72,7 @@ def test_the_cone_is_the_vignetted_pupil(bank, demo_lens):
             # A rim of nodes, 2 of 128 across, known to a tenth of its width.
             np.testing.assert_allclose(found, expected, atol=1e-3 * 0.18)
             fourth = (1 - pupil.alpha[:, None] ** 2 - pupil.beta**2) ** 2
-            # Of the squares: (0.36 / 24)^2 / 24 times second derivatives of 8 at most.
+            # Error of the squares: (0.36 / 24)^2 / 24 times second derivatives of 8 at most.
             assert mean(cone, 4) == pytest.approx((weight * fourth).sum(), abs=1e-4)
             assert abs(np.sum(cone[:, 2] * cone[:, 1])) < 1e-8  # mirrored
 

@@ -127,8 +127,9 @@ def test_bellows_take_their_light(distance_m):
 
 
 def test_light_on_the_axis_is_that_of_the_object_side():
-    # Of two ovals: L Omega' dA' is L Omega dA (radiance theorem), with Omega = pi NA^2 and
-    # dA' = m^2 dA where the sine condition holds; two ovals keep it to third order of 0.25 only.
+    # The lens has two ovals. L Omega' dA' is L Omega dA (radiance theorem), with Omega = pi NA^2
+    # and dA' = m^2 dA where the sine condition holds; two ovals keep it to third order of 0.25
+    # only.
     system = two_ovals()
     (pupil,) = pupils(sample_field(system, system.index(GREEN), 0.0), GREEN, 1.0, 512)
     rim = sample_rays(

@@ -140,7 +140,7 @@ def test_model_glasses_are_as_real_glasses_of_their_nd_and_vd(makers_glasses, li
         return float(np.sqrt(np.mean(values**2)))
 
     found = (rms(errors), np.abs(errors).max(), rms(errors[flint]), rms(errors[~flint]))
-    # Of data that do not change: 3 % are the rounding of the figures above.
+    # The data do not change: 3 % are the rounding of the figures above.
     assert found == pytest.approx(MEASURED[line], rel=0.03)
     # Six times better at least, for flints; for crowns, which Cauchy's law suits, by a third.
     assert rms(errors[flint]) < rms(of_cauchy[flint]) / 6

@@ -101,7 +101,7 @@ def test_half_a_disc_throws_light_along_its_straight_sides_normal():
 
 @pytest.mark.parametrize("kind", ["defocus", "spherical"])
 def test_rays_land_where_the_spot_diagram_has_them(kind):
-    """Of W = R a rho^2 / 2 a share (r / R)^2 within r; of W = R a rho^4 / 4 (r / R)^(2/3).
+    """The share within r is (r / R)^2 for W = R a rho^2 / 2, (r / R)^(2/3) for W = R a rho^4 / 4.
 
     Without diffraction. Shared out between four samples rays are smeared by a sample: measured
     3e-3 on the first level, and in sum over the levels 2e-4.

@@ -84,7 +84,7 @@ def test_rays_start_on_the_plane_of_their_field():
         start = launch.points(p[row, :1, None], p[row, 1:, None])[:, 0, 0]
         assert_close(at[row, :3], start, atol=2 * 40 * ULP)
         assert_close(along[row, :3], launch.direction[:, 0], atol=ULP)
-    # Of the plane: perpendicular to the field, whatever p is.
+    # All points lie in the plane: perpendicular to the field, whatever p is.
     off = at[:, 1:3] - base
     across = (off * np.stack([np.sin(theta), np.cos(theta)], axis=-1)).sum(axis=1)
     assert_close(across, np.zeros(100), atol=4 * 40 * ULP)

@@ -25,7 +25,7 @@ def test_shares_are_cardinal_and_sum_to_one():
 
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
 def test_polynomials_in_the_inverse_wavelength_come_out_as_they_are(count):
-    """Of a degree that as many lines carry, and of no higher one."""
+    """They do so up to the degree that as many lines carry, and for no higher one."""
     lines = np.linspace(400.0, 700.0, count)
     x, at = 550 / lines, 550 / BETWEEN
     degree = min(count - 1, 3)

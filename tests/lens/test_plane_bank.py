@@ -113,8 +113,8 @@ def test_an_apodised_stop_is_apodised_behind_a_moved_element_too(bank):
     # the sine condition, which the singlet breaks by 2 %.
     share = other.projected_solid_angle_sr / bank.projected_solid_angle_sr
     np.testing.assert_allclose(share, (1 - np.exp(-2)) / 2, rtol=0.03)
-    # Of the amplitude (1 - 1/e) is left at the peak, squared, over that share of the light; with
-    # the aberrations of the rim darkened it is a little more.
+    # A share (1 - 1/e) of the amplitude is left at the peak. That is squared, over that share of
+    # the light. With the aberrations of the rim darkened it is a little more.
     kept = (1 - np.exp(-1)) ** 2 / share[1]
     peak, even = (one.psf[1, 1, 1].max() for one in (other, bank))
     assert kept < peak / even < 1.1 * kept

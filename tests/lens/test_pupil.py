@@ -283,7 +283,7 @@ def test_light_that_a_filter_stops_does_not_fold_either():
     _, sums = on_device(nodes, [place], fold_um=100.0, stop=rho2, apodisation=1.0)
     assert_close(sums[..., 1], sums[..., 0].copy(), atol=0)
     _, even = on_device(nodes, [place], fold_um=100.0)
-    # Of light exp(-2 G rho^2); T sums of it.
+    # The filter leaves exp(-2 G rho^2) of the light, in T sums of it.
     expected = np.exp(-1.0) * even
     assert_close(sums, expected, atol=T * filtered_bound(2.0, 0.5) + T * ULP * even.max())
 

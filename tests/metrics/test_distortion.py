@@ -47,7 +47,7 @@ def test_corners_and_lgd_are_those_of_the_closed_form(k):
 def test_dots_are_centroids():
     straight = measured(picture(dots))
     assert straight.marks.kind == "dots"
-    # Of dots that no distortion bends only the samples' own grid is left.
+    # Where no distortion bends the dots, only the samples' own grid is left.
     assert errors(straight, STRAIGHT).max() < 1e-3
     found = measured(picture(dots, BARREL))
     # A dot of radius R under a map with second derivative m'' has its centroid off by m'' R^2 / 8 a

@@ -85,7 +85,7 @@ def test_saturation_is_where_the_variance_is_highest_and_below_the_full_well(fou
 
 
 def test_the_uncertainties_are_the_spread_of_repeated_measurements():
-    """Of 24 other cameras of the same type: z-scores of unit variance."""
+    """Measurements of 24 other cameras of the same type give z-scores of unit variance."""
     scores = []
     for seed in range(24):
         camera = Camera(seed=100 + seed, shape=(40, 40))

@@ -75,7 +75,8 @@ def judged(judge, folder: Path, groups, sensor: Sensor):
     lines = [f"v 4.0\nn {sensor.bit_depth} {sensor.cols} {sensor.rows}"]
     for (exposure, photons, _), files in groups.items():
         title = f"b {exposure * 1e9!r} {photons!r}" if photons else f"d {exposure * 1e9!r}"
-        # Of a stack in the dark the first two are the pair, where there are lit pairs beside it.
+        # The first two frames of a stack in the dark are the pair, where there are lit pairs beside
+        # it.
         pairs = any(key[0] == exposure and key[1] and len(groups[key]) == 2 for key in groups)
         takes = [files[:2], files] if len(files) > 2 and not photons and pairs else [files]
         for taken in takes:

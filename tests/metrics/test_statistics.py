@@ -64,7 +64,7 @@ def test_the_fixed_pattern_cancels_in_the_temporal_variance():
 
 
 def test_the_temporal_noise_left_in_the_average_is_subtracted():
-    """Of 4 frames without any pattern the average still varies by a quarter of the noise."""
+    """The average of 4 frames without any pattern still varies by a quarter of the noise."""
     camera = Camera(response=0.0, offset_e=0.0)
     site = camera.level(2000.0, frames=4).sites[0]
     assert abs(site.spatial.total) < norm.isf(LEVEL / 2) * site.spatial.total_u2**0.5

@@ -104,7 +104,7 @@ def test_micro_lenses_that_follow_the_lens_restore_the_middle():
     )
     middle = at_green(plain, 0)
     for azimuth in (0, 7, 36):
-        # Of the same cone, in other squares of it.
+        # The cone is the same, in other squares of it.
         assert at_green(shifted, 3, azimuth) == pytest.approx(middle, rel=2e-4)
     assert np.abs(at_green(plain, 3) / middle - 1).max() > 0.1
     on_plane = AngularResponse(plane_lens(falloff=0.0), angled(found, micro_lens=following(LENS)))

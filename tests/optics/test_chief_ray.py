@@ -229,7 +229,7 @@ def test_of_a_lens_with_an_axis_the_host_has_the_same_stretch_as_the_twin():
     assert norms.max() <= chief_ray.stretch * (1 + 1e-9) and chief_ray.stretch < 1.05 * norms.max()
     least = np.linalg.norm(jacobian, ord=-2, axis=(1, 2)).min()
     assert least / 1.05 < chief_ray.least_stretch <= least * (1 + 1e-9)
-    # Of a ring, the largest of it and of little more.
+    # The stretch within a ring is at least its largest, and at most that of a little wider ring.
     radius = np.hypot(*real.T)
     for low, high in ((0.0, 20.0), (30.0, 31.0), (100.0, 900.0), (200.0, 300.0)):
         found = float(chief_ray.stretch_within(np.array([low]), np.array([high]))[0])

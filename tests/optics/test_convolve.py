@@ -57,8 +57,8 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(device: Device, name:
         assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
 
 
-# Of a symmetric lens; which ways blocks beyond the middle are mirror images, and at how many nodes
-# kernels are made.
+# The lens is symmetric. The last two entries say which ways blocks beyond the middle are mirror
+# images, and at how many nodes kernels are made.
 FOLDED = {
     "both ways": (SimGrid(36, 48, 4, 2, 256, 96, (2, 3)), 0.8, (True, True), 2 * 3),
     "several blocks a cell": (SimGrid(60, 80, 4, 2, 256, 108, (2, 1)), 0.8, (True, True), 2 * 2),

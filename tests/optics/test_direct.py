@@ -194,7 +194,7 @@ def test_taps_take_the_memory_that_was_said(device: Device):
     stage.load(needed)
     assert stage.held_bytes == said > 0 == stage.missing_bytes(needed)
     assert stage.made == len(stage.nodes) == 9
-    # Of one block of two planes: four nodes, each as large as the largest here.
+    # One block of two planes takes four nodes, each as large as the largest here.
     most = max(size_class(node.nbytes) for node in stage.nodes.values())
     assert stage.block_bytes(2) == 4 * most
     stage.release()

@@ -47,7 +47,7 @@ def test_electrons_of_a_flat_spectrum_in_closed_form():
 
 
 def test_a_line_is_shared_by_the_wavelengths_of_the_bank():
-    """Of three by the parabola in 1 / lambda: each has 1 at its own, and 0 at the others."""
+    """Three wavelengths share it by the parabola in 1 / lambda: 1 at their own, 0 at the others."""
     weights = spectral_weights(LENS, CAMERA)
     at = list(WAVELENGTHS_NM).index(475.0)
     x, (a, b, c) = 1 / 475, 1 / LENS.wavelengths_nm

@@ -25,9 +25,9 @@ from gpusim.optics.kernels import (
 
 LENS = bank(skew_um=2.0)
 WEIGHTS = np.random.default_rng(12).uniform(1, 5, (2, 3, 3))
-# Of a sum of 36 coefficients times weights, in float64: 36 roundings of the sum, 10 of each of two
-# polynomials of degree 5, 3 of their product, with the coefficient and with the area; here and in
-# SciPy. Coefficients are along each axis less than 3 times the samples of smooth PSFs.
+# Rounding of a sum of 36 coefficients times weights, in float64: 36 roundings of the sum, 10 of
+# each of two polynomials of degree 5, 3 of their product, with the coefficient and with the area;
+# here and in SciPy. Coefficients are along each axis less than 3 times the samples of smooth PSFs.
 F64_SPLINE = 2 * 59 * 9 * 2.0**-53
 
 
@@ -72,7 +72,7 @@ def test_core_and_tail_make_the_whole():
 
 
 def test_a_coarse_band_takes_fewer_samples(monkeypatch: pytest.MonkeyPatch):
-    """Of every second or fourth sample the same kernels, where three remain to the sim grid's."""
+    """Every second or fourth sample makes the same kernels, if three remain to the sim grid's."""
     images, places = field_images(LENS, at_lines(LENS, WEIGHTS), 1e9)
 
     def made(ratio: float) -> tuple[float, np.ndarray]:
@@ -134,7 +134,7 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
         # The ends of splines and windows (16 um): 1e-3 um.
         assert_close(0.5 * centroid(kernel), expected, atol=1.5e-3)
         light = 1 - 0.3 * (at @ at) / 165.0**2 * (1, 1.05, 1.1)[place]
-        # Of the square of the tangent bicubic interpolation in angle errs by its fourth derivative,
+        # Bicubic interpolation in angle errs on the square of the tangent by its fourth derivative,
         # 16, times 9 / 384 h^4 with h = 0.04 rad along x and y each: 2e-6 (1000 / 165)^2 of 0.33.
         # Sums in f32: 1e-6.
         assert kernel.sum() == pytest.approx(light, abs=3e-5)
@@ -221,7 +221,7 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
 
 
 def test_splines_are_evaluated_as_scipy_does():
-    """Of all planes and channels at once, those of the first planes only too; float64."""
+    """All planes and channels are evaluated at once, and the first planes only too; in float64."""
     kernels = everything(pitch_um=0.6)
     x_um, y_um = 40.0, -25.0
     fields, weights, cos, sin = kernels.places.at(x_um, y_um)
@@ -244,7 +244,7 @@ def test_splines_are_evaluated_as_scipy_does():
 
 
 def test_sharp_psfs_on_a_coarse_grid_keep_the_light_that_rings_beyond_it():
-    """Of 0.35 um on samples of 4.1 um within 41: what is sampled there alone is 5 % off."""
+    """PSFs of 0.35 um on samples of 4.1 um within 41: what is sampled there alone is 5 % off."""
     lens = bank(sigma_um=(0.35,) * 3, lateral=(0.0,) * 3)
     images, places = field_images(lens, at_lines(lens, np.ones((1, 1, 3))), 1e9)
     kernels = field_kernels(images, places, 0.5, 4.1, np.ones(images.shape[-2:]))

@@ -39,7 +39,7 @@ def case(
         {"twiddle": twiddles(length), "folded": side_by_side.copy(), "rates": rates},
         {"rates": (rates.shape, F32)},
     )["rates"]
-    # Of each lattice row and site: the inner frequencies count with their mirrors.
+    # The sum over each lattice row and site: the inner frequencies count with their mirrors.
     amount = 2 * np.abs(folded.view(F32)).sum(axis=1, dtype=float)
     amount = amount.reshape(grid.sites, grid.window, 2).sum(axis=2)
     paired = np.add.reduceat(amount, range(0, grid.sites, 2))

@@ -49,7 +49,8 @@ def test_nodes_of_a_symmetric_lens_are_mirrored(device: Device):
     assert GRID.mirrored(0) and GRID.mirrored(1)
     found, sampled = made(device, kernels())
     expected, singly = made(device, replace(kernels(), mirrored=False))
-    # Of 4 x 3 nodes and those around them, in a cross: 2 x 2, and 2 + 2 beyond them.
+    # There are 4 x 3 nodes and those around them, in a cross. Mirrored, 2 x 2 of them remain, and 2
+    # + 2 beyond them.
     assert (sampled, singly) == (8, 26)
     for node in NODES:
         # Splines of rotated samples: float32 and rounding of the azimuth.

@@ -67,7 +67,7 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
     rows["place"] = rng.uniform(-0.5, 0.5, (count, 2))
     angle = rng.uniform(0, 2 * np.pi, count)
     rows["axis"] = 3.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # Of cubics some shares are below 0, and so may be a highlight's light: none is taken away.
+    # Some shares of cubics are below 0, and so may be a highlight's light: none is taken away.
     parts = np.zeros((count, mixed_tables), PART)
     parts["table"] = rng.integers(0, stages, parts.shape)
     shares = rng.uniform(-0.5, 1, parts.shape)
@@ -570,7 +570,7 @@ def test_sums_are_cut_into_pieces_that_take_a_moment(device: Device, monkeypatch
 
 
 def test_the_work_is_counted():
-    """Of one highlight: the tables of its fields and angles, and the pixels within its reach."""
+    """One highlight takes the tables of its fields and angles, and the pixels within its reach."""
     one = Splat(
         None, LENS, sensor(960, 1280), Highlights(PLACES[:1], 0.1, np.ones((1, 3))), SPECTRA, 1e-3
     )

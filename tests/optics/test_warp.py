@@ -120,7 +120,7 @@ def test_samples_are_those_of_the_reference(case):
 @pytest.mark.parametrize("scale", [0.2, 0.41, 0.54, 0.56, 0.8, 1.0, 1.5])
 @pytest.mark.parametrize("squash", [0.0, 0.4, 1.0])
 def test_points_that_share_a_patch_lie_within_one_of_their_middle(scale: float, squash: float):
-    """Of maps that stretch by `scale` along a direction, and by a share of it across."""
+    """Maps stretch by `scale` along a direction, and by a share of it across."""
     side = sharing(scale)
     assert side == (4 if scale <= 0.55 else 3 if scale <= 0.825 else 2)
     at = np.stack(np.meshgrid(*2 * [np.arange(side) - (side - 1) / 2]), axis=-1)

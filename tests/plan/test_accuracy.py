@@ -83,7 +83,7 @@ def test_the_brightest_signal_of_a_chart_is_that_of_its_brightest_material():
     assert brightest_e(lens, camera, subject, 0.01) == pytest.approx(0.01 * white)
     glaring = monochrome(veiling_glare=0.5)
     assert brightest_e(lens, glaring, subject, 0.01) == pytest.approx(0.015 * white)
-    # Of a lens that passes more light off the axis, that counts.
+    # A lens that passes more light off the axis makes the brightest pixel brighter.
     assert brightest_e(bank(falloff=-0.2), camera, subject, 0.01) > 0.0119 * white
     black = scene((), np.stack([0 * FLAT]))
     assert brightest_e(lens, camera, black, np.inf) == 0.0

@@ -193,7 +193,7 @@ def test_a_tighter_tolerance_never_does_less(lens):
             for stage in plan.stages
             if stage.predicted_error is not None
         }
-        # Of planes, five times: the worst spectrum in its weakest channel.
+        # The planes may err five times as much: the worst spectrum in its weakest channel.
         assert errors.pop("paint") <= 5 * tolerance
         predicted.append(max(errors.values()))
         assert predicted[-1] <= 1.1 * tolerance
@@ -468,7 +468,8 @@ def test_the_nearest_tolerance_is_named_and_can_be_asked_for():
     assert named > 2e-3 and "--best-effort" in caught.value.allowed
     met = plan_optics(sharp, coarse, COLOURED, Accuracy(named))
     assert met.shortfall == "" and met.tolerance == named
-    # Of two digits, the last one less is refused: nothing nearer can be met.
+    # The named tolerance has two digits. One less in the last is refused: nothing nearer can be
+    # met.
     step = 10.0 ** (np.floor(np.log10(named)) - 1)
     with pytest.raises(UserError, match="cannot be met"):
         plan_optics(sharp, coarse, COLOURED, Accuracy(named - step))

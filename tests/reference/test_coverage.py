@@ -124,7 +124,7 @@ def test_a_polygon_of_four_right_angles_is_a_rectangle():
     some = RNG.uniform(-1.5, 1.5, (200, 1, 2)) + corners * RNG.uniform(0.05, 2, (200, 1, 1))
     (share, mass), (expected, middle) = part_of(some, polygon), part_of(some, rect)
     assert ((share > 0.01) & (share < 0.99)).sum() > 50
-    # Of numbers near 1, by other ways; nothing has no middle.
+    # The numbers are near 1 and come about in other ways; nothing has no middle.
     assert_close(share, expected, atol=1e-12)
     assert_close(share[:, None] * mass, expected[:, None] * middle, atol=1e-12)
 

@@ -216,8 +216,8 @@ def test_a_dot_off_axis_flares_outwards_and_is_displaced_by_lateral_colour(azimu
     rate = nm * 1e-9 / HC * 0.5 * 1e-3 * width * 1e-12 * np.pi * 1.2**2
     rate *= float(lens.projected_solid_angle_sr[place] * lens.transmission[place])
     assert np.ptp(light) > 0.05
-    # Of a dot hardly wider than the PSF's samples the splines' error does not average out: 5e-4 of
-    # the peak in each direction, and 2.5 times that of the largest light, spread over a pixel.
+    # With a dot hardly wider than the PSF's samples the splines' error does not average out: 5e-4
+    # of the peak in each direction, and 2.5 times that of the largest light, spread over a pixel.
     assert_close(found, light * rate, atol=3e-3 * rate * light.max())
 
 

@@ -86,7 +86,7 @@ def test_bands_are_straight_between_and_sorted_by_wavelength(tmp_path):
 
 
 def test_fine_bands_are_averaged_to_the_grid(tmp_path):
-    """Of 57 bands 5/8 nm apart each 8 make one: a line in one of them keeps its light."""
+    """Each 8 of 57 bands 5/8 nm apart make one: a line in one of them keeps its light."""
     nm = 450 + 0.625 * np.arange(57)
     values = np.zeros((57, 1, 2), np.float32)
     values[:, 0, 0], values[19, 0, 1] = 1.0, 8.0

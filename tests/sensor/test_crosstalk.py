@@ -220,8 +220,8 @@ def correlations(field: np.ndarray) -> np.ndarray:
 def test_collected_charge_that_couples_correlates_the_noise(device: Device):
     """Against the closed form of Moore, Ninkov and Forrest: R = kernel correlated with itself.
 
-    Of N pixels of variance s^2 each estimate scatters by s^2 sqrt(2 / N) at most (Bartlett 1946: at
-    distance 0, and sum R^2 / N elsewhere is less); the z of 1 - LEVEL over all 15.
+    Each estimate from N pixels of variance s^2 scatters by s^2 sqrt(2 / N) at most (Bartlett 1946:
+    at distance 0, and sum R^2 / N elsewhere is less); the z of 1 - LEVEL over all 15.
     """
     plain = flat_frame(device, None)
     coupled = flat_frame(device, ELECTRICAL)

@@ -64,7 +64,7 @@ def test_what_arrives_is_what_the_transfers_make(inefficiency: float, shape: tup
 
 
 def test_lines_may_lie_at_unlike_distances_from_the_read_out():
-    """Of the reference; where the distance is negative, empty packets come first."""
+    """The reference is tested. Where the distance is negative, empty packets come first."""
     charge = packets(12, 3).astype(float)
     charge[:4, 2] = 0
     found = cti(charge, 0.05, before=np.array([0, 30, -4]))
@@ -121,7 +121,8 @@ def test_trails_point_away_from_the_read_out():
 
 @pytest.mark.parametrize("inefficiency", [1e-6, 1e-4, 1e-2])
 def test_colours_of_a_filter_array_mix_in_closed_form(inefficiency: float):
-    # Of the N - 1 chances to fall behind, an even number keeps the colour: (1 + (1 - 2e)^(N-1))/2.
+    # There are N - 1 chances to fall behind. An even number of them keeps the colour:
+    # (1 + (1 - 2e)^(N-1))/2.
     red, green = 400.0, 1000.0
     charge = np.tile(F32([red, green]), (3, 300))
     found = on_device(charge, inefficiency, serial=True).reshape(charge.shape)

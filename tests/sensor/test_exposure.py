@@ -111,8 +111,8 @@ def test_rows_columns_dark_currents_and_mask_are_those_of_the_reference():
     given = {"dark_e": 50, "mask": mask, "figures": figures}
     drawn = dict.fromkeys(EXTRAS, True)
     found = on_device(rate, (17, 5), **given, **drawn)
-    # Of the light nine roundings and 1e-6 of the deviates' shares, 5 sigmas of 6 % together. Of the
-    # dark signal exp, 3 + 2 * 3 ULP of 2^-23, and its argument to 0.7 * 1e-6 * 5.
+    # The light errs by nine roundings and 1e-6 of the deviates' shares, 5 sigmas of 6 % together.
+    # The dark signal errs by exp, 3 + 2 * 3 ULP of 2^-23, and by its argument to 0.7 * 1e-6 * 5.
     light = 9 * 2.0**-24 + 5e-6 * 0.06
     assert_close(found, expected, rtol=light + 18 * 2.0**-24 + 4e-6)
     for name in EXTRAS:  # the control
@@ -172,7 +172,7 @@ def test_fixed_patterns_are_unrelated():
     for place, one in enumerate(fields):
         for other in fields[:place]:
             for transposed in (other, other.T):
-                # Of lines there are 256 only.
+                # There are 256 lines only.
                 bound = 4.5 / 16 if place > 1 else 4.5 / 256
                 assert abs(np.corrcoef(one.ravel(), transposed.ravel())[0, 1]) < bound
 

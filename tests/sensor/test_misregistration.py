@@ -47,7 +47,7 @@ def test_a_bayer_pattern_gets_two_greens():
 
 def test_both_ways_at_once_is_the_product_of_the_shares():
     _, mixtures = mixed_pattern(BAYER, (0.2, -0.1), 1.0)
-    # Of the red pixel: 0.8 x 0.9 its own, 0.2 x 0.1 blue, the rest green.
+    # The red pixel sees: 0.8 x 0.9 its own, 0.2 x 0.1 blue, the rest green.
     assert dict(mixtures["R"]) == pytest.approx({"R": 0.72, "B": 0.02, "G": 0.26})
     assert all(sum(dict(one).values()) == pytest.approx(1, abs=1e-12) for one in mixtures.values())
 
