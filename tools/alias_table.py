@@ -40,7 +40,7 @@ ROWS, COLS = 96, 128  # of the sensor: its middle
 WHITE, BLACK = 0.80, 0.05
 SAMPLES = (1, 2, 4, 8)
 PROBES = 64
-# Of the plan whose PSF nodes are taken: far below what the sim grid costs.
+# Tolerance of the plan whose PSF nodes are taken: far below what the sim grid costs.
 TOLERANCE = 1e-4
 # Found errors below are those of the nodes and of float32.
 FLOOR = 2e-4

@@ -103,7 +103,7 @@ class Job:
     run : callable
         Waits for the device.
     pixels : int
-        Of the frame.
+        Pixels of the frame.
     error : dict
     nbytes, samples : int
         That a run reads and writes, and that it computes; without bytes there is no copy.
@@ -332,8 +332,9 @@ def frame_job(device: Device, frame: tuple[int, int], mono: bool) -> Job:
 def scaling_job(device: Device, frame: tuple[int, int]) -> Job:
     """Time frames of 1, 4, 12 and 48 MP of one camera and one kind of scene, one after another.
 
-    Of each the first frame, with plan and kernels, and the median of further ones of the same
-    renderer. The first call, which warms up, renders a corner of each: that compiles what it needs.
+    Each size gives the time of the first frame, with plan and kernels, and the median of further
+    ones of the same renderer. The first call, which warms up, renders a corner of each: that
+    compiles what it needs.
     """
     sizes = [tuple(2 * round(side * part / 2) for side in frame) for part in SCALING]
     warm: list[bool] = []
@@ -509,7 +510,7 @@ def paint_job(device: Device, frame: tuple[int, int]) -> Job:
 def warp_job(device: Device, frame: tuple[int, int]) -> Job:
     """Time a photograph in one coefficient plane; SciPy samples an eighth of the points."""
     grid = sim_grid(frame)
-    # Of low contrast: Warp keeps splines from ringing below zero, which the reference does not.
+    # The contrast is low: Warp keeps splines from ringing below zero, which the reference does not.
     planes = 1 + 0.1 * np.random.default_rng(1).random((1, *frame), np.float32)
     left, top = -frame[1] * PITCH_UM / 2, -frame[0] * PITCH_UM / 2
     stage = Warp(

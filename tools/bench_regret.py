@@ -37,10 +37,11 @@ def regret_job(
 ) -> Any:
     """Sweep plans for each scene and lens, and find the planner's regret in each.
 
-    Of prepared and of first frames, by medians of rounds through all plans: see `gpusim.pareto`.
-    Where the adapter is the processor, by its time, which other work of the machine hardly moves.
-    Plans for other tolerances are left out, and so is what is never faster. The first call, which
-    warms up, does nothing; the second does it all, and fills the table and the error.
+    The times are those of prepared and of first frames, by medians of rounds through all plans: see
+    `gpusim.pareto`. Where the adapter is the processor, its own time counts, which other work of
+    the machine hardly moves. Plans for other tolerances are left out, and so is what is never
+    faster. The first call, which warms up, does nothing. The second does it all, and fills the
+    table and the error.
     """
     rows, cols = (min(side, most) for side, most in zip(frame, LARGEST, strict=True))
     sensor = load_sensor("imx477").roi(rows, cols)

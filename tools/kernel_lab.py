@@ -30,7 +30,7 @@ from gpusim.optics.nodes import Scale
 SITES = [0, 1, 1, 2]
 PITCH_UM = 0.775
 RUNS = 10  # the best counts
-# Of the largest rate: what the supports cut off, and what splines lose when they are turned.
+# Share of the largest rate: what the supports cut off, and what splines lose when they are turned.
 AGREE = 2e-3
 
 

@@ -56,7 +56,7 @@ LIBRARY = (
 )
 TWO_STOPS = 2.0  # factor of the f-number
 FISHEYE_DEG = 75.0  # lenses that see farther have scenes that do
-# Of the sensor's half-diagonal; the sensor's corner lies at FILL of the image circle.
+# PLACE: share of the sensor's half-diagonal. The sensor's corner lies at FILL of the image circle.
 PLACE, FILL = 0.85, 0.97
 ASPECT = (0.8, 0.6)  # 4:3, over the diagonal
 COMMON_UM = 20.0  # a multiple of every pitch: the same points are pixels' middles at each
