@@ -228,8 +228,9 @@ def kept_planes(text: str) -> tuple[str, ...]:
 def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
     """Write all files of a capture into `folder`; return the facts of the report.
 
-    The picture is shown brighter by `ev` stops, and the raw's BaselineExposure says so. Of quad
-    Bayer there is a Bayer raw of all pixels and one of all cells besides, and a picture of each.
+    The picture is shown brighter by `ev` stops, and the raw's BaselineExposure says so. A quad
+    Bayer sensor gives a Bayer raw of all pixels and one of all cells besides, and a picture of
+    each.
     """
     planes = {name: getattr(capture, name) for name in KEPT_PLANES}
     kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
