@@ -18,8 +18,8 @@ class Compiled:
     overrides : dict
         Every override with its value.
     wall_s, cpu_s : float
-        Time that passed, and that of all threads of this process. Of a kernel that the driver
-        finds in its cache next to nothing.
+        Time that passed, and that of all threads of this process. A kernel that the driver finds in
+        its cache takes next to nothing.
     """
 
     path: str
