@@ -9,7 +9,7 @@ def planes(signal: np.ndarray, pattern: tuple[str, ...], colours: str) -> np.nda
     """Return a plane for each colour: its photosites, interpolated.
 
     Each pixel is the mean of the photosites around it, by a tent as wide as the filter pattern on
-    either side; a photosite keeps its own colour's value. Of a 2 x 2 pattern that is bilinear
+    either side; a photosite keeps its own colour's value. For a 2 x 2 pattern that is bilinear
     interpolation.
 
     Parameters
