@@ -163,7 +163,7 @@ class Bank:
         One of the wavelengths: its chief ray defines the real plane.
     field_deg, ideal_height_um : ndarray, shape (F,)
         Field angle theta and c tan(theta), both rising from 0, c the principal distance; infinite
-        from 90 deg. Of an object plane theta is the angle at the entrance pupil.
+        from 90 deg. With an object plane theta is the angle at the entrance pupil.
     real_height_um : ndarray, shape (F, L)
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)

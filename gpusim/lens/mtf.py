@@ -3,7 +3,7 @@
 The simpler lens model of the Kodak simulator (Short, Williams and Jones, "Image capture simulation
 using an accurate and realistic lens model", SPIE 3650, 1999, section 2.1): rotationally symmetric
 at every field, so without coma, astigmatism or lateral colour; the fall-off of the light is given
-apart. Of each MTF(f) this module makes the PSF whose transform is real and symmetric,
+apart. From each MTF(f) this module makes the PSF whose transform is real and symmetric,
 
     h(r) = 2 pi integral MTF(f) J_0(2 pi f r) f df    (Hankel transform; Goodman, section 2.1.5)
 

@@ -1,9 +1,9 @@
 """Where the fields of a bank lie on the image plane, and how the PSFs between them are made.
 
-By the cubics through the nearest four (Lagrange). Of a lens that is symmetric about its axis:
-heights, and PSFs that are turned to their azimuth. Beyond the axis lie the same fields again, at
--r, turned by half a turn: what is even in the height has no cusp there, and coma no jump. Of any
-other lens: a grid, and PSFs as they lie.
+The PSFs between the fields come from the cubics through the nearest four (Lagrange). A lens that is
+symmetric about its axis has heights as fields, and PSFs that are turned to their azimuth. Beyond
+the axis lie the same fields again, at -r, turned by half a turn: what is even in the height has no
+cusp there, and coma no jump. Any other lens has a grid of fields, and PSFs as they lie.
 """
 
 from __future__ import annotations

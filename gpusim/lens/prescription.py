@@ -451,7 +451,8 @@ class Prescription(Strict):
         object_distance_m : float, optional
             Distance of the object plane; infinity is allowed too. By default it stays as it is.
         focus_distance_m : float, optional
-            That the lens is focused on, infinity too (on the object, unless the lens has another).
+            Distance that the lens is focused on; infinity is allowed too. By default the lens
+            focuses on the object, unless it has another distance.
 
         Raises
         ------

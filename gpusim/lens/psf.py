@@ -29,9 +29,9 @@ def intensity(
     Returns
     -------
     psf : ndarray, shape (size, size)
-        Share of the light per sample; rows tangential (eta), columns radial (xi, pointing away
-        from the axis); sample j at (j - size / 2) pitch from the chief ray's point. Of a whole
-        pupil: rows x, columns y.
+        Share of the light per sample; rows tangential (eta), columns radial (xi, pointing away from
+        the axis); sample j at (j - size / 2) pitch from the chief ray's point. With a whole pupil,
+        rows are x and columns y.
     outside : float
         Share of the light that falls outside the window: 1 - psf.sum(). The total is known from
         the pupil (Parseval): lambda^2 times its projected solid angle.

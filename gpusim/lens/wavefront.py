@@ -455,7 +455,7 @@ def _axis(
 ) -> tuple[float, float, np.ndarray]:
     """Return centre and half-width of the grid along one direction cosine, and its nodes.
 
-    It is wider than the rays by OVERSIZE / RAY_OVERSIZE. Of a half pupil it is centred on 0, and
+    It is wider than the rays by OVERSIZE / RAY_OVERSIZE. For a half pupil it is centred on 0, and
     only the nodes above are returned.
     """
     high = float(cosines.max())

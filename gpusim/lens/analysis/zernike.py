@@ -69,7 +69,7 @@ def fit(values: np.ndarray, x: np.ndarray, y: np.ndarray, terms: int = TERMS) ->
     Parameters
     ----------
     values, x, y : ndarray, shape (R,)
-        Where light passes, evenly over the unit disc. Of a vignetted pupil the terms are no longer
+        Where light passes, evenly over the unit disc. In a vignetted pupil the terms are no longer
         orthogonal: their sum still is the wavefront where light passes.
     terms : int
 
