@@ -9,9 +9,10 @@ with R(psi) the turn to the azimuth psi of the image point, and m the direction 
 shifted micro-lenses there send light where the middle one sends that along the normal. Between the
 fields the product of q, relative illumination and PSF is interpolated (`gpusim.lens.places`).
 
-A pixel that answers alike from all sides has no psi. Of any other behind a lens with an axis, the
-weights of a field become a sum over few terms: their mean over psi, and what a singular value
-decomposition finds of the rest, each a function of psi times weights of its own, and so a kernel.
+A pixel that answers alike from all sides has no psi. For any other pixel behind a lens with an
+axis, the weights of a field become a sum over few terms: their mean over psi, and what a singular
+value decomposition finds of the rest, each a function of psi times weights of its own, and so a
+kernel.
 """
 
 from __future__ import annotations

@@ -217,8 +217,8 @@ def chief_ray_map(bank: FieldBank, force: bool = False) -> ChiefRayMap:
 def radial_map(ideal_um: Callable[[np.ndarray], np.ndarray], radius_um: float) -> RadialMap:
     """Return the map of a lens with an axis.
 
-    The spline goes through the map where its pieces meet. Of those there are as many as it takes
-    to be ``FIT_ERROR_UM`` off at most, looked at ``BETWEEN`` times in each; or ``MOST_PIECES``.
+    The spline goes through the map where its pieces meet. It has as many pieces as it takes to be
+    ``FIT_ERROR_UM`` off at most, looked at ``BETWEEN`` times in each; or ``MOST_PIECES``.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def block_bounds_um(
         Pitch of the sim grid.
     chief_ray : ChiefRayMap
     margin : float
-        By which each block is taken to be larger on every side, samples.
+        How much larger each block is taken to be on every side, samples.
 
     Returns
     -------

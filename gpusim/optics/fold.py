@@ -257,7 +257,7 @@ def _projected(
 ) -> np.ndarray:
     """Return coefficients (M, J) of spectra in the planes of a basis that is for mixtures (P, K).
 
-    By least squares over edge responses, as the decomposition weighs them. Of the mixtures
+    By least squares over edge responses, as the decomposition weighs them. For the mixtures
     themselves that gives what the decomposition gave.
     """
     seen = np.einsum("clw,mw->mcl", weights, spectra)

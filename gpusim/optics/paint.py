@@ -158,7 +158,7 @@ def tiles_by_block(
     Returns
     -------
     tiles : ndarray (T, 4), uint32
-        As shaders/optics/paint reads them. Of each block those without edges come first.
+        As shaders/optics/paint reads them. Each block's tiles without edges come first.
     chosen : ndarray, uint32
         Indices of primitives to which the tiles refer.
     ranges : dict of (int, int, int)

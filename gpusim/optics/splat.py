@@ -1,10 +1,10 @@
 """Host side of the splat stage: a photograph's highlights, each with the kernels of its own place.
 
 The kernels are tabulated in the frame of the PSFs, at the fields of the bank, and mixed as the
-truth mixes these. Of a lens with an axis the pixel aperture and the highlight's square stand at an
-angle in it, the azimuth modulo 90 degrees: tables are made at `bins` angles, and mixed linearly
-between the nearest two. All sums are of what is not negative, or compact: light ends where the PSF
-does.
+truth mixes these. Behind a lens with an axis, the aperture of the pixel and the highlight's square
+stand at an angle in it, the azimuth modulo 90 degrees: tables are made at `bins` angles, and mixed
+linearly between the nearest two. All sums are of what is not negative, or compact: light ends where
+the PSF does.
 
 Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
 give it (`gpusim.lens.lines`): what aperture and square blur follows the streak between the chief
@@ -140,7 +140,7 @@ def largest_um(bank: FieldBank, change: float, real_um: np.ndarray) -> np.ndarra
     By the PSFs of the fields around each, at the reference wavelength: half of the sum of their
     differences' sizes over how far they are apart; and of each PSF turned by a quarter of a turn,
     over the quarter of a circle. In a halo it changes twenty times as fast near the rim as half-way
-    to it. Of a lens without an axis, where it changes fastest.
+    to it. For a lens without an axis the answer is that of the place where it changes fastest.
     """
 
     def psf(number: int) -> np.ndarray:
