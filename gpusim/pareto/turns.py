@@ -44,7 +44,7 @@ class Point:
     chosen : bool
         Whether it is the plan that the tolerance asked for leads to.
     tolerance : float
-        That the planner was given, in the unit of the sweep.
+        Tolerance that the planner was given, in the unit of the sweep.
     plan : str
         How it convolves, where the planner made the plan; empty of knobs that were turned.
     predicted : float or None
