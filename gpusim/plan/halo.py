@@ -38,7 +38,7 @@ class HaloLevel:
     share : float
         Share of the light, at the field and wavelength where it is largest.
     accuracy : Accuracy
-        With which the level is rendered, relative to its own light.
+        Accuracy with which the level is rendered, relative to its own light.
     """
 
     number: int

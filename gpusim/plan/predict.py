@@ -108,7 +108,7 @@ def even_error(
 
     The engine has these as its nodes have them (`gpusim.optics.kernels.node_kernels`), and straight
     lines between: m0 errs with the square of the cells, the slope of m1 with the cells themselves,
-    and m2 is not curved within a cell. Of kernels wider than a cell m0 alone is compared: moments
+    and m2 is not curved within a cell. For kernels wider than a cell m0 alone is compared: moments
     say little of these. At EVEN places over the sensor.
 
     Parameters

@@ -50,7 +50,7 @@ class Plan:
     halo : tuple of HaloLevel
         Levels of the bank's halo that are rendered.
     tolerance : float
-        That it was made for, relative to the local signal.
+        Tolerance that it was made for, relative to the local signal.
     shortfall : str
         Where the tolerance asked for cannot be met, and best effort was: for which one the plan was
         made instead, and why. Else empty.
