@@ -6,7 +6,7 @@
 R in electrons/s per unit area of an aperture, by channel, scene spectrum, wavelength l of the bank
 and sample k of the spectra. S_l are the cubic splines in 1 / lambda that are 1 at one wavelength of
 the bank and 0 at the others: by them go the PSF about its own chief ray, the chief ray x_c, and
-Omega T. Of a sensor whose quantum efficiency goes with the angle of the light, q goes with the
+Omega T. With a sensor whose quantum efficiency goes with the angle of the light, q goes with the
 field and the azimuth of s (`gpusim.reference.angle`), and with l.
 """
 
@@ -378,8 +378,8 @@ def spreads_of(
 def _line_splines(bank: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
     """Return S (L, 61) of the bank's wavelengths; beyond the first and last they stay as there.
 
-    Not-a-knot; of three wavelengths the parabola, of two the straight line in 1 / lambda. Of a bank
-    that asks for it, straight lines in lambda.
+    Not-a-knot; of three wavelengths the parabola, of two the straight line in 1 / lambda. A bank
+    may ask for straight lines in lambda instead.
     """
     lines = np.asarray(bank.wavelengths_nm, np.float64)
     each = np.eye(len(lines))
