@@ -48,7 +48,7 @@ def picture_scene(
     transfer : str, optional
         What light the values of a TIFF or PNG stand for: see `gpusim.scene.encoded.linear`.
     upsampling : str, optional
-        By which RGB becomes spectra: see `gpusim.scene.upsampling`.
+        Method by which RGB becomes spectra: see `gpusim.scene.upsampling`.
 
     Raises
     ------

@@ -1,10 +1,10 @@
 """RGB photographs as scenes: which spectra their colours stand for.
 
-Mallett and Yuksel's spectra are sums of three. Of the others each colour, divided by its largest
-component, lies on one of three faces of the RGB cube: its spectrum is a mean of those of three
-nodes about it there, by which linear RGB, and so XYZ, are the means too. Smits's method (1999) is
-exactly that with the cube's corners; of Jakob and Hanika's (2019), which is fitted anew to each
-colour, the nodes are the corners and what lies midway.
+Mallett and Yuksel's spectra are sums of three. In the other tables each colour, divided by its
+largest component, lies on one of three faces of the RGB cube. Its spectrum is a mean of those of
+three nodes about it there, by which linear RGB, and so XYZ, are the means too. Smits's method
+(1999) is exactly that with the cube's corners; of Jakob and Hanika's (2019), which is fitted anew
+to each colour, the nodes are the corners and what lies midway.
 """
 
 from __future__ import annotations
