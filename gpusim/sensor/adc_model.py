@@ -26,7 +26,7 @@ class GainStep(Strict):
     Attributes
     ----------
     gain : float
-        By which ``system_gain_dn_per_e`` is multiplied.
+        Factor by which ``system_gain_dn_per_e`` is multiplied.
     iso : int, optional
         What the camera calls it.
     temporal_dark_noise_e : float, optional
@@ -155,8 +155,8 @@ class ColumnOffset(Strict):
 class DualGain(Strict):
     """The read at low conversion gain, beside the sensor's own, which is that at high gain.
 
-    A pixel whose high-gain code lies below the switch keeps it, to the bit. Of the others the
-    low-gain read counts, scaled to the high-gain line:
+    A pixel whose high-gain code lies below the switch keeps it, to the bit. The other pixels take
+    the low-gain read, scaled to the high-gain line:
     ``black_level_dn + K_high / K_low (code_low - black_low)``, rounded. So the raw is linear, with
     codes beyond those of the converter.
 

@@ -23,9 +23,9 @@ class Kernels(RootModel[dict[str, Kernel]]):
 
     A kernel has odd sides up to `MAX_SIDE`; its middle is the pixel itself, its first row lies
     above. Its numbers are the shares of the signal of a pixel of the first channel that are found
-    at those of its neighbours that are of the second. Of the keys that fit a pair the most definite
-    counts, the first channel before the second. Where none fits, unlike channels share nothing, and
-    pixels of one channel keep what they have.
+    at those of its neighbours that are of the second. Where several keys fit a pair, the most
+    definite one counts, the first channel before the second. Where none fits, unlike channels share
+    nothing, and pixels of one channel keep what they have.
     """
 
     model_config = {"frozen": True}

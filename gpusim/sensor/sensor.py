@@ -81,7 +81,7 @@ class Sensor(Strict):
     veiling_glare : float
         Uniform light in the image over its mean, 0..1.
     analogue_gain : float
-        At which the figures hold.
+        Gain at which the figures hold.
     analogue_gains : list of GainStep
         The steps that there are: see :meth:`at_gain`.
     linearity : Linearity, optional
