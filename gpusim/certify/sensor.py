@@ -165,7 +165,7 @@ def _covered(sensor: Sensor, noise: bool) -> list[str]:
 class _Light:
     """The light on a sensor, and the mean electrons that pixels make of it.
 
-    Which effects there are, the sensor's file says, and not the plan.
+    The sensor's file says which effects there are, not the plan.
     """
 
     sensor: Sensor
