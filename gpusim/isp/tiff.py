@@ -80,7 +80,7 @@ def write_tiff(path: Path, pixels: np.ndarray, tags: Tags, exif: Tags) -> None:
     Parameters
     ----------
     path : Path
-        Which appears whole or not at all.
+        File to write. It appears whole or not at all.
     pixels : ndarray (rows, cols), uint16
     tags : mapping of int to (type, values)
         Tags of the picture, beside those that say where its pixels lie. Texts are str. Rationals

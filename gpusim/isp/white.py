@@ -87,7 +87,7 @@ def to_picture(
     Parameters
     ----------
     neutral : ndarray (colours,)
-        By which the colours were divided.
+        Values by which the colours were divided.
     matrices : mapping of float to ndarray (colours, 3)
     chromaticities : tuple of 8 float
         As `rgb_to_xyz` takes them.
