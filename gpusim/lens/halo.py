@@ -253,7 +253,7 @@ def halo(
     wave : Wave
     wavelength_um : float
     core_radius_um : float
-        At which the core's weight, `fall`, is 0.
+        Radius at which the core's weight, `fall`, is 0.
     level_pitch_um : ndarray (K,)
         As `pitches_um` returns them.
 
