@@ -39,7 +39,7 @@ class Variant:
         What is varied: plans of one family make one line of the diagram.
     name : str
     accuracy : Accuracy
-        From which the planner makes the plan.
+        Accuracy from which the planner makes the plan.
     change : callable, optional
         Takes a renderer whose plan is the cheapest by transforms for the accuracy, and returns the
         plan to use instead, with the errors predicted of the parts that differ.

@@ -110,7 +110,7 @@ class Sweep:
     shortfall : str
         Shortfall of the chosen plan: see `gpusim.plan.Plan`.
     rounds : int
-        In which all were timed.
+        Rounds in which all were timed.
     """
 
     points: tuple[Point, ...]
