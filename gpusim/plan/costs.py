@@ -74,7 +74,7 @@ class Costs:
         outputs : int
             Channels, or sites, in a node's kernels.
         planes : ndarray of int
-            That each block needs; a block that needs none is left out.
+            Planes that each block needs; a block that needs none is left out.
         rank : int, optional
             Modes; without it, PSF nodes around each block.
         """

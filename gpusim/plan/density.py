@@ -163,7 +163,7 @@ class LensShare:
     ----------
     density : Density
     bank : FieldBank
-        That was made so.
+        Bank that was made so.
     """
 
     density: Density
