@@ -14,8 +14,9 @@ STEPS = {
 def direction(differences: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return how much more the differences change along the column than along the row, and those.
 
-    Both results are (rows, cols). The differences (rows, cols, 2) wrap around. The second result is
-    the differences along the row where the first is not negative, else along the column.
+    Both results are (rows, cols), one value a pixel. The differences (rows, cols, 2) wrap around.
+    The second result is the differences along the row where the first is not negative, else along
+    the column.
     """
     along_row, along_col = differences[..., 0], differences[..., 1]
 
