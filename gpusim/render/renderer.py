@@ -85,11 +85,11 @@ class Renderer:
     plan : Plan, optional
         Use this one: the planner is not asked.
     costs : Costs, optional
-        From which the plan is made; by default those of the device, measured once.
+        Costs from which the plan is made; by default those of the device, measured once.
     noise : bool
         Whether to draw the sensor's noise and fixed patterns; else the frame is the mean signal.
     method : str, optional
-        By which to convolve: one of gpusim.optics.methods.METHODS; by default the cheapest.
+        Method of convolution: one of gpusim.optics.methods.METHODS; by default the cheapest.
     force : collection of str
         Stages to run that the plan would leave out: for tests.
 
@@ -356,7 +356,7 @@ class Renderer:
         rect : (row, col, rows, cols)
             What was read.
         exposure_s, temperature_c : float
-            With which it was read.
+            Exposure time and temperature with which it was read.
         report : callable
             Called with (what, done, total).
         """
