@@ -53,7 +53,7 @@ def make_scene(
     transfer : str, optional
         What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2".
     upsampling : str, optional
-        By which an RGB photograph's colours become spectra: "mallett-2019" if not given,
+        Method by which an RGB photograph's colours become spectra: "mallett-2019" if not given,
         "jakob-2019" or "smits-1999".
 
     Raises

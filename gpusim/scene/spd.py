@@ -36,7 +36,7 @@ def read_spectrum(path: Path, what: str, most: float = 1e30) -> tuple[np.ndarray
     what : str
         What it should be: "the reflectance".
     most : float
-        That a value may be.
+        The most that a value may be.
 
     Returns
     -------

@@ -84,7 +84,7 @@ def lit_rgb(
         Luminance of RGB (1, 1, 1).
     notes : tuple of str
     upsampling : str
-        By which its colours become spectra: a name of `TABLES`.
+        Method by which its colours become spectra: a name of `TABLES`.
 
     Raises
     ------
