@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 FORMATS = ("npz", "dng", "exr")
 MOST_FRAMES = 10_000  # their numbers have four digits in the names of files
 THUMBNAIL_PX, COLUMNS, MOST_SHOWN = 320, 4, 16
+GAP_PX, LABEL_PX = 6, 16  # between the pictures of the contact sheet; below each
 
 
 def run(
@@ -150,10 +151,12 @@ def contact_sheet(burst: Burst) -> Image.Image:
         pictures.append(picture)
     wide, high = (max(size) for size in zip(*(one.size for one in pictures), strict=True))
     columns = min(COLUMNS, len(pictures))
-    sheet = Image.new("RGB", (columns * wide, -(-len(pictures) // columns) * (high + 16)), "white")
+    across, down = wide + GAP_PX, high + LABEL_PX
+    size = columns * across - GAP_PX, -(-len(pictures) // columns) * down
+    sheet = Image.new("RGB", size, "white")
     draw = ImageDraw.Draw(sheet)
     for number, (frame, picture) in enumerate(zip(shown, pictures, strict=True)):
-        x, y = number % columns * wide, number // columns * (high + 16)
+        x, y = number % columns * across, number // columns * down
         sheet.paste(picture, (x, y))
         draw.text((x + 4, y + high + 2), _label(frame.exposure_s, frame.iso), fill="black")
     return sheet
