@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from gpusim import camera
+from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.library.lens import Lens
 
@@ -23,7 +25,24 @@ class Camera(camera.Camera):
     sensor : Sensor
     title : str
         By default made of their names.
+
+    Raises
+    ------
+    UserError
+        A name in place of a lens or a sensor.
     """
+
+    def __post_init__(self) -> None:
+        for field in ("lens", "sensor"):
+            given = getattr(self, field)
+            if isinstance(given, str | PurePath):
+                raise UserError(
+                    f"a name is no {field}",
+                    field=field,
+                    value=given,
+                    allowed=f"gs.{field.capitalize()}.load({str(given)!r})",
+                )
+        super().__post_init__()
 
     @classmethod
     def load(cls, name_or_path: str | Path, **changes: object) -> Camera:

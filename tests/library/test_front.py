@@ -91,6 +91,14 @@ def test_a_lens_of_fields_tells_what_is_wrong(changes: dict, field: str):
         gs.Lens()
 
 
+def test_a_name_is_no_lens_and_no_sensor():
+    sensor = gs.Sensor.load("imx477")
+    with pytest.raises(UserError, match=r"gs.Lens.load\('tessar'\)"):
+        gs.Camera("tessar", sensor)
+    with pytest.raises(UserError, match=r"gs.Sensor.load\('imx477'\)"):
+        gs.Camera(gs.Lens.load("tessar"), "imx477")
+
+
 def test_a_shifted_filter_array_acts_however_the_sensor_is_made(tmp_path: Path):
     fields = load_sensor("imx477").model_dump()
     fields["cfa"]["shift_px"] = (0.3, 0.1)
