@@ -28,6 +28,7 @@ TOP = (
     "certify",
     "pareto",
     "stress",
+    "validate",
     "report",
     "batch",
     "preview",

@@ -917,6 +917,43 @@ def shading(
     run(path, channel, out, linear=linear, as_json=as_json)
 
 
+validate = typer.Typer(
+    name="validate",
+    help="Reproduce published validations of camera simulators with this engine.",
+    no_args_is_help=True,
+)
+app.add_typer(validate)
+
+
+@validate.callback()
+def _validations() -> None:
+    """Reproduce published validations of camera simulators with this engine."""
+
+
+@validate.command()
+def kodak(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report and figures.")],
+    own_tracer: Annotated[
+        bool,
+        typer.Option(
+            "--own-tracer",
+            help="Predict by gpusim's float64 tracer, which is not independent, not by optiland.",
+        ),
+    ] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Short, Williams & Jones 1999: edge positions, lateral colour and MTF against predictions.
+
+    Writes kodak.html, kodak.json, the figures, and validation-kodak.md. Predictions are optiland's
+    (extra judges). Exit code 1 where a bar is not held.
+    """
+    from gpusim.cli.validate import kodak as run
+
+    choose_adapter(adapter)
+    if code := run(out, own_tracer=own_tracer):
+        raise typer.Exit(code)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,

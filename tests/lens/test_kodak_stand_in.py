@@ -10,7 +10,7 @@ from gpusim.lens.wavefront import sample_rays
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
 from gpusim.sensor.load import load_sensor
 
-LENS = Path(__file__).parents[2] / "tools" / "lenses" / "kodak-stand-in.yaml"
+LENS = Path(__file__).parents[2] / "gpusim" / "data" / "validate" / "kodak-stand-in.yaml"
 EFL_MM, PITCH_UM, PLACE_PX = 6.6, 7.8, 254.9
 LINES_NM = np.arange(400.0, 701.0, 20.0)
 

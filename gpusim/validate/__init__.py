@@ -1,0 +1,1 @@
+"""Reproductions of published validations: measured in our renders, predicted by other programs."""

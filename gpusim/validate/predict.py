@@ -1,0 +1,279 @@
+"""Line spreads of a lens and a band, from a tracer's rays alone: no bank, no plan, no shader.
+
+Along the normal n of an edge, with direction cosines (u, v) along n and along the edge, the line
+spread of one wavelength is
+
+    LSF(d) = integral | integral P(u, v) exp(2 pi i u d / lambda) du |^2 dv,
+    OTF(f) = integral P(u + lambda f, v) conj(P(u, v)) du dv
+
+(Goodman 2005, eq. 6-28, in one direction), P = exp(2 pi i W / lambda) inside all apertures, else 0.
+A band is the sum over wavelengths about their own chief rays, weighted by photons, efficiency,
+glass surfaces and the pupil's solid angle; the pixel's square aperture is two sincs.
+
+PSFs h and light K go with the place s of a source point. An edge at s = 0 over its flat field is
+(integral over s > 0 of K(s) h(x - s; s) ds) / (integral over all s of the same), whose derivative
+is, to first order in both slopes,
+
+    h(x; 0) (1 - (x - centroid) d ln K / ds) + integral to x of dh/ds dx:
+
+where PSFs widen outwards, edges lie farther inwards by half of the slope of their variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy.fft import fft, ifft, irfft, next_fast_len
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
+
+from gpusim.validate.tracers import Tracer
+
+DEGREE = 14  # of polynomials in the direction cosines: 1e-4 waves, as gpusim.lens.wavefront has it
+ROWS = 96  # across the edge's direction: 192 change no position by 1e-4 px
+SAMPLES = 640  # of the pupil along n: one period of the line spread is over 800 um
+STEP_CY_UM = 1 / 1600  # of transfer functions: line spreads repeat after 1600 um
+CUTOFF_CY_UM = 1.3  # 2 sin(theta') / lambda at f/2 and 400 nm
+WIDER = 1.1  # rays so far beyond the widest pupil still count for the polynomials
+FIELDS = 13  # at which pupils are traced: 21 change no position by 1e-3 px
+CHIEF_FIELDS = 25  # of a spline of chief-ray heights over the field: 1e-7 mm
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """A spectral band: photons times efficiency at wavelengths (K,), for nodes that are traced."""
+
+    name: str
+    wavelengths_nm: np.ndarray
+    weight: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class LineSpread:
+    """A line spread about a place.
+
+    Attributes
+    ----------
+    frequency_cy_um : ndarray (F,)
+    otf : ndarray (F,) of complex
+        1 at 0; the phase belongs to distances from the place.
+    light : float
+        Of a point, relative: solid angle, surfaces, photons and efficiency.
+    """
+
+    frequency_cy_um: np.ndarray
+    otf: np.ndarray
+    light: float
+
+    def at(self, distance_um: np.ndarray) -> np.ndarray:
+        """Return the line spread (D,), per um."""
+        count = 2 * next_fast_len(2 * self.otf.size)
+        values = irfft(self.otf, count) * count * self.frequency_cy_um[1]
+        period_um = 1 / self.frequency_cy_um[1]
+        whole = CubicSpline(
+            np.arange(count + 1) * period_um / count,
+            np.append(values, values[0]),
+            bc_type="periodic",
+        )
+        return whole(distance_um)
+
+    def through(self, width_um: float, slope: float) -> LineSpread:
+        """Return it as a square aperture of a side sees it, an edge of dx/dy = slope before it."""
+        cos = 1 / np.hypot(1, slope)
+        f = self.frequency_cy_um * width_um
+        aperture = np.sinc(f * cos) * np.sinc(f * cos * slope)
+        return replace(self, otf=self.otf * aperture)
+
+
+class Predictor:
+    """What a tracer says of edges in front of a lens.
+
+    Parameters
+    ----------
+    tracer : Tracer
+    widest_rad : float
+        Field to which rays are followed.
+    nodes_nm : ndarray (L,)
+        Wavelengths that are traced; between them a cubic spline about each one's own chief ray.
+    passed : ndarray (L,)
+        Share of the light that the surfaces pass there.
+    """
+
+    def __init__(
+        self, tracer: Tracer, widest_rad: float, nodes_nm: np.ndarray, passed: np.ndarray
+    ) -> None:
+        self.tracer, self.nodes_nm, self._widest = tracer, nodes_nm, widest_rad
+        fields = np.linspace(0, widest_rad, CHIEF_FIELDS)
+        heights = np.stack([tracer.chief_mm(fields, float(nm)) for nm in nodes_nm])
+        over_field = make_interp_spline(fields, heights.T, k=5)
+        self._knots, self._heights = over_field.t, CubicSpline(nodes_nm, over_field.c.T)
+        self._pupils = [_Pupils(tracer, widest_rad, float(nm)) for nm in nodes_nm]
+        angles = [[pupils.solid_angle(field) for field in fields] for pupils in self._pupils]
+        self._light = CubicSpline(fields, np.transpose(angles) * passed)
+        self._found: dict[tuple[float, ...], np.ndarray] = {}
+
+    def chief_um(self, field_rad: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
+        """Return chief-ray heights (K, F), um."""
+        coefficients = self._heights(wavelengths_nm).T  # over wavelengths smooth as the heights
+        return 1e3 * BSpline(self._knots, coefficients, 5)(field_rad).T
+
+    def light(self, field_rad: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
+        """Return the light (K, F) of fields per photon: solid angle and what surfaces pass."""
+        return CubicSpline(self.nodes_nm, self._light(field_rad), axis=-1)(wavelengths_nm).T
+
+    def flat_field(self, radius_um: np.ndarray, band: Band) -> np.ndarray:
+        """Return the light of an even scene at distances from the axis, over that on it."""
+        fields = np.linspace(0, self._widest, CHIEF_FIELDS)
+        light = band.weight @ self.light(fields, band.wavelengths_nm)
+        heights = band.weight @ self.chief_um(fields, band.wavelengths_nm) / band.weight.sum()
+        return CubicSpline(heights, light / light[0])(radius_um)
+
+    def ideal_um(self, place_um: np.ndarray, band: Band) -> np.ndarray:
+        """Return the point (2,) of the ideal image plane whose image by a band is at a place.
+
+        The band's mean chief ray, by the secant rule on the field.
+        """
+        radius = float(np.hypot(*place_um))
+        if radius == 0:
+            return np.zeros(2)
+        field = np.arctan(1e-3 * radius / self.tracer.efl_mm)
+        for _ in range(20):
+            field *= radius / self.mean_um(field, band)
+        return place_um / radius * 1e3 * self.tracer.efl_mm * np.tan(field)
+
+    def mean_um(self, field_rad: float, band: Band) -> float:
+        """Return the height of a band's mean chief ray."""
+        heights = self.chief_um(np.array([field_rad]), band.wavelengths_nm)[:, 0]
+        return float(np.average(heights, weights=band.weight))
+
+    def image_um(self, ideal_um: np.ndarray, band: Band) -> np.ndarray:
+        """Return where a point of the ideal image plane is imaged by a band's mean chief ray."""
+        radius = float(np.hypot(*ideal_um))
+        if radius == 0:
+            return np.zeros(2)
+        field = float(np.arctan(1e-3 * radius / self.tracer.efl_mm))
+        return ideal_um / radius * self.mean_um(field, band)
+
+    def line_spread(
+        self, ideal_um: np.ndarray, normal: np.ndarray, origin_um: np.ndarray, band: Band
+    ) -> LineSpread:
+        """Return the line spread of an edge through a point of the ideal image plane.
+
+        Parameters
+        ----------
+        ideal_um : ndarray (2,)
+        normal : ndarray (2,)
+            Unit normal of the edge's image: distances grow along it.
+        origin_um : ndarray (2,)
+            Point of the image plane from which distances count.
+        band : Band
+        """
+        radius = float(np.hypot(*ideal_um))
+        radial = np.array([0.0, 1.0]) if radius == 0 else ideal_um / radius
+        field = float(np.arctan(1e-3 * radius / self.tracer.efl_mm))
+        # The rays' y lies along the radius, their x across it; the pupil is even in x.
+        own = np.array([abs(normal @ [radial[1], -radial[0]]), normal @ radial])
+        frequency = np.arange(0, CUTOFF_CY_UM, STEP_CY_UM)
+        lines = range(len(self.nodes_nm))
+        otf = np.array([self._transfer(field, own, line, frequency) for line in lines])
+        about = CubicSpline(self.nodes_nm, otf)(band.wavelengths_nm)
+        light = self.light(np.array([field]), band.wavelengths_nm)[:, 0]
+        chief = self.chief_um(np.array([field]), band.wavelengths_nm)
+        away = (chief * radial - origin_um) @ normal  # (K,)
+        about = about * np.exp(-2j * np.pi * np.outer(away, frequency))
+        total = (band.weight * light) @ about
+        return LineSpread(frequency, total / total[0], float(total[0].real))
+
+    def _transfer(
+        self, field: float, normal: np.ndarray, line: int, frequency: np.ndarray
+    ) -> np.ndarray:
+        """Return the transfer function about the chief ray."""
+        key = round(field, 9), line, *np.round(normal, 9)
+        if key not in self._found:  # bands share what is traced
+            self._found[key] = self._pupils[line].transfer(field, normal, frequency)
+        return self._found[key]
+
+
+class _Pupils:
+    """Pupils of one wavelength over the field.
+
+    Path and margins are polynomials in the direction cosines about the chief ray's, even in alpha,
+    whose coefficients are cubic splines over the field.
+    """
+
+    def __init__(self, tracer: Tracer, widest_rad: float, wavelength_nm: float) -> None:
+        fields = np.linspace(0, widest_rad, FIELDS)
+        bundles = [tracer.rays(float(field), wavelength_nm) for field in fields]
+        self.wave_um = 1e-3 * wavelength_nm
+        inside = [(one.margin < 0).all(axis=0) for one in bundles]
+        apart = [np.hypot(one.alpha, one.beta - one.chief_beta) for one in bundles]
+        self.reach = 1.02 * max(r[own].max() for r, own in zip(apart, inside, strict=True))
+        i, j = (a.ravel() for a in np.indices((DEGREE + 1, DEGREE + 1)))
+        self.used = (i + j <= DEGREE) & (i % 2 == 0)
+        # Apertures that stop light at some field.
+        close = np.any(
+            [
+                one.margin[:, own].max(axis=1) > -0.1
+                for one, own in zip(bundles, inside, strict=True)
+            ],
+            axis=0,
+        )
+        fits, rest = [], []
+        for one, own, away in zip(bundles, inside, apart, strict=True):
+            near = away < WIDER * self.reach
+            values = np.vstack([one.wave_mm, one.margin[close]])[:, near]
+            design = self._powers(one.alpha[near], one.beta[near] - one.chief_beta)
+            fits.append(np.linalg.lstsq(design, values.T, rcond=None)[0])
+            rest.append((design @ fits[-1][:, 0] - values[0])[own[near]])
+        self.fits = CubicSpline(fields, fits)
+        self.residual_waves = float(np.std(np.concatenate(rest))) * 1e3 / self.wave_um
+
+    def _powers(self, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+        scale = WIDER * self.reach
+        return chebyshev.chebvander2d(alpha / scale, beta / scale, [DEGREE, DEGREE])[..., self.used]
+
+    def solid_angle(self, field: float) -> float:
+        """Return the projected solid angle of a field."""
+        share, _, step = self._seen(field, np.array([0.0, 1.0]))
+        return float(share.sum() * step * 2 * self.reach / ROWS)
+
+    def _seen(self, field: float, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return what of each cell (V, U) is clear, its path, mm, and the cells' width along u."""
+        reach = self.reach
+        step = 2 * reach / SAMPLES
+        u = (np.arange(SAMPLES) + 0.5) * step - reach
+        v = ((np.arange(ROWS) + 0.5) * 2 / ROWS - 1)[:, None] * reach
+        # Along u polynomials of degree 14 are known from their values at 15 nodes.
+        node = reach * np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+        powers = self._powers(node * normal[0] - v * normal[1], node * normal[1] + v * normal[0])
+        at_nodes = np.einsum("vnp,pk->vkn", powers, self.fits(field), optimize=True)
+        from_nodes = np.linalg.inv(chebyshev.chebvander(node / reach, DEGREE))
+        found = at_nodes @ (chebyshev.chebvander(u / reach, DEGREE) @ from_nodes).T  # (V, k, U)
+        disc = np.hypot(u, v) <= reach
+        return disc * _covered(found[:, 1:], disc), found[:, 0], step
+
+    def transfer(self, field: float, normal: np.ndarray, frequency: np.ndarray) -> np.ndarray:
+        """Return the transfer function (F,) along a normal."""
+        share, path_mm, step = self._seen(field, normal)
+        pupil = share * np.exp(2j * np.pi * path_mm * 1e3 / self.wave_um)
+        length = next_fast_len(2 * SAMPLES)
+        power = (np.abs(fft(pupil, length, axis=1)) ** 2).sum(axis=0)
+        lags = ifft(power)[:SAMPLES]  # sum of P(u + lag) conj(P(u))
+        # Between lags the autocorrelation is smooth: a cubic spline through it.
+        # Without a lag a cell that the rim cuts passes its share, not the square of it.
+        lags[0] = share.sum()
+        own = CubicSpline(np.arange(SAMPLES) * step / self.wave_um, lags / lags[0].real)
+        reached = frequency <= (SAMPLES - 1) * step / self.wave_um
+        otf = np.zeros(frequency.size, complex)
+        otf[reached] = own(frequency[reached])
+        return otf
+
+
+def _covered(margin: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Return the share (V, U) of each cell inside all apertures, from margins (V, k, U)."""
+    if margin.shape[1] == 0:
+        return np.ones(within.shape)
+    worst = np.where(within, margin.max(axis=1), 1.0)
+    slope = np.abs(np.gradient(worst, axis=1)) + 1e-12
+    return np.clip(0.5 - worst / slope, 0, 1)

@@ -1,0 +1,90 @@
+"""Predicted line spreads against closed forms, with rays that no lens program made."""
+
+import numpy as np
+import pytest
+
+from gpusim.validate.predict import Band, Predictor
+from gpusim.validate.tracers import Bundle
+
+NA, WAVE_UM, EFL_MM = 0.2, 0.5, 10.0
+BAND = Band("G", np.array([500.0]), np.array([1.0]))
+NODES_NM = np.array([450.0, 500.0, 550.0, 600.0])
+
+
+class Perfect:
+    """A lens without aberration but for what is planted: a path, and magnification by colour."""
+
+    name, independent, efl_mm = "perfect", True, EFL_MM
+
+    def __init__(self, path_um=lambda alpha, beta: 0 * alpha, colour=0.0):
+        self.path_um, self.colour = path_um, colour
+
+    def chief_mm(self, field_rad, wavelength_nm):
+        """Return where chief rays land."""
+        return EFL_MM * np.tan(field_rad) * (1 + self.colour * (wavelength_nm - 500))
+
+    def rays(self, field_rad, wavelength_nm):
+        """Return rays over a round pupil."""
+        u = 1.1 * NA * np.linspace(-1, 1, 45)
+        alpha, beta = (a.ravel() for a in np.meshgrid(u[u >= 0], u))
+        wave_mm = 1e-3 * self.path_um(alpha, beta)
+        margin = ((alpha**2 + beta**2) / NA**2 - 1)[None]
+        chief = float(self.chief_mm(np.array([field_rad]), wavelength_nm)[0])
+        return Bundle(chief, 0.0, alpha, beta, wave_mm, margin)
+
+
+def predictor(**planted):
+    return Predictor(Perfect(**planted), 0.3, NODES_NM, np.ones(4))
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 5.0, 45.0, 90.0])
+def test_the_mtf_of_a_perfect_lens_is_diffraction(angle_deg):
+    normal = np.array([np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))])
+    found = predictor().line_spread(np.array([300.0, 100.0]), normal, np.zeros(2), BAND)
+    at = np.clip(found.frequency_cy_um * WAVE_UM / (2 * NA), 0, 1)
+    limit = 2 / np.pi * (np.arccos(at) - at * np.sqrt(1 - at**2))  # Goodman 2005, eq. 6-32
+    # The rim on rows of 1/48 of the radius, and cells that it cuts: measured 4e-4.
+    np.testing.assert_allclose(np.abs(found.otf), limit, rtol=0, atol=1e-3)
+
+
+def test_a_tilted_wavefront_moves_the_image_as_its_rays_do():
+    # A ray lands at -dW / d beta; here beta is the radius, which is y of this place.
+    shift_um = 3.0
+    tilted = predictor(path_um=lambda alpha, beta: -shift_um * beta)
+    place, normal = np.array([0.0, 500.0]), np.array([0.0, 1.0])
+    found = tilted.line_spread(place, normal, place, BAND)
+    at = np.arange(-40, 40, 0.1)
+    spread = found.at(at)
+    # Sampled every 0.1 um; the tails beyond fall off alike on both sides but for 0.3 % of 3 um.
+    assert np.average(at, weights=spread) == pytest.approx(shift_um, abs=0.02)
+
+
+def test_coma_leans_to_the_side_of_its_rays():
+    coma = predictor(path_um=lambda alpha, beta: -40 * (alpha**2 + beta**2) * beta)
+    place, normal = np.array([0.0, 500.0]), np.array([0.0, 1.0])
+    at = np.arange(-60, 60, 0.1)
+    spread = coma.line_spread(place, normal, place, BAND).at(at)
+    # Rays land at 40 (alpha^2 + 3 beta^2), whose mean over the disc is 40 NA^2; cut tails take less
+    # than a tenth.
+    assert np.average(at, weights=spread) == pytest.approx(40 * NA**2, rel=0.1)
+
+
+def test_lateral_colour_parts_the_bands():
+    lens = predictor(colour=1e-5)
+    red = Band("R", np.array([580.0]), np.array([1.0]))
+    place = np.array([400.0, 0.0])
+    ideal = lens.ideal_um(place, BAND)
+    np.testing.assert_allclose(lens.image_um(ideal, BAND), place, rtol=1e-9)
+    # 80 nm at 1e-5 per nm of 400 um: splines over wavelengths follow a straight line exactly.
+    assert lens.image_um(ideal, red)[0] - place[0] == pytest.approx(0.32, abs=1e-6)
+
+
+def test_the_line_spread_holds_all_light_and_the_aperture_is_two_sincs():
+    found = predictor().line_spread(np.zeros(2), np.array([1.0, 0.0]), np.zeros(2), BAND)
+    at = np.arange(-800, 800, 0.1)
+    # A spline between samples 0.2 um apart, where the spread has up to 1.3 cycles/um.
+    assert found.at(at).sum() * 0.1 == pytest.approx(1, abs=1e-4)
+    seen, slope, f = found.through(7.0, 0.1), 0.1, found.frequency_cy_um
+    cos = 1 / np.hypot(1, slope)
+    ratio = np.sinc(7 * f * cos) * np.sinc(7 * f * cos * slope)
+    np.testing.assert_allclose(seen.otf, found.otf * ratio, rtol=0, atol=1e-12)
