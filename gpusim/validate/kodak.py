@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.camera import Camera
-from gpusim.chain import Capture, Renderer
 from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.lens.system import build
 from gpusim.plan import Accuracy
+from gpusim.render import Capture, Renderer
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene
