@@ -155,7 +155,7 @@ def markdown(edges: Edges, bars: Sequence[Bar], names: Mapping[str, str]) -> str
 def _judge(edges: Edges) -> str:
     who = f"Predictions are by {edges.tracer}"
     if not edges.independent:
-        who += ", which is NOT independent: optiland is not installed (extra judges)"
+        who += ", which is NOT independent (optiland is: pip install .[judges])"
     return (
         f"{who}: rays, wavefronts and vignetting of a stand-in lens of {EFL_MM} mm and NA 0.22 "
         "with undercorrected lateral colour, for the paper publishes no prescription. Its indices "
