@@ -134,7 +134,7 @@ class BandRenders:
 
     def __init__(self, lens: Prescription, band: str) -> None:
         self.sensor = mono_sensor(band)
-        self.camera = Camera(f"stand-in, {band}", lens, self.sensor)
+        self.camera = Camera(lens=lens, sensor=self.sensor, title=f"stand-in, {band}")
 
     @cached_property
     def strips(self) -> list[tuple[int, int, int, int]]:
