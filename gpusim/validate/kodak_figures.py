@@ -101,7 +101,8 @@ def draw_edges(edges: Edges) -> Figure:
         for col, band in enumerate(BANDS):
             one = edges.found[band, "vertical", SHOWN_EDGE]
             axes = panel(figure, 0.55 + 2.15 * col, 0.95, 2.0, 2.6)
-            axes.imshow(one.picture, cmap="gray", vmin=0, vmax=1.02, interpolation="nearest")
+            top = 1.02 * float(one.picture.max())  # electrons/s
+            axes.imshow(one.picture, cmap="gray", vmin=0, vmax=top, interpolation="nearest")
             axes.grid(False)
             axes.set(title=NAMES[band], xticks=[], yticks=[])
             away = one.predicted_px - edges.found[REFERENCE, "vertical", SHOWN_EDGE].predicted_px
