@@ -159,7 +159,8 @@ def _judge(edges: Edges) -> str:
     return (
         f"{who}: rays, wavefronts and vignetting of a stand-in lens of {EFL_MM} mm and NA 0.22 "
         "with undercorrected lateral colour, for the paper publishes no prescription. Its indices "
-        "of refraction are ours. The renders are planned for the tolerance, and certificates say what they keep. An edge's position is "
+        "of refraction are ours. The renders are planned for the tolerance, and certificates "
+        "say what they keep. An edge's position is "
         f"the centroid of its line spread within {WINDOW_PX:g} px on either side, on both sides of "
         "the comparison; pictures are taken over the predicted light of an even scene."
     )
