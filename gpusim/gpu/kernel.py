@@ -56,7 +56,11 @@ class Kernel:
     """
 
     def __init__(self, path: str, **overrides: bool | int | float) -> None:
-        self._prepare(wgsl.load(path), overrides)
+        made = wgsl.kept((path, *sorted(overrides.items())))
+        if "key" not in made:
+            self._prepare(wgsl.load(path), overrides)
+            made.update(self.__dict__)
+        self.__dict__.update(made)
 
     @classmethod
     def from_text(cls, name: str, text: str, **overrides: bool | int | float) -> Kernel:

@@ -8,7 +8,7 @@ missing, unknown, wrong dtype, wrong size, aliased buffers, groups.
 import numpy as np
 import pytest
 
-from gpusim.gpu import Device, Kernel, Recording, ShaderError
+from gpusim.gpu import Device, Kernel, Recording, ShaderError, held
 
 TEXT = """
 override WIDTH: u32 = 64u;
@@ -189,3 +189,20 @@ def test_one_buffer_may_be_read_twice(device: Device):
     made = buffers(rec)
     kernel().record(rec, (1, 1, 1), {"n": 0}, **(made | {"pairs": made["image"]}))
     rec.run()
+
+
+def test_kernels_are_read_once_while_they_are_held(tmp_path, monkeypatch):
+    (tmp_path / "optics").mkdir()
+    file = tmp_path / "optics/x.wgsl"
+    text = (
+        "struct Params { n: u32 }\n@group(0) @binding(0) var<uniform> params: Params;\n"
+        "override SIDE: u32 = 1;\n@compute @workgroup_size(64)\nfn main() { _ = params.n + SIDE; }\n"
+    )
+    file.write_text(text)
+    monkeypatch.setenv("GPUSIM_SHADERS_DIR", str(tmp_path))
+    with held():
+        first = Kernel("optics/x")
+        file.write_text("// edited\n" + text)
+        assert Kernel("optics/x").key == first.key
+        assert Kernel("optics/x", SIDE=2).key != first.key
+    assert Kernel("optics/x").key != first.key

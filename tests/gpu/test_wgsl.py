@@ -12,7 +12,7 @@ import pytest
 
 from gpusim.gpu import Kernel, ShaderError
 from gpusim.gpu.layout import Layouts, split_top
-from gpusim.gpu.wgsl import Names, compose, held, load, reflect, shaders_root, strip_comments
+from gpusim.gpu.wgsl import Names, compose, load, reflect, shaders_root, strip_comments
 
 MINIMAL = """
 struct Params { n: u32 }
@@ -272,15 +272,3 @@ def test_a_kernel_of_a_text_may_include(root: Path):
     kernel = Kernel.from_text("tests/x", '#include "one"' + MINIMAL.replace("= 1.0", "= one()"))
     assert kernel.path == "tests/x"
     assert compose("tests/x", MINIMAL).text in kernel.source.text.replace("one()", "1.0")
-
-
-def test_what_is_held_is_composed_once(tmp_path, monkeypatch):
-    (tmp_path / "optics").mkdir()
-    file = tmp_path / "optics/x.wgsl"
-    file.write_text("// one\n")
-    monkeypatch.setenv("GPUSIM_SHADERS_DIR", str(tmp_path))
-    with held():
-        first = load("optics/x")
-        file.write_text("// two\n")
-        assert load("optics/x") is first
-    assert load("optics/x").text == "// two"
