@@ -196,7 +196,8 @@ def test_kernels_are_read_once_while_they_are_held(tmp_path, monkeypatch):
     file = tmp_path / "optics/x.wgsl"
     text = (
         "struct Params { n: u32 }\n@group(0) @binding(0) var<uniform> params: Params;\n"
-        "override SIDE: u32 = 1;\n@compute @workgroup_size(64)\nfn main() { _ = params.n + SIDE; }\n"
+        "override SIDE: u32 = 1;\n@compute @workgroup_size(64)\n"
+        "fn main() { _ = params.n + SIDE; }\n"
     )
     file.write_text(text)
     monkeypatch.setenv("GPUSIM_SHADERS_DIR", str(tmp_path))
