@@ -262,7 +262,10 @@ def test_every_package_that_is_imported_is_pinned_and_no_other():
     tools = extras["test"] + extras["judges"] + extras["peers"]
     assert all("==" in requirement for requirement in project["dependencies"] + tools)
     pinned = {normal(requirement) for requirement in project["dependencies"]}
-    assert imported("gpusim") == pinned
+    # The independent tracer of `gpusim validate`, which says where it is missing.
+    judges = {normal(tool) for tool in extras["judges"]}
+    assert imported("gpusim") - pinned <= judges & imported("gpusim/validate")
+    assert imported("gpusim") >= pinned
     assert imported("tests", "tools") - {"gpusim"} <= pinned | {normal(tool) for tool in tools}
 
 
