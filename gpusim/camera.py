@@ -1,7 +1,7 @@
 """A camera: a lens in front of a sensor or a part of one.
 
 The lens is a prescription at a focal length and f-number, or ready-made: a bank of PSFs that
-somebody else computed, or a table of its MTF (`gpusim.lens.ready`).
+somebody else computed, or a table of its MTF (`gpusim.formats.ready`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from gpusim.known import Known
-    from gpusim.lens.field_bank import FieldBank
+    from gpusim.psf.field_bank import FieldBank
     from gpusim.sensor.sensor import Sensor
 
 # Where a camera chooses the field of its lens, it goes beyond the sensor's corners by this: the
@@ -166,7 +166,7 @@ def load_camera(
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
-    from gpusim.lens.ready import load_ready
+    from gpusim.formats.ready import load_ready
     from gpusim.sensor.filters_model import load_filters
     from gpusim.sensor.load import load_sensor
 
@@ -208,8 +208,8 @@ def load_camera(
 
 def _no_camera(name: str) -> str:
     """Say that there is no camera of a name: of which kind it is, or which may be meant."""
+    from gpusim.formats.ready import mtf_presets
     from gpusim.lens.prescription import presets as lenses
-    from gpusim.lens.ready import mtf_presets
     from gpusim.sensor.load import presets as sensors
 
     kinds = {"lens": {*lenses(), *mtf_presets()}, "sensor": set(sensors())}
@@ -238,7 +238,7 @@ def _spelled_out(data: object) -> object:
 
 def _ready_place(camera_file: Path, name: str) -> str | None:
     """Return where a ready-made lens is that goes by a name alone; None for a prescription."""
-    from gpusim.lens.ready import is_ready
+    from gpusim.formats.ready import is_ready
 
     places = (str(camera_file.parent / name), _beside(camera_file, name))
     return next((place for place in places if is_ready(place)), None)
@@ -249,9 +249,9 @@ def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
 
     A lens whose file states the axis alone is used to the corners of the sensor.
     """
-    from gpusim.lens.imported import with_field_to
+    from gpusim.formats.imported import with_field_to
+    from gpusim.formats.ready import MTF_TABLE, load_ready
     from gpusim.lens.prescription import load_prescription
-    from gpusim.lens.ready import MTF_TABLE, load_ready
 
     if choice.prescription is None:
         name = choice.bank or choice.mtf

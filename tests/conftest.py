@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
+from gpusim.lens.prescription import Prescription, load_prescription
 from gpusim.plan.costs import LAVAPIPE
 
 
@@ -59,3 +60,14 @@ def one_thread() -> Iterator[None]:
 def device() -> Device:
     """Return the device of this process; without an adapter the test fails."""
     return default_device()
+
+
+@pytest.fixture(scope="session")
+def double_gauss() -> Prescription:
+    return load_prescription("double-gauss")
+
+
+@pytest.fixture(scope="session")
+def demo_lens(double_gauss: Prescription) -> Prescription:
+    """Return the lens of the camera `demo`."""
+    return double_gauss.scaled(8.3).stopped(2.8).limited(14.3)

@@ -20,7 +20,7 @@ from gpusim.gpu.wgsl import load
 
 PROJECT = Path(__file__).resolve().parents[1]
 PACKAGE = PROJECT / "gpusim"
-DOMAIN = ("camera", "scene", "lens", "optics", "sensor", "isp", "metrics")
+DOMAIN = ("camera", "scene", "lens", "psf", "formats", "optics", "sensor", "isp", "metrics")
 TOP = (
     "render",
     "library",

@@ -18,8 +18,8 @@ from harness import assert_close
 from optics import made
 
 from gpusim.gpu import Device, Kernel
-from gpusim.lens.bank import Bank
 from gpusim.optics.kernels import field_images, mirrored
+from gpusim.psf.bank import Bank
 
 TOOLS = Path(__file__).parent.parent / "tools"
 STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]

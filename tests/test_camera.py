@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import assert_refused, gpusim
-from lens.exports import write_isetcam, write_zemax
+from formats.exports import write_isetcam, write_zemax
 from optics.made import bank as made_bank
 from optics.made import plane_bank
 

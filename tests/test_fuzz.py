@@ -2,7 +2,7 @@
 
 Text files lose lines and gain words; structured ones gain values of other kinds; of binary files
 bytes change, vanish and double. The readers of lens designs have their own in
-``tests/lens/test_imports.py``.
+``tests/formats/test_imports.py``.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ import OpenEXR
 import pytest
 import tifffile
 import yaml
+from formats import isetcam_files, speos_files
+from formats.exports import write_isetcam, write_zemax
+from formats.test_ready import arrays
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from lens.exports import write_isetcam, write_zemax
-from lens.test_ready import arrays
 from optics.made import bank as made_bank
 from scene import picture_files
-from sensor import isetcam_files, speos_files
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.formats.isetcam_sensor import read_isetcam
+from gpusim.formats.ready import load_ready
+from gpusim.formats.speos import read_speos
 from gpusim.isp.dng import write_dng
-from gpusim.lens.ready import load_ready
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.scene import make_scene
 from gpusim.scene.patterns import Frame
 from gpusim.sensor.eqe_model import read_eqe
-from gpusim.sensor.isetcam import read_isetcam
 from gpusim.sensor.load import PRESETS, load_sensor
-from gpusim.sensor.speos import read_speos
 
 DATA = Path(__file__).resolve().parents[1] / "gpusim" / "data"
 SECONDS = 5.0  # of processor time for one file; whole ones take 0.05

@@ -23,12 +23,12 @@ import numpy as np
 
 from gpusim.camera import Camera, load_camera
 from gpusim.certify import certify
-from gpusim.lens.field_bank import FieldBank
 from gpusim.lens.prescription import load_prescription
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.plan.optics import alias_of
+from gpusim.psf.field_bank import FieldBank
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.raster import Raster

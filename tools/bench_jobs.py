@@ -27,11 +27,7 @@ from gpusim.camera import Camera, load_camera
 from gpusim.certify import choose_probes, compare, glare_at, true_rates
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Device, Kernel, Recording
-from gpusim.lens.bank import Bank, bank_of, default_fields_deg
-from gpusim.lens.generator import Generator
-from gpusim.lens.places import Heights
 from gpusim.lens.prescription import Prescription, load_prescription
-from gpusim.lens.psf import intensity
 from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.optics.chief_ray import radial_map
@@ -43,6 +39,10 @@ from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy
+from gpusim.psf.bank import Bank, bank_of, default_fields_deg
+from gpusim.psf.generator import Generator
+from gpusim.psf.places import Heights
+from gpusim.psf.psf import intensity
 from gpusim.reference.adc import adc
 from gpusim.reference.columns import columns
 from gpusim.reference.crosstalk import crosstalk

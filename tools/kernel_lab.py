@@ -19,13 +19,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from gpusim.gpu import Device, Recording, default_device
-from gpusim.lens.places import Heights
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, sampled_kernels
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
+from gpusim.psf.places import Heights
 
 SITES = [0, 1, 1, 2]
 PITCH_UM = 0.775

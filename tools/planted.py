@@ -175,7 +175,7 @@ LIST = (
         "gpusim/cli/files.py",
         "    except BlockingIOError:\n        return False",
         "    except BlockingIOError:\n        return True",
-        "tests/test_stop.py",
+        "tests/cli/test_stop.py",
         "killed",
     ),
     Planted(
@@ -199,7 +199,7 @@ LIST = (
         "gpusim/cli/render.py",
         "                costs=costs,\n",
         "",
-        "tests/test_cli_render.py",
+        "tests/cli/test_render.py",
         "report_plans",
     ),
 )

@@ -25,12 +25,12 @@ from threadpoolctl import threadpool_limits
 from gpusim.certify.budget import EXACT, Judged, Share, errors
 from gpusim.certify.places import pixels_near, pixels_on_rings, points_of, radii_of
 from gpusim.certify.probes import beyond_circle
-from gpusim.lens.bank import Bank
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.traced import cached_traced_bank, cached_traced_plane_field
 from gpusim.plan import Accuracy
+from gpusim.psf.bank import Bank
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.plane_bank import PlaneBank
+from gpusim.psf.traced import cached_traced_bank, cached_traced_plane_field
 from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHeight, TracedPoint
 from gpusim.reference.truth import Truth
 from gpusim.reference.wide import Wide

@@ -14,8 +14,8 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import BLACK, EXACT, Certificate, Judged, Share, compare
 from gpusim.certify.probes import beyond_circle, choose_probes
-from gpusim.lens.field_bank import FieldBank
 from gpusim.plan import Accuracy
+from gpusim.psf.field_bank import FieldBank
 from gpusim.reference.truth import Truth
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart

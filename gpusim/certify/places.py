@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.plane_bank import PlaneBank
+from gpusim.psf.bank import Bank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.sensor.sensor import Sensor
 
 HEIGHTS = 4  # image heights or points at which the lens is traced

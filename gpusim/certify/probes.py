@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.lens.field_bank import FieldBank
+from gpusim.psf.field_bank import FieldBank
 from gpusim.sensor.sensor import Sensor
 
 SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike

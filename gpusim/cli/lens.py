@@ -25,13 +25,13 @@ from gpusim.cli.lens_plots import (
 )
 from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
+from gpusim.formats.ready import ReadyLens, is_ready, load_ready
 from gpusim.lens.account import Account
-from gpusim.lens.bank import cached_bank
 from gpusim.lens.model_glass import state_model_glasses
-from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.prescription import Prescription, load_prescription, presets
-from gpusim.lens.ready import ReadyLens, is_ready, load_ready
 from gpusim.lens.system import Checked, System, build, checked, first_order
+from gpusim.psf.bank import cached_bank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import (
     checks_table,
     first_order_facts,
@@ -149,7 +149,7 @@ def plane_work(job: Job) -> list[tuple[str, str]]:
 
     The bank takes a while: without a file to write, first-order data are all that is shown.
     """
-    from gpusim.lens.plane_bank import cached_plane_bank
+    from gpusim.psf.plane_bank import cached_plane_bank
 
     if job.file is None:
         return first_order_facts(job.system)
@@ -187,7 +187,7 @@ def write_plane(
 
 def show_ready(name: str, out: Path | None) -> None:
     """Show what a ready-made lens holds; write its bank or its page where `out` asks for them."""
-    from gpusim.lens.plane_bank import holds_plane_bank, load_plane_bank
+    from gpusim.psf.plane_bank import holds_plane_bank, load_plane_bank
 
     console = Console()
     with ExitStack() as stack:

@@ -15,11 +15,11 @@ from gpusim.cli.files import whole_file
 from gpusim.config.mistakes import UNITS
 from gpusim.config.text import parse_yaml, read_yaml
 from gpusim.errors import UserError
+from gpusim.formats.isetcam_sensor import read_isetcam
+from gpusim.formats.speos import is_speos, read_speos
 from gpusim.sensor.conversion import Conversion, sensor_text
-from gpusim.sensor.isetcam import read_isetcam
 from gpusim.sensor.load import load_sensor, presets
 from gpusim.sensor.sensor import Sensor
-from gpusim.sensor.speos import is_speos, read_speos
 
 ISETCAM, YAML = (".mat", ".json"), (".yaml", ".yml")
 LONGEST = 200  # characters of a value

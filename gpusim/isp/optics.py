@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.field_bank import FieldBank
+from gpusim.psf.bank import Bank
+from gpusim.psf.field_bank import FieldBank
 from gpusim.sensor.frame import Rect
 from gpusim.sensor.sensor import Sensor
 

@@ -1,1 +1,1 @@
-"""From a published prescription to a bank of point-spread functions, in float64 NumPy."""
+"""What a lens is and what its rays do: prescription, glass, first order, trace, wavefront."""

@@ -27,7 +27,7 @@ from gpusim.lens.account import Account
 from gpusim.lens.glass import FORMULAS
 
 if TYPE_CHECKING:
-    from gpusim.lens.field_bank import FieldBank
+    from gpusim.psf.field_bank import FieldBank
 
 # Fields that state the aperture, of which a lens has one, and those that are lengths.
 APERTURES = ("f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm", "object_na")
@@ -343,8 +343,8 @@ class Prescription(Strict):
         Over both directions of the field where a surface is decentred or tilted. ``sampling``:
         ``field_deg`` and ``wavelengths_nm``, in place of the default ones.
         """
-        from gpusim.lens.bank import cached_bank
-        from gpusim.lens.plane_bank import cached_plane_bank
+        from gpusim.psf.bank import cached_bank
+        from gpusim.psf.plane_bank import cached_plane_bank
 
         cached = cached_bank if self.is_centred else cached_plane_bank
         return cached(self, progress=progress, **sampling)
@@ -651,7 +651,7 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
     if lens.internal_transmission:
         lens = lens.absorbing()
     if lens.max_field_deg == 0:
-        from gpusim.lens.imported import with_small_field
+        from gpusim.formats.imported import with_small_field
 
         lens = with_small_field(lens)
     return lens
@@ -665,15 +665,15 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
     if suffix in (".yaml", ".yml"):
         return _parse_yaml
     if suffix == ".zmx":
-        from gpusim.lens.zmx import parse_zmx
+        from gpusim.formats.zmx import parse_zmx
 
         return parse_zmx
     if suffix == ".seq":
-        from gpusim.lens.seq import parse_seq
+        from gpusim.formats.seq import parse_seq
 
         return parse_seq
     if suffix == ".dat":
-        from gpusim.lens.pbrt import parse_pbrt
+        from gpusim.formats.pbrt import parse_pbrt
 
         return parse_pbrt
     return None
@@ -681,7 +681,7 @@ def _reader(suffix: str) -> Callable[[bytes, Path], Prescription] | None:
 
 def _parse_yaml(content: bytes, path: Path) -> Prescription:
     data = yaml_of(content, path, "the lens file")
-    from gpusim.lens.agf import with_file_catalogues
+    from gpusim.formats.agf import with_file_catalogues
 
     lens = with_file_catalogues(validated(data, path))
     given = [name for name in data if name not in ("surfaces", "checks")]

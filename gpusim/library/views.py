@@ -155,10 +155,10 @@ class Views:
         11.0
         """
         from gpusim.lens.analysis.rays import airy_radius_um
-        from gpusim.lens.psf import intensity
         from gpusim.lens.system import build
-        from gpusim.lens.transfer import PUPIL_NODES
         from gpusim.lens.wavefront import pupils, sample_field
+        from gpusim.psf.psf import intensity
+        from gpusim.psf.transfer import PUPIL_NODES
 
         if samples < 2 or samples % 2:
             raise UserError("no such window", field="samples", value=samples, allowed="even")
@@ -198,10 +198,10 @@ class Views:
         >>> Lens.load("double-gauss").mtf(field=0.7).at(30.0)[0] < 1
         True
         """
-        from gpusim.lens import transfer
         from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
         from gpusim.lens.analysis.rays import airy_radius_um
         from gpusim.lens.system import build
+        from gpusim.psf import transfer
 
         system = build(self)
         theta = self._theta(field)

@@ -1,13 +1,13 @@
 """Quantum efficiency by the angle of incidence, averaged over the light that arrives.
 
 At field f of the bank and bank wavelength l light arrives in a cone of rays d, of directions t_d
-and shares s_d of the projected solid angle (`gpusim.lens.cone`). What a channel makes of it is
+and shares s_d of the projected solid angle (`gpusim.psf.cone`). What a channel makes of it is
 
     q_c(lambda; f, l, psi) = sum_d s_d EQE_c(lambda, R(psi) (t_d - m))
 
 with R(psi) the turn to the azimuth psi of the image point, and m the direction from which the
 shifted micro-lenses there send light where the middle one sends that along the normal. Between the
-fields the product of q, relative illumination and PSF is interpolated (`gpusim.lens.places`).
+fields the product of q, relative illumination and PSF is interpolated (`gpusim.psf.places`).
 
 A pixel that answers alike from all sides has no psi. For any other pixel behind a lens with an
 axis, the weights of a field become a sum over few terms: their mean over psi, and what a singular
@@ -23,9 +23,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from gpusim.errors import UserError
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.lines import line_shares
-from gpusim.lens.places import Blend, Heights, Places
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.lines import line_shares
+from gpusim.psf.places import Blend, Heights, Places
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import passed
 from gpusim.sensor.sensor import Sensor

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.plane_map import PlaneMap
 from gpusim.optics.grid import SimGrid
+from gpusim.psf.bank import Bank
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.plane_map import PlaneMap
 from gpusim.sensor.sensor import Sensor
 
 # What a spline may miss of the map, on the real plane: a ten-thousandth of a pixel of 1 um.

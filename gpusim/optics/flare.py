@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.angular import PlaceWeights
 from gpusim.optics.splat import squares_on_sensor
+from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor

@@ -1,7 +1,7 @@
 """Fold wavelengths, quantum efficiency and scene spectra, so that few planes need to be convolved.
 
 Before the shot noise the chain is linear. The PSF about its own chief ray is a spline in wavelength
-through those of the bank (`gpusim.lens.lines`), so the integral over wavelength reduces to one
+through those of the bank (`gpusim.psf.lines`), so the integral over wavelength reduces to one
 weight per colour channel, scene spectrum and bank wavelength; where chief rays go with the
 wavelength, to as many as there are samples of it.
 """
@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.lines import line_shares
 from gpusim.optics.angular import AngularResponse, PlaceWeights
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.lines import line_shares
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.sensor import Sensor
 

@@ -1,6 +1,6 @@
 """Host side of the halo stage: light far from its chief ray, convolved on coarse grids.
 
-Each level of a bank's halo (``gpusim.lens.halo``) is a bank of its own with wide, smooth PSFs. It
+Each level of a bank's halo (``gpusim.psf.halo``) is a bank of its own with wide, smooth PSFs. It
 is rendered like any other before a *coarse sensor*: the real one with fewer, wider spaced pixels,
 each with the aperture and the quantum efficiency of a real one. The light of all levels is brought
 to the finest of these grids, and from there to the photosites by cubic B-splines.
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording
-from gpusim.lens.bank import Bank
 from gpusim.optics.convolve import packed_channels
+from gpusim.psf.bank import Bank
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.planes import PERIODS, planes_of
 from gpusim.sensor.sensor import Sensor

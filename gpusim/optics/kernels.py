@@ -7,7 +7,7 @@ in channel c at field point s is
 
 K the relative illumination, h_l the PSF at bank wavelength l about its chief ray, x_c the chief ray
 at sample k of the spectrum, a spline through those of the bank's wavelengths: colours make a streak
-(`gpusim.lens.lines`). Between the bank's fields the sum is interpolated (`gpusim.lens.places`: in
+(`gpusim.psf.lines`). Between the bank's fields the sum is interpolated (`gpusim.psf.places`: in
 radius and rotated to the azimuth of s, or over a grid). Into it are folded the pixel aperture, and
 the inverse of the Gaussian with which the scene was low-passed before it was sampled on the sim
 grid.
@@ -24,10 +24,10 @@ import numpy as np
 import scipy.fft
 from scipy.sparse import csr_array
 
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.lines import line_shares
-from gpusim.lens.places import Places, half_turned
 from gpusim.optics.angular import PlaceWeights
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.lines import line_shares
+from gpusim.psf.places import Places, half_turned
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Response
 

@@ -7,7 +7,7 @@ linearly between the nearest two. All sums are of what is not negative, or compa
 the PSF does.
 
 Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
-give it (`gpusim.lens.lines`): what aperture and square blur follows the streak between the chief
+give it (`gpusim.psf.lines`): what aperture and square blur follows the streak between the chief
 rays as closely as cubics do.
 """
 
@@ -27,11 +27,11 @@ import scipy.fft
 from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Device, Kernel, Recording, Resident
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import FieldPsfs, Heights, Places, half_turned
 from gpusim.optics.angular import AngularResponse, PlaceWeights
 from gpusim.optics.convolve import packed_channels
 from gpusim.optics.fold import spectral_weights
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.places import FieldPsfs, Heights, Places, half_turned
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Response

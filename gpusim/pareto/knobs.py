@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.places import Places
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
@@ -18,6 +17,7 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
 from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of, held_um
 from gpusim.plan.predict import GUARD, cut_error
+from gpusim.psf.places import Places
 from gpusim.render import Renderer
 
 TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)

@@ -24,9 +24,9 @@ import scipy.fft
 from scipy.ndimage import map_coordinates
 from scipy.special import ndtr
 
-from gpusim.lens.places import Places
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.kernels import low_pass
+from gpusim.psf.places import Places
 from gpusim.scene.chart import Chart, Polygon, Primitive, Rect
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.aperture import Response

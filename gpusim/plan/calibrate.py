@@ -18,7 +18,6 @@ from gpusim.config.text import read_json
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Use
 from gpusim.gpu.wgsl import shaders_sha256
-from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
@@ -32,6 +31,7 @@ from gpusim.optics.splat import HIGHLIGHT, PART, SQUARE, boxes
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
 from gpusim.plan.layout import TRANSFORMS
+from gpusim.psf.places import Heights
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.adc import record_adc

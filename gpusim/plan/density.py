@@ -22,12 +22,16 @@ from typing import NamedTuple
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import default_fields_deg
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.lines import CUBIC, line_shares
-from gpusim.lens.places import lagrange
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.spreads import (
+from gpusim.optics.fold import spectral_weights
+from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
+from gpusim.plan.signal import brightest_e
+from gpusim.plan.stage import PlanStage
+from gpusim.psf.bank import default_fields_deg
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.lines import CUBIC, line_shares
+from gpusim.psf.places import lagrange
+from gpusim.psf.spreads import (
     ELEVENTHS,
     Spreads,
     added_intervals,
@@ -35,10 +39,6 @@ from gpusim.lens.spreads import (
     even_lines_nm,
     middles_deg,
 )
-from gpusim.optics.fold import spectral_weights
-from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
-from gpusim.plan.signal import brightest_e
-from gpusim.plan.stage import PlanStage
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.aperture import transfer_along

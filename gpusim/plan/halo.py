@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens.field_bank import FieldBank
 from gpusim.plan.accuracy import LARGEST, SMALLEST, Accuracy
 from gpusim.plan.stage import PlanStage
+from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 

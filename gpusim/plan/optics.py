@@ -10,9 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import Places
-from gpusim.lens.sampling import PITCH_UM
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, black_share, chief_ray_map
 from gpusim.optics.convolve import Scratch
@@ -50,6 +47,9 @@ from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
 from gpusim.plan.stages import CCD_STAGES, RIM, Plan, PlanStage, describe
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.places import Places
+from gpusim.psf.sampling import PITCH_UM
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene

@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 
-from gpusim.lens.places import Blend
 from gpusim.optics.kernels import (
     BAND_EDGE,
     FieldKernels,
@@ -17,6 +16,7 @@ from gpusim.optics.kernels import (
     node_kernels,
     sampled_kernels,
 )
+from gpusim.psf.places import Blend
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 

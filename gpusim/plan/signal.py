@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
 from gpusim.optics.angular import AngularResponse
 from gpusim.optics.fold import spectral_weights
+from gpusim.psf.bank import Bank
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor

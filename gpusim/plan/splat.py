@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from gpusim.lens.field_bank import FieldBank
 from gpusim.optics.splat import Splat
 from gpusim.plan.costs import Costs
 from gpusim.plan.stage import PlanStage
+from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene

@@ -21,7 +21,7 @@ class MeanQe:
 
     Parameters
     ----------
-    bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
+    bank : gpusim.psf.bank.Bank or gpusim.psf.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
         With ``eqe_map``.
     wavelengths_nm : ndarray (K,)

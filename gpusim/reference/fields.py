@@ -141,9 +141,9 @@ class TracedHeight(OneHeight):
 
     Parameters
     ----------
-    bank : gpusim.lens.bank.Bank
+    bank : gpusim.psf.bank.Bank
         Whose map from the ideal to the real plane holds.
-    traced : gpusim.lens.bank.Bank
+    traced : gpusim.psf.bank.Bank
         Holds the field.
     field : int
     radius_um : float
@@ -275,9 +275,9 @@ class TracedPoint(OnePoint):
 
     Parameters
     ----------
-    bank : gpusim.lens.plane_bank.PlaneBank
+    bank : gpusim.psf.plane_bank.PlaneBank
         Whose map from the ideal to the real plane holds.
-    traced : gpusim.lens.plane_bank.PlaneBank
+    traced : gpusim.psf.plane_bank.PlaneBank
         Holds the field.
     field : int
     point_um : ndarray (2,)

@@ -54,7 +54,7 @@ class PointSpread:
 
     Parameters
     ----------
-    bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
+    bank : gpusim.psf.bank.Bank or gpusim.psf.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
     fields : Heights or Grid
         Fields of the bank.

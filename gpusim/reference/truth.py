@@ -56,7 +56,7 @@ class Truth:
 
     Parameters
     ----------
-    bank : gpusim.lens.bank.Bank or gpusim.lens.plane_bank.PlaneBank
+    bank : gpusim.psf.bank.Bank or gpusim.psf.plane_bank.PlaneBank
     sensor : gpusim.sensor.sensor.Sensor
     spectra : ndarray (M, K)
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.

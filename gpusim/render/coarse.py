@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from gpusim.lens.field_bank import FieldBank
+from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor

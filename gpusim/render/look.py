@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from gpusim.camera import Camera
-from gpusim.lens.bank import default_lines_nm
-from gpusim.lens.field_bank import FieldBank, seen_as
 from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.band import Band, band_of
 from gpusim.plan.density import Density, bank_density
+from gpusim.psf.bank import default_lines_nm
+from gpusim.psf.field_bank import FieldBank, seen_as
 from gpusim.scene.scene import Scene
 
 

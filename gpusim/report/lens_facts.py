@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.plane_bank import PlaneBank
+from gpusim.formats.ready import ReadyLens
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.ready import ReadyLens
 from gpusim.lens.system import Checked, Conjugates, System, conjugates, first_order
+from gpusim.psf.bank import Bank
+from gpusim.psf.plane_bank import PlaneBank
 
 THETA = "\N{GREEK SMALL LETTER THETA}"
 # Beyond this half field f tan(theta) says little, and from the second nothing.

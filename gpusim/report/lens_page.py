@@ -10,12 +10,12 @@ from typing import TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.lens import transfer
-from gpusim.lens.bank import Bank
 from gpusim.lens.layout import Element, beam, elements
-from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import Pupil, sample_rays
+from gpusim.psf import transfer
+from gpusim.psf.bank import Bank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import working_f_number
 
 Result = TypeVar("Result")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy import ndimage
 
-from gpusim.lens.plane_bank import PlaneBank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.drawing import INK, SOFT, STYLE, absent, facts, panel, titles, write
 from gpusim.report.lens.colours import FIELD_COLOURS
 from gpusim.report.lens.layout import draw_layout, legend

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens import transfer
 from gpusim.lens.layout import Element, beam, elements
-from gpusim.lens.plane_bank import PlaneBank
 from gpusim.lens.system import System
+from gpusim.psf import transfer
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_page import CURVE_FIELDS, RAYS, quadrature, round_near
 
 

@@ -1,8 +1,9 @@
 """Sensors of other programs: what became of each thing that their files state.
 
-A converter (`gpusim.sensor.speos`, `gpusim.sensor.isetcam`) turns a file into the fields of a
-sensor file. Each field has its source: the key that it was read from with the equation, or what is
-assumed because the file says nothing. What has no counterpart is listed; nothing is dropped.
+A converter (`gpusim.formats.speos`, `gpusim.formats.isetcam_sensor`) turns a file into the fields
+of a sensor file. Each field has its source: the key that it was read from with the equation, or
+what is assumed because the file says nothing. What has no counterpart is listed; nothing is
+dropped.
 """
 
 from __future__ import annotations

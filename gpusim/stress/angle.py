@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.cone import with_exit_pupil
+from gpusim.psf.bank import Bank
+from gpusim.psf.cone import with_exit_pupil
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cfa import ColourFilterArray

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import ndtr
 
 from gpusim.camera import Camera
-from gpusim.lens.bank import Bank
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
+from gpusim.psf.bank import Bank
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene

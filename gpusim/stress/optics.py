@@ -11,18 +11,18 @@ import numpy as np
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.formats.ready import load_ready
 from gpusim.gpu import default_device
-from gpusim.lens.bank import Bank
-from gpusim.lens.field_map import FieldMap
-from gpusim.lens.generator import Generator
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.projection import ANGULAR
-from gpusim.lens.psf import intensity
-from gpusim.lens.ready import load_ready
-from gpusim.lens.sampling import default_pitch_um
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.plan import Accuracy
+from gpusim.psf.bank import Bank
+from gpusim.psf.field_map import FieldMap
+from gpusim.psf.generator import Generator
+from gpusim.psf.psf import intensity
+from gpusim.psf.sampling import default_pitch_um
 from gpusim.render import Renderer
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart

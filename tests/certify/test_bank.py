@@ -13,10 +13,10 @@ from optics.made import FLAT, monochrome, scene
 
 from gpusim.certify import compare
 from gpusim.certify.bank import bank_share
-from gpusim.lens.bank import compute_bank, default_fields_deg
-from gpusim.lens.halo import distances_um
 from gpusim.lens.prescription import load_prescription
 from gpusim.plan import Accuracy
+from gpusim.psf.bank import compute_bank, default_fields_deg
+from gpusim.psf.halo import distances_um
 from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Rect
 from gpusim.scene.spectra import WAVELENGTHS_NM

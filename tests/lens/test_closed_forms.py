@@ -13,12 +13,12 @@ from lens.made import lens, model
 from scipy.integrate import quad, simpson
 from scipy.special import j0, j1
 
-from gpusim.lens import psf as reference_psf
-from gpusim.lens import transfer
 from gpusim.lens import wavefront as reference_wavefront
 from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
+from gpusim.psf import psf as reference_psf
+from gpusim.psf import transfer
 
 D_LINE = np.array([587.5618])
 LAMBDA_UM = 0.5875618

@@ -20,10 +20,10 @@ from numpy.polynomial import chebyshev
 from scipy.optimize import brentq
 
 from gpusim.lens.prescription import load_prescription
-from gpusim.lens.psf import intensity
 from gpusim.lens.system import build, first_order
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.psf.psf import intensity
 
 pytestmark = pytest.mark.slow
 

@@ -5,12 +5,12 @@ import pytest
 from lens.rays import exact
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import compute_bank
 from gpusim.lens.prescription import load_prescription, presets
-from gpusim.lens.sampling import window
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.psf.bank import compute_bank
+from gpusim.psf.sampling import window
 
 D_LINE = np.array([587.5618])
 # The largest half field in degrees of each kind of lens that the library must have.

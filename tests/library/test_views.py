@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gpusim.errors import UserError
-from gpusim.lens.transfer import otf
 from gpusim.library.lens import Lens
+from gpusim.psf.transfer import otf
 
 LENS = Lens.load("double-gauss").scaled(12.0).stopped(8.0)
 

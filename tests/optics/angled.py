@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from optics.made import bank, plane_bank, sensor
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.cone import cone_of, with_exit_pupil
-from gpusim.lens.plane_bank import PlaneBank
+from gpusim.psf.bank import Bank
+from gpusim.psf.cone import cone_of, with_exit_pupil
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.eqe_model import EqeMap, MicroLens
 from gpusim.sensor.qe import QuantumEfficiency

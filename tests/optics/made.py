@@ -10,13 +10,13 @@ from scipy.interpolate import CubicSpline
 from scipy.special import ndtr
 
 from gpusim.gpu import Device
-from gpusim.lens.bank import Bank
-from gpusim.lens.field_bank import FieldBank
-from gpusim.lens.places import Heights
-from gpusim.lens.plane_bank import PlaneBank
 from gpusim.optics.convolve import Convolve, Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
+from gpusim.psf.bank import Bank
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.places import Heights
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -8,15 +8,15 @@ import pytest
 from harness import assert_close
 from optics.made import bank, plane_bank
 
-from gpusim.lens.bank import WAVELENGTHS_NM, Bank, default_fields_deg, ideal_height_um
-from gpusim.lens.chief_rays import MIDDLE, MISS_UM, between_fields
-from gpusim.lens.field_bank import seen_as
-from gpusim.lens.field_map import FieldMap
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
 from gpusim.lens.system import System, build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.optics.chief_ray import FIT_ERROR_UM, black_share, chief_ray_map, radial_map
+from gpusim.psf.bank import WAVELENGTHS_NM, Bank, default_fields_deg, ideal_height_um
+from gpusim.psf.chief_rays import MIDDLE, MISS_UM, between_fields
+from gpusim.psf.field_bank import seen_as
+from gpusim.psf.field_map import FieldMap
 from gpusim.reference.chief_ray import chief_ray as twin
 from gpusim.reference.fields import Heights
 from gpusim.sensor.load import load_sensor
@@ -137,7 +137,7 @@ def test_rays_are_added_until_their_map_meets_the_next():
             return ray
 
         with pytest.MonkeyPatch.context() as patched:
-            patched.setattr("gpusim.lens.chief_rays.sample_rays", lands)
+            patched.setattr("gpusim.psf.chief_rays.sample_rays", lands)
             given = height(np.radians(angles))[:, None]
             rays_deg, rays_um = between_fields(Traced, [550.0], angles, given, 1e3)
             moved_deg, moved_um = between_fields(Traced, [550.0], angles, given, 1e3, 40.0)

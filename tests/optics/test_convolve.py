@@ -16,12 +16,12 @@ from optics.whole_frame import (
 )
 
 from gpusim.gpu import Device, Kernel, ShaderError
-from gpusim.lens.bank import Bank
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale, folds_of
 from gpusim.plan.layout import TRANSFORMS
+from gpusim.psf.bank import Bank
 from gpusim.sensor.aperture import Response
 
 F32 = np.float32

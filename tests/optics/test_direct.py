@@ -25,11 +25,11 @@ from optics.whole_frame import (
 
 from gpusim.gpu import Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
-from gpusim.lens.places import Heights
 from gpusim.optics.direct import Direct, direct_work, packed_taps, support_within, tap_layout
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.nodes import Outputs, Scale, outputs_of
+from gpusim.psf.places import Heights
 from gpusim.reference.direct import direct
 
 F32 = np.float32

@@ -19,7 +19,6 @@ from optics.made import DEFAULT_GRID, bank, bent, pieces_of, scene, shader_terms
 from scipy.special import i0e, ndtr
 
 from gpusim.gpu import Device, Kernel, Recording
-from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
@@ -35,6 +34,7 @@ from gpusim.optics.paint import (
     tiles_by_block,
     with_steps,
 )
+from gpusim.psf.places import Heights
 from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
 from gpusim.scene.chart import Chart, Disc, Polygon, Primitive, Rect, materials_under

@@ -16,12 +16,12 @@ from optics.made import DEFAULT_GRID, ULP, bank, bent, pieces_of, shader_terms
 from scipy.ndimage import map_coordinates, spline_filter
 
 from gpusim.gpu import Device, Kernel, Recording
-from gpusim.lens.places import Heights
 from gpusim.optics.chief_ray import FIT_ERROR_UM, chief_ray_map, radial_map
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.warp import PLANES, SIDE, Warp, is_identity, low_pass, sharing, stretch
+from gpusim.psf.places import Heights
 from gpusim.reference.chief_ray import chief_ray
 from gpusim.reference.warp import warp
 from gpusim.scene.raster import Raster

@@ -15,7 +15,6 @@ from harness import assert_close
 from optics.made import at_lines, bank
 
 from gpusim.gpu import Device, Recording
-from gpusim.lens.bank import Bank
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import (
     aperture_spectrum,
@@ -25,6 +24,7 @@ from gpusim.optics.kernels import (
     sampled_kernels,
 )
 from gpusim.optics.nodes import Scale
+from gpusim.psf.bank import Bank
 
 F32 = np.float32
 LENS = bank(skew_um=2.0)

@@ -7,11 +7,11 @@ import pytest
 from optics.made import FLAT, monochrome, scene
 
 from gpusim.errors import UserError
-from gpusim.lens.bank import compute_bank, default_fields_deg
 from gpusim.lens.prescription import load_prescription
-from gpusim.lens.spreads import even_lines_nm, middles_deg
 from gpusim.plan import Accuracy
 from gpusim.plan.density import LINES_SHARE, Density, LensShare, bank_density
+from gpusim.psf.bank import compute_bank, default_fields_deg
+from gpusim.psf.spreads import even_lines_nm, middles_deg
 from gpusim.scene.chart import Rect
 
 SENSOR = monochrome(1520, 2028)

@@ -11,8 +11,8 @@ from scipy.interpolate import CubicSpline
 from gpusim.lens.prescription import load_prescription
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.system import build, first_order, transmission
-from gpusim.lens.transfer import diffraction_mtf
 from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.psf.transfer import diffraction_mtf
 from gpusim.reference.backward import (
     aperture_of,
     chief_back,

@@ -8,8 +8,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import PchipInterpolator
 
-from gpusim.lens import transfer
-from gpusim.lens.bank import Bank
+from gpusim.psf import transfer
+from gpusim.psf.bank import Bank
 from gpusim.report.drawing import INK, SOFT, end_labels, roomy
 from gpusim.report.lens.colours import FIELD_COLOURS, wavelength_colour
 from gpusim.report.lens_facts import distortions, working_f_number

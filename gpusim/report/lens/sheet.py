@@ -5,7 +5,7 @@ from __future__ import annotations
 import matplotlib
 from matplotlib.figure import Figure
 
-from gpusim.lens.bank import Bank
+from gpusim.psf.bank import Bank
 from gpusim.report.drawing import SOFT, STYLE, absent, facts, panel, titles, write
 from gpusim.report.lens.curves import (
     draw_colour,

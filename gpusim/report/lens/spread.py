@@ -8,8 +8,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from gpusim.lens.bank import Bank
-from gpusim.lens.plane_bank import PlaneBank
+from gpusim.psf.bank import Bank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.drawing import SOFT, panel, write
 from gpusim.report.lens.colours import wavelength_colour
 from gpusim.report.lens_page import field_light, field_number, round_above, round_near

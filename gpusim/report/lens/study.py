@@ -10,8 +10,7 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.lens import transfer
-from gpusim.lens.analysis import contrast, energy, focus, rays, zernike
+from gpusim.lens.analysis import energy, focus, rays, zernike
 from gpusim.lens.analysis.fields import (
     WHITE_NM,
     WHITE_REFERENCE,
@@ -23,6 +22,7 @@ from gpusim.lens.analysis.fields import (
     white_light,
 )
 from gpusim.lens.system import System
+from gpusim.psf import contrast, transfer
 from gpusim.report.lens_page import round_above, round_near
 
 CHIEF_FIELDS = 41

@@ -1,0 +1,69 @@
+"""MTF and illumination over the field, polychromatic, at a few frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusim.lens.system import System
+from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.psf import transfer
+
+
+@dataclass(frozen=True)
+class FieldContrast:
+    """What one field makes of white light.
+
+    Attributes
+    ----------
+    mtf : ndarray, shape (2, K)
+        Along each of ``transfer.DIRECTIONS``.
+    solid_angle_sr : ndarray, shape (L,)
+        Projected, of the light that arrives: the illumination of an even scene is in proportion.
+    """
+
+    mtf: np.ndarray
+    solid_angle_sr: np.ndarray
+
+
+def field_contrast(
+    system: System,
+    theta: float,
+    wavelengths_nm: np.ndarray,
+    spectrum: np.ndarray,
+    frequency_cy_mm: np.ndarray,
+) -> FieldContrast:
+    """Trace one field and return its MTF at a few frequencies, and its light.
+
+    Parameters
+    ----------
+    system : System
+    theta : float
+        Field angle along y, rad.
+    wavelengths_nm, spectrum : ndarray, shape (L,)
+        Spectrum: light before the pupil.
+    frequency_cy_mm : ndarray, shape (K,)
+    """
+    samples = sample_field(system, system.index(wavelengths_nm), theta)
+    found = pupils(samples, wavelengths_nm, 1.0, transfer.COARSE_NODES)
+    solid_angle = np.array([pupil.projected_solid_angle_sr for pupil in found])
+    weight = spectrum * solid_angle
+    shift_um = dict(
+        zip(transfer.DIRECTIONS, (1e3 * samples.chief_y_mm, 1e3 * samples.chief_x_mm), strict=True)
+    )
+    here = np.zeros(1)
+
+    def contrast(frequency: float, direction: transfer.Direction) -> float:
+        otfs = np.array(
+            [
+                transfer.through_focus(pupil, wavelength, frequency, direction, here)
+                for pupil, wavelength in zip(found, wavelengths_nm, strict=True)
+            ]
+        )
+        at = np.array([frequency])
+        together = transfer.polychromatic(otfs, weight, at, shift_um[direction])
+        return float(np.abs(together[0]))
+
+    mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in transfer.DIRECTIONS]
+    return FieldContrast(np.array(mtf), solid_angle)

@@ -1,0 +1,538 @@
+"""The lens model generator: from a prescription to PSFs, on the device.
+
+Six stages, each a shader in ``shaders/lens``: aim (rays at the stop), trace (where they go, and
+their path), wavefront (W at the nodes of a grid of directions), pupil (the field on the transform's
+grid, in any image plane), along and across (its transform, and the intensity). The first three do
+not depend on the image plane and are done once: a re-focus costs the last three.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from threadpoolctl import threadpool_limits
+
+from gpusim.errors import UserError
+from gpusim.gpu import Device, Kernel, Recording, Resident
+from gpusim.lens.system import System
+from gpusim.lens.throughput import goes_with_the_ray
+from gpusim.lens.trace import trace
+from gpusim.lens.tracer import Beams, starts
+from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
+from gpusim.psf.cone import cone_of
+from gpusim.psf.halo import Wave
+
+# Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
+# their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
+# at f/2.8). The pupil itself is sampled on the transform's grid.
+RAYS = 128
+TRANSFORM = 1024  # cells each way: with a pitch of 0.5 um the PSF repeats after 512 um
+FIRST_RADIX = 2  # 1024 = 2 8^3
+AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.04 stops
+# Degree of the polynomial from the directions in which rays leave to where they enter. It only has
+# to lead rays to within 1e-3 of a node's direction: see shaders/psf/wavefront.
+DEGREE = 9
+NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
+# The stencil of a cell on a rim across the grid reaches two nodes beyond it in both directions, and
+# the nearest node that has a ray may be one more away.
+CONTINUED = 5
+NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
+SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
+
+_GRID = np.dtype(
+    [
+        ("first", "f4", 2),
+        ("step", "f4", 2),
+        ("centre", "f4"),
+        ("cell", "f4"),
+        ("chief_beta", "f4"),
+        ("waves_per_mm", "f4"),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """PSFs of the beams of one field.
+
+    Attributes
+    ----------
+    psf : ndarray of float32, shape (L, N, N)
+        Share of the light per sample; rows eta, columns xi; sample j at (j - N / 2) pitch.
+    projected_solid_angle_sr : ndarray, shape (L,)
+        Integral of what passes, d alpha d beta, over the vignetted pupil.
+    folded_energy : ndarray, shape (L,)
+        Share of rays so far out that the transform folds them back into the window.
+    """
+
+    psf: np.ndarray
+    projected_solid_angle_sr: np.ndarray
+    folded_energy: np.ndarray
+
+
+class Generator:
+    """A lens, traced once at F fields and L wavelengths, that gives its PSFs at any focus.
+
+    Parameters
+    ----------
+    device : Device
+    system : System
+    wavelengths_nm : ndarray, shape (L,)
+    field_deg : ndarray, shape (F,)
+        Field angles.
+    pitch_um, size : float, int
+        Pitch and size of the PSFs; size at most half of TRANSFORM.
+    rays : int
+        Nodes across the pupil each way; one half of them is traced, the other mirrors it.
+    progress : callable, optional
+        Called with (fields traced, fields in all).
+
+    Attributes
+    ----------
+    chief_y_mm, chief_beta : ndarray, shape (F, L)
+        Where the chief rays land, and their direction cosine there.
+    failed_rays : ndarray of int, shape (F, L)
+        Rays aimed within the stop that did not arrive, of AIMED_ACROSS across.
+    residual_waves : ndarray, shape (F, L)
+        RMS difference of the interpolated wavefront from the rays that were aimed at the stop.
+
+    Raises
+    ------
+    UserError
+        No light passes at a field, or the pitch does not sample the PSF.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        system: System,
+        wavelengths_nm: np.ndarray,
+        field_deg: np.ndarray,
+        *,
+        pitch_um: float,
+        size: int,
+        rays: int = RAYS,
+        progress: Callable[[int, int], None] | None = None,
+    ) -> None:
+        self.device, self.system = device, system
+        self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
+        self.pitch_um, self.size = pitch_um, size
+        self._lossy = goes_with_the_ray(system.prescription)
+        # The factor of what the nodes keep: rho^2, or -ln of the amplitude where losses go with the
+        # ray. That logarithm may be less than 0: edges of glass may be thinner than its middle.
+        self._apodisation = 1.0 if self._lossy else system.prescription.gaussian_apodisation
+        self._least = -1.0 if self._lossy else 0.0
+        self._na, self._nb = rays // 2, rays
+        self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
+        self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
+        phase = -2j * np.pi * np.arange(TRANSFORM) / TRANSFORM
+        self._twiddle = device.resident("twiddle", np.exp(phase).astype(np.complex64))
+        shape = (len(field_deg), len(wavelengths_nm))
+        self._grids = np.zeros(shape, _GRID)
+        self.failed_rays = np.zeros(shape, np.int32)
+        self.residual_waves = np.zeros(shape)
+        self._nodes: list[Resident] = []
+        self._stop: list[Resident] = []  # rho^2 at the nodes, where the stop is apodised
+        try:
+            self._trace_fields(progress)
+        except BaseException:
+            self.release()
+            raise
+        half_widths = self._na * self._grids["step"][..., 0] / self._grids["cell"]
+        self._rows = int(np.ceil(half_widths.max()))
+
+    def _trace_fields(self, progress: Callable[[int, int], None] | None) -> None:
+        """Trace field by field, and keep the nodes."""
+        for field, aimed in enumerate(self._aimed()):
+            # OpenBLAS's own threads wait by spinning, which costs more than they save here.
+            with threadpool_limits(1):
+                led = [self._lead(field, line, *one) for line, one in enumerate(aimed)]
+            rays_to_nodes = np.concatenate([rays for rays, _ in led])
+            self._nodes.append(self._wavefront(field, rays_to_nodes))
+            if self._apodisation:
+                rho2 = np.stack([rho2 for _, rho2 in led])
+                self._stop.append(self.device.resident("stop", rho2.astype(np.float32)))
+            self._check(field, aimed)
+            if progress is not None:
+                progress(field + 1, len(self.field_deg))
+
+    def _aimed(self):
+        """Yield the rays aimed at the stop, field by field: a list over wavelengths."""
+        radius = self.system.stop_radius_mm
+        line = np.linspace(-RAY_OVERSIZE, RAY_OVERSIZE, AIMED_ACROSS)
+        x, y = (one.ravel() for one in np.meshgrid(line[line >= 0], line))
+        keep = x**2 + y**2 <= RAY_OVERSIZE**2
+        x, y = x[keep], y[keep]
+        p, miss = self._beams.aim(radius * np.stack([x, y], axis=-1))
+        beams, count = miss.shape
+        rays = self._beams.trace(p.reshape(-1, 2), np.repeat(np.arange(beams), count))
+        opd, reach = rays.opd_waves.reshape(miss.shape), rays.reach.reshape(miss.shape)
+        ok = (miss >= 0) & (rays.failed_at == 0).reshape(miss.shape)
+        self.failed_rays[:] = (~ok & (x**2 + y**2 < 1)).sum(axis=1).reshape(self.failed_rays.shape)
+        cosines = rays.cosines.reshape(beams, count, 2).astype(float)
+        lines = len(self.wavelengths_nm)
+        spacing = line[1] - line[0]
+        for field, theta in enumerate(self.field_deg):
+            of_field = range(field * lines, (field + 1) * lines)
+            if not all((reach[beam][ok[beam]] < 1).any() for beam in of_field):
+                raise UserError(
+                    f"no light passes the lens at {theta:.4g} deg",
+                    file=self.system.prescription.file,
+                    field="max_field_deg",
+                    value=f"{theta:.4g}",
+                    allowed="a smaller field",
+                )
+            rays_of_field = []
+            for beam in of_field:
+                inside = ok[beam] & (reach[beam] < 1)
+                extent = max(x[inside].max(), np.ptp(y[inside]) / 2, spacing)
+                # Far outside a rim, rays turn back on others and only spoil the fit; but of a beam
+                # that is vignetted to little there must be rays beyond it.
+                keep = ok[beam] & (reach[beam] < max(RAY_OVERSIZE, 1 + spacing / extent) ** 2)
+                apart = spacing / x[keep].max(), 2 * spacing / np.ptp(y[keep])
+                of_beam = (values[beam][keep] for values in (cosines, p, reach, opd))
+                rays_of_field.append((*of_beam, (x * x + y * y)[keep], apart))
+            yield rays_of_field
+
+    def _lead(
+        self,
+        field: int,
+        line: int,
+        cosines: np.ndarray,
+        p_mm: np.ndarray,
+        reach: np.ndarray,
+        _: np.ndarray,
+        rho2: np.ndarray,
+        apart: tuple[float, float],
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Lay out the grids of one beam; return the rays that lead to its nodes, and their rho^2.
+
+        ``apart``: from one aimed ray to the next, of half their extent each way. rho^2, shape
+        (A, B), only where the stop is apodised.
+        """
+        # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
+        side = np.where(cosines[:, 0] < 0, -1.0, 1.0)
+        alpha, beta = side * cosines[:, 0], cosines[:, 1]
+        half, low, high = alpha.max(), beta.min(), beta.max()
+        centre, half_height = (low + high) / 2, (high - low) / 2
+        # The rim lies within one spacing of the aimed rays beyond the last one inside.
+        inside = reach < 1
+        wide = min(half, alpha[inside].max() + apart[0] * half)
+        bottom = max(low, beta[inside].min() - 2 * apart[1] * half_height)
+        top = min(high, beta[inside].max() + 2 * apart[1] * half_height)
+        wavelength_um = 1e-3 * self.wavelengths_nm[line]
+        self._check_pitch(line, max(2 * alpha[inside].max(), np.ptp(beta[inside])))
+        grid = self._grids[field, line]
+        step_a = wide / (self._na - SPARE)
+        step_b = (top - bottom) / (self._nb - 2 * SPARE)
+        grid["first"] = step_a / 2, bottom - (SPARE - 0.5) * step_b
+        grid["step"] = step_a, step_b
+        grid["centre"] = (bottom + top) / 2
+        grid["cell"] = wavelength_um / (TRANSFORM * self.pitch_um)
+        grid["chief_beta"] = self.chief_beta[field, line]
+        grid["waves_per_mm"] = 1e3 / wavelength_um
+
+        # A strongly vignetted beam has few rays: each coefficient takes at least two.
+        degree = min(DEGREE, int(np.sqrt(len(alpha))) - 1)
+        i, j = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1), indexing="ij")
+        in_a = chebyshev.chebvander(alpha / half, degree)
+        in_b = chebyshev.chebvander((beta - centre) / half_height, degree)
+        node_a = grid["first"][0] + np.arange(self._na) * step_a
+        node_b = grid["first"][1] + np.arange(self._nb) * step_b
+        on_a = chebyshev.chebvander(node_a / half, degree)
+        on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
+        if self._lossy:
+            rho2 = self._exponent(field, line, p_mm, rho2)
+        targets = [(1, side * p_mm[:, 0]), (0, p_mm[:, 1])]
+        if self._apodisation:
+            targets.append((0, rho2))
+        entering = []
+        for odd, target in targets:
+            used = (i % 2 == odd) & (i + j <= degree)
+            design = in_a[:, i[used]] * in_b[:, j[used]]
+            coefficients = np.zeros(i.shape)
+            coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
+            entering.append(on_a @ coefficients @ on_b.T)
+        # Far beyond the aimed rays the polynomials lead nowhere.
+        near = within_hull(NEAR * alpha, centre + NEAR * (beta - centre), node_a, node_b)
+        nodes = np.flatnonzero(near)
+        rays = starts(
+            np.stack([one.ravel()[nodes] for one in entering[:2]], axis=-1),
+            np.full(len(nodes), field * len(self.wavelengths_nm) + line),
+            line * near.size + nodes,
+        )
+        return rays, entering[2] if self._apodisation else None
+
+    def _exponent(self, field: int, line: int, p_mm: np.ndarray, rho2: np.ndarray) -> np.ndarray:
+        """Return -ln of the amplitude that stop, surfaces and glass pass of aimed rays, (R,)."""
+        system, wavelength_nm = self.system, self.wavelengths_nm[line]
+        index = system.index(np.array([wavelength_nm]))
+        launch = field_launch(system, index, float(np.radians(self.field_deg[field])))
+        px, py = p_mm.astype(float).T[:, None]
+        rays = trace(system.geometry, index, launch, px, py, crossings=True)
+        lost = Losses(system.prescription, index, rays.crossings).exponent(0, wavelength_nm)
+        return system.prescription.gaussian_apodisation * rho2 + lost
+
+    def _check_pitch(self, line: int, width: float) -> None:
+        """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
+        wavelength_nm = self.wavelengths_nm[line]
+        limit = wavelength_nm * 1e-3 / (2 * width)
+        if self.pitch_um > limit:
+            raise UserError(
+                f"the PSF pitch is too coarse for this aperture at {wavelength_nm:g} nm",
+                file=self.system.prescription.file,
+                field="pitch_um",
+                value=self.pitch_um,
+                allowed=f"<= {limit:.3g}",
+            )
+
+    def _wavefront(self, field: int, rays: np.ndarray) -> Resident:
+        """Trace the rays of one field's beams; return the nodes, kept on the device."""
+        rec = Recording(self.device)
+        shape = (len(self.wavelengths_nm), self._na, self._nb)
+        nodes = self.device.empty("nodes", (*shape, 2), np.float32)
+        start = rec.buffer("rays", rays.shape, "f4")
+        opd, directions = (rec.buffer(name, (*shape, 4), "f4") for name in ("opd", "directions"))
+        rec.upload(start, rays)
+        rec.clear(opd)  # a reach of 0: no ray came here
+        rec.clear(directions)
+        self._beams.record_trace(rec, start, opd, directions)
+        Kernel("psf/wavefront").record(
+            rec,
+            (-(-self._nb // 64), self._na, shape[0]),
+            {"na": self._na, "nb": self._nb},
+            grids=self._uploaded_grids(rec, field),
+            opd=opd,
+            directions=directions,
+            nodes=nodes,
+        )
+        rec.run()
+        return nodes
+
+    def _uploaded_grids(self, rec: Recording, field: int):
+        grids = rec.buffer("grids", (len(self.wavelengths_nm), 8), "f4")
+        rec.upload(grids, self._grids[field].view(np.float32).reshape(grids.shape))
+        return grids
+
+    def _check(self, field: int, aimed: list) -> None:
+        """Compare the interpolated wavefront with the rays that were aimed at the stop."""
+        nodes = self.device.read(self._nodes[field])
+        if (beside(nodes[..., 1]) & (nodes[..., 1] == 0)).any():
+            nodes = continued(nodes)
+            self.device.write(self._nodes[field], nodes)
+        for line, (cosines, _, reach, opd, *_) in enumerate(aimed):
+            grid = self._grids[field, line]
+            at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
+            inside = reach < 1
+            place = (at[inside] - grid["first"]) / grid["step"]
+            low = np.floor(place).astype(int)
+            weights = lagrange(place - low)
+            rows = low[:, :1] + np.arange(-1, 3)
+            rows = np.where(rows < 0, -1 - rows, rows)
+            columns = low[:, 1:] + np.arange(-1, 3)
+            stencil = nodes[line].astype(float)[rows[:, :, None], columns[:, None, :]]
+            missing = (stencil[..., 1] == 0).any(axis=(1, 2))
+            if missing.any():
+                raise UserError(
+                    f"rays at the pupil's rim fail at "
+                    f"{self.field_deg[field]:.4g} deg: the wavefront is not known there",
+                    file=self.system.prescription.file,
+                    field="max_field_deg",
+                    value=f"{self.field_deg[field]:.4g}",
+                    allowed="a smaller field, or clear apertures within which the rays pass",
+                )
+            found = np.einsum("ra,rb,rab->r", weights[:, 0], weights[:, 1], stencil[..., 0])
+            self.residual_waves[field, line] = np.std(found - opd[inside])
+
+    def spread(self, field: int, focus_mm: float = 0.0) -> Spread:
+        """Return the PSFs of one field.
+
+        Parameters
+        ----------
+        field : int
+        focus_mm : float
+            How far the image plane is moved away from the lens.
+        """
+        lines, rows, size = len(self.wavelengths_nm), self._rows, self.size
+        rec = Recording(self.device)
+        filled = rec.buffer("field", (lines, rows, TRANSFORM, 2), "f4")
+        sums = rec.buffer("sums", (lines, rows, 2), "f4")
+        half = rec.buffer("lines", (lines, size, rows, 2), "f4")
+        intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
+        Kernel("psf/pupil", T=TRANSFORM, APODISED=self._apodisation > 0).record(
+            rec,
+            (rows, lines, 1),
+            {
+                "na": self._na,
+                "nb": self._nb,
+                "fold_um": (TRANSFORM - size / 2) * self.pitch_um,
+                "focus_mm": focus_mm,
+                "apodisation": self._apodisation,
+                "least": self._least,
+            },
+            grids=self._uploaded_grids(rec, field),
+            nodes=self._nodes[field],
+            stop=(self._stop if self._apodisation else self._nodes)[field],  # unread where even
+            field=filled,
+            sums=sums,
+        )
+        overrides = {
+            "T": TRANSFORM,
+            "LANES": TRANSFORM // 8,
+            "FIRST_RADIX": FIRST_RADIX,
+            "N": size,
+        }
+        Kernel("psf/along", **overrides).record(
+            rec,
+            (-(-rows // 2), lines, 1),
+            {"rows": rows},
+            twiddle=self._twiddle,
+            field=filled,
+            lines=half,
+        )
+        Kernel("psf/across", **overrides).record(
+            rec,
+            (size // 2, lines, 1),
+            {"rows": rows},
+            twiddle=self._twiddle,
+            lines=half,
+            intensity=intensity,
+        )
+        rec.download(sums)
+        rec.download(intensity)
+        found = rec.run()
+        light, folded = found["sums"].sum(axis=1, dtype=float).T
+        upper = found["intensity"]
+        # Its first row is eta = 0; the halves mirror one another.
+        psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
+        # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
+        psf /= (2 * light * TRANSFORM**2).astype(np.float32)[:, None, None]
+        return Spread(
+            psf=psf,
+            projected_solid_angle_sr=2 * light * self._grids[field]["cell"].astype(float) ** 2,
+            folded_energy=folded / light,
+        )
+
+    def wave(self, field: int, line: int, focus_um: float = 0.0) -> Wave:
+        """Return the wavefront of one field and wavelength in an image plane, both halves."""
+        nodes = self.device.read(self._nodes[field])[line].astype(float)
+        grid = self._grids[field, line]
+        alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0].astype(float)
+        beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1].astype(float)
+        reach = nodes[..., 1]
+        light = rim_share(reach[None])[0]
+        passed = 1.0
+        if self._apodisation:
+            stop = self.device.read(self._stop[field])[line]
+            passed = np.exp(-2 * self._apodisation * np.maximum(stop, self._least))
+            light = light * passed
+        opd_um = 1e-3 * self.wavelengths_nm[line] * nodes[..., 0]
+        chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
+        gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
+        opd_um += focus_um * (gamma + chief * beta - np.hypot(1, chief))
+
+        def both(half: np.ndarray) -> np.ndarray:
+            return np.concatenate([half[::-1], half])
+
+        return Wave(
+            alpha=np.concatenate([-alpha[::-1], alpha]),
+            beta=beta,
+            opd_um=both(opd_um),
+            # No ray came where it is 0: as good as beyond the rim.
+            reach=both(np.where(reach > 0, reach, NO_RAY)),
+            light=both(light),
+            passed=both(passed) if self._apodisation else 1.0,
+        )
+
+    def cones(self, field: int) -> np.ndarray:
+        """Return the rays that arrive at one field, radial cosine first.
+
+        Returns
+        -------
+        ndarray of float32 (L, R, 3)
+            See ``gpusim.psf.cone``. A node on a rim counts with the share of its square inside.
+        """
+        reach = self.device.read(self._nodes[field])[..., 1].astype(float)
+        light = rim_share(reach)
+        if self._apodisation:
+            light *= np.exp(-2 * self._apodisation * self.device.read(self._stop[field]))
+        rays = []
+        for grid, of_line in zip(self._grids[field], light, strict=True):
+            alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0]
+            beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1]
+            rays.append(cone_of(alpha, beta, of_line, True)[:, [1, 0, 2]])
+        return np.stack(rays)
+
+    def release(self) -> None:
+        """Give the device memory back."""
+        self._beams.release()
+        for one in (self._twiddle, *self._nodes, *self._stop):
+            one.destroy()
+
+
+def rim_share(reach: np.ndarray) -> np.ndarray:
+    """Return the share of each node's square (L, A, B) that lies inside the rim, reach 1.
+
+    Next to nodes without a ray, reach 0, no slope is known: there it is all or nothing.
+    """
+    known = np.where(reach > 0, reach, np.nan)
+    along, across = np.gradient(known, axis=(1, 2))
+    depth = (1 - known) / np.maximum(np.abs(along) + np.abs(across), 1e-12)
+    whole = (reach > 0) & (reach < 1)
+    return np.where(np.isnan(depth), whole, np.clip(0.5 + depth, 0, 1))
+
+
+def beside(reach: np.ndarray) -> np.ndarray:
+    """Return which nodes (L, A, B) lie within two of one inside the pupil, 0 < reach < 1."""
+    inside = (reach > 0) & (reach < 1)
+    near = inside.copy()
+    for shift in (1, 2):
+        near[:, shift:] |= inside[:, :-shift]
+        near[:, :-shift] |= inside[:, shift:]
+    across = near.copy()
+    for shift in (1, 2):
+        near[:, :, shift:] |= across[:, :, :-shift]
+        near[:, :, :-shift] |= across[:, :, shift:]
+    return near
+
+
+def continued(nodes: np.ndarray) -> np.ndarray:
+    """Continue W and reach beyond where rays arrive, by CONTINUED nodes.
+
+    Rays may fail right beyond a rim, where interpolation needs them. Cubic extrapolation from four
+    nodes in a row, along alpha and beta, the mean of those that there are.
+
+    Parameters
+    ----------
+    nodes : ndarray of float32, shape (L, A, B, 2)
+        Reach 0: no ray.
+    """
+    # The pupil's other half, as far as extrapolation reaches.
+    whole = np.concatenate([nodes[:, 3::-1], nodes], axis=1).astype(float)
+    for _ in range(CONTINUED):
+        known = whole[..., 1] > 0
+        total, count = np.zeros_like(whole), np.zeros(known.shape)
+        for axis in (1, 2):
+            for sign in (1, -1):
+                ahead = [np.roll(whole, -sign * step, axis) for step in (1, 2, 3, 4)]
+                there = np.all([one[..., 1] > 0 for one in ahead], axis=0)
+                # What rolled in from the other edge does not lie ahead.
+                edge = [slice(None)] * 3
+                edge[axis] = slice(-4, None) if sign > 0 else slice(0, 4)
+                there[tuple(edge)] = False
+                value = 4 * ahead[0] - 6 * ahead[1] + 4 * ahead[2] - ahead[3]
+                there &= value[..., 1] > 0
+                total += np.where(there[..., None], value, 0)
+                count += there
+        new = ~known & (count > 0)
+        whole[new] = total[new] / count[new][:, None]
+    return whole[:, 4:].astype(np.float32)
+
+
+def lagrange(t: np.ndarray) -> np.ndarray:
+    """Return the weights of the nodes -1, 0, 1, 2 for cubic interpolation at t, a new last axis."""
+    a, b, c = t + 1, t - 1, t - 2
+    return np.stack([-t * b * c, 3 * a * b * c, -3 * a * t * c, a * t * b], axis=-1) / 6

@@ -1,0 +1,249 @@
+"""Line spreads of a lens's PSFs at fields and wavelengths of choice: what a survey measures.
+
+A bank is sampled as densely as it must be to be interpolated. How densely that is, is told by what
+PSFs do between fields and lines; their sums along x and along y tell it as well as they themselves,
+take a hundredth of the room, and need no halo. They come from the generator, as the bank does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gpusim.gpu import default_device
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import build, first_order, transmission
+from gpusim.psf.bank import REFERENCE_NM
+from gpusim.psf.field_map import WIDE_DEG
+from gpusim.psf.generator import Generator
+from gpusim.psf.halo import distances_um, fall
+from gpusim.psf.sampling import window
+from gpusim.psf.store import from_cache, load_dataset, save_dataset
+from gpusim.psf.traced import field_of as traced_field
+
+Progress = Callable[[int, int], None]
+# Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of
+# what 13 lines in even steps of 25 nm do. In elevenths of 1/700 to 1/400, 550 nm is one of them.
+SHORTEST_NM, LONGEST_NM, ELEVENTHS = 400.0, 700.0, 11
+_VARIABLES = {
+    "field_deg": (("field",), "degree", "field angle in object space"),
+    "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
+    "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
+    "solid_angle_sr": (("field", "wavelength"), "sr", "projected solid angle of what passes"),
+    "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
+    "spread": (
+        ("field", "wavelength", "along", "at"),
+        "1",
+        "share of the light per sample, along xi and along eta; centred on the chief ray",
+    ),
+}
+_SCALARS = {
+    "pitch_um": ("um", "spacing of the samples"),
+    "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
+}
+
+
+def added_intervals(first_nm: float, last_nm: float) -> tuple[int, int]:
+    """Return how many intervals, none wider than an eleventh, lie below 400 and beyond 700 nm."""
+    eleventh = (1 / SHORTEST_NM - 1 / LONGEST_NM) / ELEVENTHS
+    gaps = 1 / first_nm - 1 / SHORTEST_NM, 1 / LONGEST_NM - 1 / last_nm
+    below, beyond = (max(0, math.ceil(gap / eleventh - 1e-9)) for gap in gaps)
+    return below, beyond
+
+
+def even_lines_nm(
+    steps: int, first_nm: float = SHORTEST_NM, last_nm: float = LONGEST_NM
+) -> np.ndarray:
+    """Return lines that are evenly spaced in 1 / lambda, `steps` of them in each eleventh.
+
+    Those from 400 to 700 nm are always the same; below and beyond there are as many as it takes,
+    evenly spaced as far as the ends.
+    """
+    ends = (first_nm, SHORTEST_NM), (SHORTEST_NM, LONGEST_NM), (LONGEST_NM, last_nm)
+    below, beyond = added_intervals(first_nm, last_nm)
+    parts = [
+        np.linspace(1 / start, 1 / end, count * steps + 1)
+        for (start, end), count in zip(ends, (below, ELEVENTHS, beyond), strict=True)
+        if count
+    ]
+    inverse = np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
+    return np.round(1 / inverse, 6)
+
+
+def middles_deg(prescription: Prescription, field_deg: np.ndarray) -> np.ndarray:
+    """Return the fields half-way between fields, in image height nearly."""
+    if prescription.max_field_deg > WIDE_DEG:
+        return (field_deg[1:] + field_deg[:-1]) / 2
+    height = np.tan(np.radians(field_deg))
+    return np.degrees(np.arctan((height[1:] + height[:-1]) / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Spreads:
+    """Line spreads of a lens at F fields and L wavelengths.
+
+    Attributes
+    ----------
+    field_deg, wavelengths_nm : ndarray (F,), (L,)
+        Rising; the reference wavelength is among these.
+    height_um, solid_angle_sr : ndarray (F, L)
+    transmission : ndarray (L,)
+    spread : ndarray of float32 (F, L, 2, n)
+        The PSF, as far as a bank's first level holds it, summed along eta and along xi; the chief
+        ray is at sample n / 2.
+    pitch_um, efl_mm : float
+    provenance : dict
+    """
+
+    field_deg: np.ndarray
+    wavelengths_nm: np.ndarray
+    height_um: np.ndarray
+    solid_angle_sr: np.ndarray
+    transmission: np.ndarray
+    spread: np.ndarray
+    pitch_um: float
+    efl_mm: float
+    provenance: dict[str, str]
+
+    @property
+    def reference(self) -> int:
+        """Index of the reference wavelength."""
+        return int(np.abs(self.wavelengths_nm - REFERENCE_NM).argmin())
+
+    def save(self, path: str | Path) -> None:
+        """Write them as NetCDF, never half a file."""
+        import xarray
+
+        data = {
+            name: (dims, getattr(self, name), {"units": units, "long_name": meaning})
+            for name, (dims, units, meaning) in _VARIABLES.items()
+        }
+        data |= {
+            name: ((), float(getattr(self, name)), {"units": units, "long_name": meaning})
+            for name, (units, meaning) in _SCALARS.items()
+        }
+        save_dataset(xarray.Dataset(data, attrs=self.provenance), path)
+
+    @classmethod
+    def load(cls, path: str | Path, *, sealed: bool = False) -> Spreads:
+        """Read what ``save`` wrote; raises where the file is not whole, as ``Bank.load`` does."""
+        return cls(**load_dataset(path, _VARIABLES, _SCALARS, (), sealed))
+
+
+def spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    *,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Trace a lens and return the line spreads of its PSFs.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        A lens with an axis.
+    wavelengths_nm, field_deg : ndarray (L,), (F,)
+        See `Spreads`.
+    progress : callable, optional
+        Called with (fields done, fields in all).
+
+    Raises
+    ------
+    UserError
+        Where a field does not pass the lens.
+    """
+    system = build(prescription)
+    lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
+    size, pitch_um = window(system, lines)
+    given = {"pitch_um": pitch_um, "size": size, "progress": progress}
+    generator = Generator(default_device(), system, lines, angles, **given)
+    try:
+        found = [generator.spread(field) for field in range(len(angles))]
+        return _of(
+            prescription,
+            lines,
+            angles,
+            pitch_um,
+            1e3 * generator.chief_y_mm,
+            [_sums(one.psf, pitch_um) for one in found],
+            [one.projected_solid_angle_sr for one in found],
+        )
+    finally:
+        generator.release()
+
+
+def traced_spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    *,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Return what `spreads` does, in float64 on the host: see `gpusim.psf.traced`."""
+    system = build(prescription)
+    lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
+    size, pitch_um = window(system, lines)
+    found = [traced_field(system, lines, theta, size, pitch_um) for theta in angles]
+    return _of(
+        prescription,
+        lines,
+        angles,
+        pitch_um,
+        [one["real_height_um"] for one in found],
+        [_sums(one["psf"], pitch_um) for one in found],
+        [one["solid_angle"] for one in found],
+    )
+
+
+def _sums(psf: np.ndarray, pitch_um: float) -> np.ndarray:
+    """Return the sums (L, 2, n) of PSFs (L, n, n) along eta and along xi, as far as cores go."""
+    size = psf.shape[-1]
+    core = psf * fall(distances_um(size, pitch_um), size / 2 * pitch_um)
+    return np.stack([core.sum(axis=1), core.sum(axis=2)], axis=1)
+
+
+def _of(
+    prescription: Prescription,
+    lines: np.ndarray,
+    angles: np.ndarray,
+    pitch_um: float,
+    height_um: ArrayLike,
+    spread: ArrayLike,
+    solid_angle_sr: ArrayLike,
+) -> Spreads:
+    """Return what was found, fields first."""
+    return Spreads(
+        field_deg=angles,
+        wavelengths_nm=lines,
+        height_um=np.array(height_um),
+        solid_angle_sr=np.array(solid_angle_sr),
+        transmission=transmission(prescription, lines),
+        spread=np.array(spread, np.float32),
+        pitch_um=float(pitch_um),
+        efl_mm=first_order(prescription, REFERENCE_NM).efl_mm,
+        provenance={
+            "title": prescription.title,
+            "history": "; ".join(prescription.history) or "as published",
+            "holds": "line spreads of PSFs",
+        },
+    )
+
+
+def cached_spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    progress: Progress | None = None,
+    *,
+    traced: bool = False,
+) -> Spreads:
+    """Return `spreads`, or `traced_spreads`, from the disk cache, or store them there."""
+    settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "progress": progress}
+    compute, name = (traced_spreads, "traced") if traced else (spreads, "")
+    return from_cache(Spreads, compute, prescription, settings, name)
