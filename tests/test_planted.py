@@ -151,7 +151,7 @@ def test_a_grey_picture_follows_the_srgb_curve_near_black(tmp_path):
     path = tmp_path / "ramp.dng"
     write_dng(path, raw, sensor, white_e={"W": 1e4}, exposure_s=0.01)
     light = np.clip((raw - black) / read_raw(path).span_dn, 0, 1)
-    shown = develop(path)[..., 0]
+    shown = develop(path).picture[..., 0]
     assert (light < 0.0031308).sum() > 10
     # Rounded to 8 bits, from light of 16 bits: half of 255 * 12.92 / 65535 at most.
     assert_close(shown.astype(float), 255 * cctf_encoding(light, "sRGB"), atol=0.5 + 0.026)

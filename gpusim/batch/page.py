@@ -63,7 +63,7 @@ def _picture(outcome: Outcome, files: list[str]) -> Image.Image | None:
             return Image.open(outcome.out / name)
     for name in files:
         if name.endswith((".dng", ".tif")):
-            return Image.fromarray(develop(outcome.out / name))
+            return Image.fromarray(develop(outcome.out / name).picture)
     return None
 
 

@@ -585,11 +585,9 @@ def develop(
         bool, typer.Option("--binned", help="Of quad Bayer, one pixel for each cell of 2 x 2.")
     ] = False,
     engine: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="libraw, or gpusim: the default where an option below is given."
-        ),
-    ] = None,
+        str,
+        typer.Option(metavar="NAME", help="gpusim, or to compare: libraw, by --ev and --binned."),
+    ] = "gpusim",
     demosaic: Annotated[
         str | None, typer.Option(metavar="NAME", help="bilinear, malvar or directional.")
     ] = None,
@@ -619,7 +617,7 @@ def develop(
         typer.Option(metavar="FILE", help="A .yaml as it is saved beside each picture."),
     ] = None,
 ) -> None:
-    """Develop a raw file into a picture: through LibRaw, or by our own stages on the GPU."""
+    """Develop a raw file into a picture: by our own stages on the GPU, or through LibRaw."""
     from gpusim.cli.develop import run
 
     options = {

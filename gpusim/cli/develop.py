@@ -11,10 +11,10 @@ from PIL import Image
 from gpusim.cli.files import whole_file
 from gpusim.config.mistakes import checked
 from gpusim.errors import UserError
-from gpusim.isp.develop import develop
+from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.settings import Settings, read_settings, settings_text
 
-ENGINES = ("libraw", "gpusim")
+ENGINES = ("gpusim", "libraw")
 SIXTEEN_BITS = (".tif", ".tiff")
 
 
@@ -22,7 +22,7 @@ def run(
     raw: Path,
     out: Path,
     *,
-    engine: str | None,
+    engine: str,
     binned: bool,
     ev: float | None,
     settings_file: Path | None,
@@ -33,8 +33,8 @@ def run(
     Parameters
     ----------
     raw, out : Path
-    engine : str, optional
-        One of `ENGINES`; by default LibRaw, and ours where an option is given that is ours alone.
+    engine : str
+        One of `ENGINES`.
     binned : bool
     ev : float, optional
         Stops; by default the settings file's, or 0.
@@ -46,11 +46,11 @@ def run(
     """
     given = {name: value for name, value in options.items() if value is not None}
     ours = settings_file is not None or bool(given) or out.suffix.lower() in SIXTEEN_BITS
-    if engine not in (*ENGINES, None):
+    if engine not in ENGINES:
         raise UserError(
             "no such engine", field="--engine", value=engine, allowed=", ".join(ENGINES)
         )
-    if engine == "gpusim" or (engine is None and ours):
+    if engine == "gpusim":
         _ours(raw, out, given if ev is None else given | {"ev": ev}, settings_file, binned=binned)
         return
     if ours:
@@ -61,20 +61,19 @@ def run(
             allowed="--engine gpusim",
         )
     with whole_file(out, (".png",)) as file:
-        Image.fromarray(develop(raw, ev or 0.0, binned=binned)).save(file)
+        Image.fromarray(develop_by_libraw(raw, ev or 0.0, binned=binned)).save(file)
     print(out)
 
 
 def _ours(
     raw: Path, out: Path, given: dict[str, Any], settings_file: Path | None, *, binned: bool
 ) -> None:
-    from gpusim.gpu import default_device
-    from gpusim.isp.engine import develop_raw
+    from gpusim.isp.develop import develop
 
     settings = _settings(settings_file, given)
     wide = out.suffix.lower() in SIXTEEN_BITS
     with whole_file(out, (".png", *SIXTEEN_BITS)) as file:
-        made = develop_raw(raw, settings, default_device(), binned=binned, bits=16 if wide else 8)
+        made = develop(raw, settings, binned=binned, bits=16 if wide else 8)
         _save(made.picture, file)
         notes = [f"How {out.name} was developed; gpusim develop --settings reads it."]
         notes += [f"left out: {stage}: {why}" for stage, why in made.left_out.items()]

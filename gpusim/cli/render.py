@@ -19,10 +19,11 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.isp.develop import check_ev, develop
+from gpusim.isp.develop import develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
+from gpusim.isp.settings import check_ev
 from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.band import with_band
@@ -252,14 +253,14 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
         temperature_c=capture.temperature_c,
         ev=ev,
     )
-    developed = develop(folder / raw)
+    developed = develop(folder / raw).picture
     # Noise hardly compresses: of 3 MP 5.7 MB in 0.46 s, at the default level 5.1 MB in 0.87 s.
     Image.fromarray(developed).save(folder / "developed.png", compress_level=3)
     if quad_phase(sensor.cfa.letters) is not None and min(areas.lit[2:]) >= 2 * PERIOD:
         frame = read_raw(folder / raw)
         for kind in ("remosaiced", "binned"):
             write_bayer(frame, folder / f"{kind}.dng", binned=kind == "binned")
-        Image.fromarray(develop(folder / "binned.dng")).save(folder / "binned.png")
+        Image.fromarray(develop(folder / "binned.dng").picture).save(folder / "binned.png")
         names += ["remosaiced.dng", "binned.dng", "binned.png"]
     for name, plane in kept.items():
         write_exr(folder / name, {"Y": plane})

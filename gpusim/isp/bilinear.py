@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gpusim.gpu import Array, Kernel, Recording
 
+AT_ONCE = 4  # colours of one dispatch
+
 
 def reach_of(pattern: tuple[str, ...]) -> int:
     """Return how far the tent must reach for every colour to be found at every site, pixels."""
+    return _reach(pattern, lambda reach: 2 * reach - 1)
+
+
+def far_of(pattern: tuple[str, ...]) -> int:
+    """Return the same for the corner of a frame, where one quadrant of the tent lies within."""
+    return _reach(pattern, lambda reach: reach)
+
+
+def _reach(pattern: tuple[str, ...], side: Callable[[int], int]) -> int:
+    """Return the least reach of which each square, of a side by that reach, has all colours."""
     sites = np.array([list(row) for row in pattern])
     wanted = len(np.unique(sites))
     most = max(sites.shape)
     tiled = np.pad(sites, most, mode="wrap")
     for reach in range(1, most + 1):
-        windows = np.lib.stride_tricks.sliding_window_view(tiled, (2 * reach - 1,) * 2)
+        windows = np.lib.stride_tricks.sliding_window_view(tiled, (side(reach),) * 2)
         if all(len(np.unique(one)) == wanted for line in windows for one in line):
             return reach
     return most
@@ -38,7 +52,7 @@ def record_bilinear(
     pattern : tuple of str
         Rows of letters, from the first pixel of `light`.
     colours : str
-        Up to four letters.
+        The letters.
     frame : (row, col, rows, cols)
         Where in `light` the picture lies; what is outside does not count.
     label : str
@@ -52,23 +66,27 @@ def record_bilinear(
     rows, cols = light.shape
     planes = rec.buffer(label, (len(colours), rows, cols), "f4")
     sites = np.array([list(row) for row in pattern])
-    own = np.zeros((*sites.shape, 4), np.float32)
-    for number, colour in enumerate(colours):
-        own[sites == colour, number] = 1
-    owned = rec.buffer(f"{label} sites", own.shape, "f4")
-    rec.upload(owned, own)
-    kernel = Kernel(
-        "isp/bilinear",
-        PY=sites.shape[0],
-        PX=sites.shape[1],
-        REACH=reach_of(pattern),
-        COLOURS=len(colours),
-    )
-    params = {
-        "rows": rows,
-        "cols": cols,
-        "first": frame[:2],
-        "last": (frame[0] + frame[2], frame[1] + frame[3]),
-    }
-    kernel.record(rec, kernel.cover(cols, rows), params, light=light, own=owned, planes=planes)
+    for begin in range(0, len(colours), AT_ONCE):
+        some = colours[begin : begin + AT_ONCE]
+        own = np.zeros((*sites.shape, AT_ONCE), np.float32)
+        for number, colour in enumerate(some):
+            own[sites == colour, number] = 1
+        owned = rec.buffer(f"{label} sites {some}", own.shape, "f4")
+        rec.upload(owned, own)
+        kernel = Kernel(
+            "isp/bilinear",
+            PY=sites.shape[0],
+            PX=sites.shape[1],
+            REACH=reach_of(pattern),
+            FAR=far_of(pattern),
+            COLOURS=len(some),
+        )
+        params = {
+            "rows": rows,
+            "cols": cols,
+            "first": frame[:2],
+            "last": (frame[0] + frame[2], frame[1] + frame[3]),
+            "begin": begin,
+        }
+        kernel.record(rec, kernel.cover(cols, rows), params, light=light, own=owned, planes=planes)
     return planes

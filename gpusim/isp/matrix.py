@@ -19,6 +19,7 @@ def record_matrix(
     planes : Array (colours, rows, cols), f32; or (rows, cols), of one colour
         Rows times columns a multiple of 4.
     matrix : ndarray (3, colours)
+        Of up to eight colours.
     label : str
         Label of the buffer that is returned.
 
@@ -30,8 +31,9 @@ def record_matrix(
     colours = rec.buffer(label, (3, rows, cols), "f4")
     kernel = Kernel("isp/matrix", COLOURS=number)
     groups, params = line(kernel, rows * cols)
-    wide = np.zeros((3, 4))
+    wide = np.zeros((3, 8))
     wide[:, :number] = matrix
+    wide = wide.reshape(3, 2, 4)
     params |= dict(zip(("red", "green", "blue"), wide, strict=True))
     kernel.record(rec, groups, params, planes=planes, colours=colours)
     return colours

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.isp import tiff
-from gpusim.isp.demosaic import sites_of, spread
 from gpusim.isp.dng import EXIF, TAGS
 from gpusim.isp.rawfile import RawFile
 from gpusim.isp.tiff import ASCII, BYTE, DOUBLE, LONG, RATIONAL, SHORT
@@ -162,3 +161,23 @@ def _beyond(count: int) -> np.ndarray:
     last = count - 1
     place = np.where(place < 0, place % PERIOD, place)
     return np.where(place > last, last - (last - place) % PERIOD, place)
+
+
+def spread(signal: np.ndarray, own: np.ndarray, reach: int) -> np.ndarray:
+    """Return at each pixel the mean of some pixels by a tent that is 0 from `reach` off on."""
+    from scipy.ndimage import convolve1d
+
+    tent = reach - np.abs(np.arange(1 - reach, reach)).astype(np.float32)
+    sums = []
+    for part in (np.where(own, signal, 0).astype(np.float32), own.astype(np.float32)):
+        for axis in (0, 1):
+            part = convolve1d(part, tent, axis=axis, mode="constant")
+        sums.append(part)
+    return sums[0] / np.maximum(sums[1], np.float32(1e-6))
+
+
+def sites_of(pattern: tuple[str, ...], shape: tuple[int, int]) -> np.ndarray:
+    """Return the letter of each photosite: (rows, cols)."""
+    sites = np.array([list(row) for row in pattern])
+    rows, cols = (np.arange(n) % period for n, period in zip(shape, sites.shape, strict=True))
+    return sites[np.ix_(rows, cols)]

@@ -80,6 +80,22 @@ class Settings(Strict):
         return name
 
 
+def check_ev(ev: float) -> None:
+    """Refuse what is no number of stops.
+
+    Raises
+    ------
+    UserError
+    """
+    if not abs(ev) <= LARGEST_EV:
+        raise UserError(
+            "not a number of stops",
+            field="--ev",
+            value=ev,
+            allowed=f"{-LARGEST_EV:g} to {LARGEST_EV:g}",
+        )
+
+
 def read_settings(path: Path) -> Settings:
     """Read a file of settings.
 

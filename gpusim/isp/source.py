@@ -17,7 +17,6 @@ from gpusim.sensor.cfa import CFA_LETTERS
 # Variance of a frame whose file says nothing of its noise: 1 % of saturation squared, which all but
 # the noisiest frames stay below.
 UNKNOWN_NOISE = (0.0, 1e-4)
-MOST_COLOURS = 4  # that the shaders take
 LONGEST_PERIOD = 8  # pixels, of a filter pattern
 # Quarter turns to the left by LibRaw's `flip`.
 TURNS = {0: 0, 3: 2, 5: 1, 6: 3}
@@ -114,8 +113,6 @@ def _check(source: Source) -> None:
         raise ValueError("levels that are none, or no level between black and white")
     if not np.isfinite(source.black).all() or source.codes.size == 0:
         raise ValueError("a frame without pixels, or without a level of black")
-    if number > MOST_COLOURS:
-        raise ValueError(f"filters of {number} colours")
     neutral = source.neutral
     if neutral is not None and (neutral.shape != (number,) or not _positive(neutral)):
         raise ValueError("a white that is none")
@@ -198,7 +195,7 @@ def _of_libraw(path: Path) -> Source:
             letters,
             neutral,
             matrices,
-            ev=_baseline_ev(path),
+            ev=baseline_ev(path),
             turns=TURNS.get(raw.sizes.flip, 0),
         )
 
@@ -236,7 +233,8 @@ def _dng_matrices(path: Path, colours: int) -> dict[float, np.ndarray]:
     return found if fits else {}
 
 
-def _baseline_ev(path: Path) -> float:
+def baseline_ev(path: Path) -> float:
+    """Return by how many stops a DNG asks to be shown brighter; 0 where it does not, or is none."""
     tags = _tags(path)
     if TAGS["DNGVersion"] not in tags or TAGS["BaselineExposure"] not in tags:
         return 0.0

@@ -139,7 +139,7 @@ class Frame:
             sensor = self.light.sensor.cut(*self.areas.lit[:2])
             path = Path(folder) / ("raw.dng" if has_dng(sensor) else "raw.tif")
             self._write_raw(path, ev)
-            return Image.fromarray(develop(path))
+            return Image.fromarray(develop(path).picture)
 
     def save(self, path: str | Path, ev: float = 0.0, *, taken: datetime | None = None) -> None:
         """Write the frame to a file, whose suffix says as what.

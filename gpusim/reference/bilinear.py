@@ -5,26 +5,28 @@ from __future__ import annotations
 import numpy as np
 
 
-def bilinear(light: np.ndarray, pattern: tuple[str, ...], colours: str, reach: int) -> np.ndarray:
+def bilinear(
+    light: np.ndarray, pattern: tuple[str, ...], colours: str, reach: int, far: int
+) -> np.ndarray:
     """Return all colours at each pixel (colours, rows, cols), pixel by pixel.
 
     Each is the mean of its sites less than ``reach`` rows and columns away, weighted by a tent; a
-    site keeps its own value.
+    site keeps its own value. At the rim, where a colour has no site as near, it is that of the
+    tent of ``far``.
     """
     rows, cols = light.shape
+    sites = np.array([list(line) for line in pattern])
     found = np.zeros((len(colours), rows, cols))
-    for row in range(rows):
-        for col in range(cols):
-            sums = dict.fromkeys(colours, 0.0)
-            weights = dict.fromkeys(colours, 0.0)
-            for y in range(max(0, row - reach + 1), min(rows, row + reach)):
-                for x in range(max(0, col - reach + 1), min(cols, col + reach)):
-                    letter = pattern[y % len(pattern)][x % len(pattern[0])]
-                    weight = (reach - abs(y - row)) * (reach - abs(x - col))
-                    sums[letter] += weight * float(light[y, x])
-                    weights[letter] += weight
-            for number, colour in enumerate(colours):
-                found[number, row, col] = sums[colour] / max(weights[colour], 1e-300)
-            own = pattern[row % len(pattern)][col % len(pattern[0])]
-            found[colours.index(own), row, col] = light[row, col]
+    for row, col in np.ndindex(rows, cols):
+        for number, colour in enumerate(colours):
+            mean = 0.0
+            for wide in (far, reach):
+                y, x = np.ogrid[:rows, :cols]
+                tent = np.maximum(wide - abs(y - row), 0) * np.maximum(wide - abs(x - col), 0)
+                own = sites[y % sites.shape[0], x % sites.shape[1]] == colour
+                if (tent * own).sum() > 0:
+                    mean = (tent * own * light).sum(dtype=float) / (tent * own).sum()
+            found[number, row, col] = mean
+        own = pattern[row % len(pattern)][col % len(pattern[0])]
+        found[colours.index(own), row, col] = light[row, col]
     return found

@@ -4,14 +4,14 @@
 // colours (3, rows, cols); rows times cols is a multiple of 4.
 // Dispatch: ceil(fours/64) workgroups of 64, up to 65535 along x and the rest along y, four pixels each.
 
-override COLOURS: u32;                  // of the camera, up to 4
+override COLOURS: u32;                  // of the camera, up to 8
 
 struct Params {
     fours: u32,          // rows times cols over 4
     wide: u32,           // invocations along x
-    red: vec4f,          // rows of M, zeros behind the last colour
-    green: vec4f,
-    blue: vec4f,
+    red: array<vec4f, 2>,    // rows of M, zeros behind the last colour
+    green: array<vec4f, 2>,
+    blue: array<vec4f, 2>,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -29,9 +29,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     var blue = vec4f(0.0);
     for (var colour = 0u; colour < COLOURS; colour++) {
         let value = planes[colour * params.fours + at];
-        red += params.red[colour] * value;
-        green += params.green[colour] * value;
-        blue += params.blue[colour] * value;
+        red += params.red[colour / 4u][colour % 4u] * value;
+        green += params.green[colour / 4u][colour % 4u] * value;
+        blue += params.blue[colour / 4u][colour % 4u] * value;
     }
     colours[at] = red;
     colours[params.fours + at] = green;

@@ -68,7 +68,7 @@ def test_a_tiff_has_sixteen_bits(tmp_path: Path, raw: Path):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["--engine", "adobe"], ("--engine", "adobe", "libraw, gpusim")),
+        (["--engine", "adobe"], ("--engine", "adobe", "gpusim, libraw")),
         (["--engine", "libraw", "--demosaic", "malvar"], ("--demosaic", "--engine gpusim")),
         (["--demosaic", "amaze"], ("--demosaic", "amaze")),
         (["--white-balance", "sunny"], ("--white-balance", "sunny", "grey-world")),

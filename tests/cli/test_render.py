@@ -23,6 +23,7 @@ from PIL import Image
 from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
+from gpusim.isp.settings import Settings
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.render import renderer
@@ -76,7 +77,7 @@ def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
     with rawpy.imread(str(out / "raw.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image, capture.raw)
     picture = np.asarray(Image.open(out / "developed.png"))
-    np.testing.assert_array_equal(picture, develop(out / "raw.dng"))
+    np.testing.assert_array_equal(picture, develop(out / "raw.dng").picture)
     for name in ("electrons", "rate"):
         plane = OpenEXR.File(str(out / f"{name}.exr")).channels()["Y"].pixels
         assert plane.dtype == np.float32
@@ -122,7 +123,7 @@ def test_filters_that_no_dng_has_are_written_as_tiff(
         assert page.tags["Make"].value == "gpusim"
     picture = np.asarray(Image.open(tmp_path / "developed.png"))
     assert picture.shape == (ROWS, COLS, 3)
-    np.testing.assert_array_equal(picture, develop(tmp_path / "raw.tif"))
+    np.testing.assert_array_equal(picture, develop(tmp_path / "raw.tif").picture)
     assert json.loads((tmp_path / "report.json").read_text())["files"][0] == "raw.tif"
 
 
@@ -136,7 +137,7 @@ def test_quad_bayer_has_its_bayer_frames(tmp_path: Path, monkeypatch: pytest.Mon
     for name, shape in (("developed", (ROWS, COLS, 3)), ("binned", (ROWS // 2, COLS // 2, 3))):
         assert np.asarray(Image.open(tmp_path / f"{name}.png")).shape == shape
     picture = np.asarray(Image.open(tmp_path / "developed.png"))
-    np.testing.assert_array_equal(picture, develop(tmp_path / "remosaiced.dng"))
+    np.testing.assert_array_equal(picture, develop(tmp_path / "remosaiced.dng").picture)
     ran = gpusim("develop", tmp_path / "raw.dng", "--binned", "--out", tmp_path / "again.png")
     assert ran.code == 0, ran.err
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "binned.png").read_bytes()
@@ -148,7 +149,9 @@ def test_stops_are_in_the_picture_and_in_the_raw(asked: dict[str, Any], tmp_path
     plain, darker = (
         np.asarray(Image.open(tmp_path / name / "developed.png")) for name in ("a", "b")
     )
-    np.testing.assert_array_equal(darker, develop(tmp_path / "a" / "raw.dng", -1.5))
+    np.testing.assert_array_equal(
+        darker, develop(tmp_path / "a" / "raw.dng", Settings(ev=-1.5)).picture
+    )
     assert np.all(darker <= plain) and np.mean(darker < plain) > 0.5
     again = gpusim("develop", tmp_path / "b" / "raw.dng", "--ev", 1.5, "--out", tmp_path / "c.png")
     assert again.code == 0, again.err

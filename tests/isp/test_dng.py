@@ -150,7 +150,7 @@ def test_libraw_crops_the_border_and_takes_its_level_for_black(tmp_path, pattern
         names = read.color_desc.decode()
         letters = [[names[i] for i in row] for row in read.raw_pattern]
         assert letters == [list(pattern[:2]), list(pattern[2:])]
-    assert develop(path).shape == (48, 64, 3)
+    assert develop(path).picture.shape == (48, 64, 3)
 
 
 def test_tags_say_where_the_border_lies(tmp_path):
@@ -218,7 +218,7 @@ def test_libraw_undoes_the_non_linearity(tmp_path):
     assert_close(found, 0.47 * electrons[below], atol=0.5 / 0.9 + 0.5 / 15 + 1e-9)
     assert white == table[saturation_dn(camera)]
     assert np.abs(0.47 * electrons - (raw - 256.0)).max() > 90  # the control
-    assert develop(path).shape == (48, 64, 3)
+    assert develop(path).picture.shape == (48, 64, 3)
 
 
 @needs_dcraw
@@ -231,7 +231,7 @@ def test_dcraw_undoes_the_non_linearity(tmp_path):
 
 def test_a_bent_response_is_developed_as_a_straight_one(tmp_path):
     """A grey wedge: what the non-linearity took is back in the picture."""
-    electrons = np.repeat(np.linspace(50, 5000, 32), 4)[None].repeat(32, axis=0)
+    electrons = np.linspace(50, 5000, 128)[None].repeat(32, axis=0)
     pictures = []
     for camera in (sensor(), bent(), sensor()):
         read = camera.linearity.read(electrons) if camera.linearity else electrons
@@ -240,7 +240,7 @@ def test_a_bent_response_is_developed_as_a_straight_one(tmp_path):
         raw = np.round(256 + 0.47 * read).astype(np.uint16)
         neutral = dict.fromkeys("RGB", 5000.0)
         path = write(tmp_path / "a.dng", raw, camera, white_e=neutral)
-        pictures.append(develop(path).astype(float))
+        pictures.append(develop(path).picture.astype(float))
     straight, undone, left = pictures
     # A DN of the raw is at most 12.92 * 255 / 2350 = 1.4 levels of the picture, in the blacks.
     assert np.abs(undone - straight).max() <= 2
@@ -323,7 +323,7 @@ def test_an_x_trans_pattern_opens_with_its_colours(tmp_path, shift: tuple[int, i
         seen = np.array(list(read.color_desc.decode()))[read.raw_colors]
         assert np.array_equal(seen, np.tile(pattern, (86, 86)))
     # Red prevails, then green: a wrong phase of the pattern would mix them.
-    picture = develop(path)[24:-24, 24:-24].reshape(-1, 3).astype(float)
+    picture = develop(path).picture[24:-24, 24:-24].reshape(-1, 3).astype(float)
     assert picture.std(axis=0).max() < 1.0
     red, green, blue = picture.mean(axis=0)
     assert red > green + 20 > blue + 20

@@ -14,7 +14,7 @@ from gpusim.gpu import Device
 from gpusim.isp import pipeline, tiff
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, write_dng
-from gpusim.isp.engine import develop_raw
+from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.pipeline import develop_source, neutral_for
 from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
@@ -72,9 +72,11 @@ def decoded(srgb: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("illuminant", ["D50", "D65", "A"])
 def test_the_colorchecker_has_its_true_colours(device: Device, tmp_path, shoot, illuminant: str):
     path = written(shoot(illuminant), tmp_path)
-    made = develop_raw(path, Settings(space="linear", ev=EV), device, bits=16)
+    made = develop(path, Settings(space="linear", ev=EV), device=device, bits=16)
     error = difference(patches_of(made.picture) / 65535, true_rgb(illuminant))
-    theirs = difference(decoded(patches_of(develop(path, EV)) / 255), true_rgb(illuminant))
+    theirs = difference(
+        decoded(patches_of(develop_by_libraw(path, EV)) / 255), true_rgb(illuminant)
+    )
     print(
         f"{illuminant}: dE2000 mean {error.mean():.2f}, max {error.max():.2f}; "
         f"LibRaw {theirs.mean():.2f}, {theirs.max():.2f}"
@@ -133,7 +135,7 @@ def test_every_filter_array_shows_what_is_there(device: Device, tmp_path, shoot,
     if name in arrays and name != "RGBW":
         path = written(shoot("D65", arrays[name], patch_px=48), tmp_path)
         settings = Settings(space="linear", ev=EV)
-        made = develop_raw(path, settings, device, bits=16)
+        made = develop(path, settings, device=device, bits=16)
         error = difference(patches_of(made.picture) / 65535, true_rgb("D65"))
         assert error.mean() <= 1.5
         assert error.max() <= 5
@@ -289,13 +291,13 @@ def test_a_corrupt_raw_is_a_clear_error(device: Device, tmp_path, shoot, content
     path = written(shoot("D50"), tmp_path)
     path.write_bytes(path.read_bytes()[:2000] if content is None else content)
     with pytest.raises(UserError, match="cannot be developed") as caught:
-        develop_raw(path, Settings(), device)
+        develop(path, Settings(), device=device)
     assert caught.value.file == path
 
 
 def test_a_missing_raw_is_a_clear_error(device: Device, tmp_path):
     with pytest.raises(UserError, match="no such raw file"):
-        develop_raw(tmp_path / "none.dng", Settings(), device)
+        develop(tmp_path / "none.dng", Settings(), device=device)
 
 
 @pytest.mark.parametrize(("orientation", "turns"), [(1, 0), (3, 2), (6, 3), (8, 1)])
@@ -304,12 +306,12 @@ def test_files_of_others_are_developed_as_ours_and_upright(
 ):
     """LibRaw reads the same file where its maker is another; Orientation by TIFF 6.0."""
     path = written(shoot("D50"), tmp_path)
-    ours = develop_raw(path, Settings(), device).picture
+    ours = develop(path, Settings(), device=device).picture
     content = path.read_bytes().replace(b"gpusim\0", b"Camera\0")
     tag = struct.pack("<HHIH", 274, 3, 1, 1)
     assert content.count(tag) == 1
     path.write_bytes(content.replace(tag, struct.pack("<HHIH", 274, 3, 1, orientation)))
-    theirs = develop_raw(path, Settings(), device).picture
+    theirs = develop(path, Settings(), device=device).picture
     # LibRaw holds the white balance in f32, which carries few values over a half.
     expected = np.rot90(ours, turns).astype(int)
     assert_close(theirs.astype(int), expected, atol=0, outliers=1e-3, outlier_atol=1)
@@ -338,7 +340,7 @@ def test_levels_that_no_camera_has_are_one_clear_error(
     monkeypatch.setattr(tiff, "write_tiff", spoilt)
     path = written(shoot("D50"), tmp_path)
     if tag == "BaselineExposure":
-        assert develop_raw(path, Settings(), device).picture.max() == 255
+        assert develop(path, Settings(), device=device).picture.max() == 255
         return
     with pytest.raises(UserError, match="cannot be developed"):
-        develop_raw(path, Settings(), device)
+        develop(path, Settings(), device=device)

@@ -6,14 +6,16 @@ import rawpy
 from harness import assert_close
 
 from gpusim.errors import UserError
-from gpusim.isp.demosaic import planes
+from gpusim.isp.colour import response
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import EXIF, TAGS, write_dng
 from gpusim.isp.levels import saturation_dn
+from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.quad import quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.isp.tiff import numbers
 from gpusim.scene.colorimetry import encode_srgb
+from gpusim.scene.spectra import white_radiance
 from gpusim.sensor.adc_model import Linearity
 from gpusim.sensor.load import load_sensor
 
@@ -136,12 +138,12 @@ def test_a_grey_edge_has_no_colour(tmp_path):
     light[:, 41:] = 0.8
     light[:30] = 0.5
     written(tmp_path / "a.dng", QUAD, light)
-    picture = develop(tmp_path / "a.dng").astype(int)
+    picture = develop(tmp_path / "a.dng").picture.astype(int)
     assert picture.shape == (96, 96, 3)
     inner = picture[8:-8, 8:-8]
     # A step of 106 levels; without balance before the differences the rims are 60 levels off.
     assert np.percentile(np.ptp(inner, axis=2), 99) <= 8
-    even = develop(tmp_path / "a.dng", binned=True)
+    even = develop(tmp_path / "a.dng", binned=True).picture
     assert even.shape == (48, 48, 3)
     for shown, at in ((picture, (60, 20)), (even, (30, 10))):
         expected = 255 * encode_srgb(np.array(0.2 * 3000 / (4095 - BLACK)))
@@ -187,7 +189,7 @@ def test_the_border_is_cropped_and_its_dark_current_taken(tmp_path, pattern):
     assert_close(found.signal_dn, signal, atol=1e-3)
     assert found.pattern == tuple(pattern)
     assert found.span_dn == pytest.approx(4095 - np.mean([*levels.values(), 256, 256][:4]) - 9)
-    assert develop(tmp_path / "a.dng").shape == (40, 48, 3)
+    assert develop(tmp_path / "a.dng").picture.shape == (40, 48, 3)
 
 
 # --- other filter arrays, and small frames ---
@@ -199,7 +201,7 @@ def test_the_border_is_cropped_and_its_dark_current_taken(tmp_path, pattern):
 @pytest.mark.parametrize("shape", [(5, 7), (32, 40)])
 def test_a_grey_field_is_grey_at_any_size(tmp_path, pattern, shape):
     written(tmp_path / "a.dng", pattern, np.full(shape, 0.25))
-    picture = develop(tmp_path / "a.dng")
+    picture = develop(tmp_path / "a.dng").picture
     assert picture.shape == (*shape, 3)
     expected = 255 * encode_srgb(np.array(0.25 * 3000 / (4095 - BLACK)))
     # A code of 300 in the darkest channel, and rounding.
@@ -210,33 +212,32 @@ def test_a_grey_field_is_grey_at_any_size(tmp_path, pattern, shape):
 def test_the_smallest_frames_have_a_picture(tmp_path, shape):
     for pattern in (("RG", "GB"), QUAD, ("W",)):
         written(tmp_path / "a.dng", pattern, np.full(shape, 0.25))
-        assert develop(tmp_path / "a.dng").shape == (*shape, 3)
+        assert develop(tmp_path / "a.dng").picture.shape == (*shape, 3)
 
 
-def test_interpolation_is_bilinear_and_keeps_the_photosites():
-    y, x = np.mgrid[0:12, 0:14].astype(np.float32)
-    light = 3 * x + 5 * y
-    found = planes(light, ("RG", "BW"), "RGBW")
-    for plane in found:  # a plane is bilinear's fixed point, away from the rim
-        assert_close(plane[2:-2, 2:-2], light[2:-2, 2:-2], atol=1e-4)
-    spikes = np.zeros((12, 14), np.float32)
-    spikes[4, 6] = 1
-    red = planes(spikes, ("RG", "BW"), "RGBW")[0]
-    assert (red[4, 6], red[4, 7], red[5, 7], red[4, 8]) == (1, 0.5, 0.25, 0)
-
-
-def test_developed_here_a_colour_is_that_of_libraw(tmp_path):
+def test_a_colour_is_that_of_libraw(tmp_path):
     """A Bayer frame of less than LibRaw's least side, and a larger one."""
     camera = camera_of(("RG", "GB"))
     pictures = []
     for side in (20, 64):
         sites = sites_of(("RG", "GB"), (side, side))
         raw = np.vectorize({"R": 1500, "G": 1200, "B": 700}.get)(sites).astype(np.uint16)
-        light = {"R": 2400.0, "G": 6000.0, "B": 4200.0}
-        write_dng(tmp_path / "a.dng", raw, camera, white_e=light, exposure_s=0.01)
-        pictures.append(develop(tmp_path / "a.dng")[side // 2, side // 2].astype(int))
+        # Daylight's white, for which LibRaw's matrix is.
+        white = dict(zip("RGB", response(camera.qe) @ white_radiance("D65", 1e4), strict=True))
+        write_dng(tmp_path / "a.dng", raw, camera, white_e=white, exposure_s=0.01)
+        pictures.append(develop(tmp_path / "a.dng").picture[side // 2, side // 2].astype(int))
+    pictures.append(develop_by_libraw(tmp_path / "a.dng")[side // 2, side // 2].astype(int))
     assert np.ptp(pictures[1]) > 100
-    assert np.abs(pictures[0] - pictures[1]).max() <= 1
+    for other in (pictures[0], pictures[2]):
+        assert np.abs(other - pictures[1]).max() <= 1
+
+
+@pytest.mark.parametrize("pattern", [("W",), ("RG", "BW"), QUAD])
+def test_what_libraw_does_not_know_is_refused_with_the_other_engine(tmp_path, pattern):
+    written(tmp_path / "a.dng", pattern, np.full((7, 20), 0.25))
+    with pytest.raises(UserError, match="LibRaw") as caught:
+        develop_by_libraw(tmp_path / "a.dng")
+    assert caught.value.allowed == "--engine gpusim"
 
 
 def test_a_cut_raw_of_ours_is_a_clear_error(tmp_path):

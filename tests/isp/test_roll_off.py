@@ -6,7 +6,7 @@ from harness import assert_close
 from isp.stages import F32, ULP, through
 
 from gpusim.gpu import Device
-from gpusim.isp.develop import toned
+from gpusim.isp.libraw import toned
 from gpusim.isp.roll_off import record_roll_off
 from gpusim.reference.roll_off import roll_off
 

@@ -1,4 +1,4 @@
-"""Development against the same conversion in float64, the true colours, and other programs."""
+"""LibRaw's development against the same conversion in float64; brightness by both engines."""
 
 import shutil
 import subprocess
@@ -11,9 +11,12 @@ from harness import assert_close
 
 from gpusim.errors import UserError
 from gpusim.isp.colour import colour_matrix, response
-from gpusim.isp.develop import _baseline_exposure_ev, develop, toned
+from gpusim.isp.develop import develop
 from gpusim.isp.dng import write_dng
 from gpusim.isp.levels import saturation_dn
+from gpusim.isp.libraw import develop_by_libraw, toned
+from gpusim.isp.settings import Settings
+from gpusim.isp.source import baseline_ev
 from gpusim.scene.colorimetry import (
     REC709_CHROMATICITIES,
     adaptation,
@@ -23,6 +26,14 @@ from gpusim.scene.colorimetry import (
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
 
 PATCH = 40
+
+
+def developed_here(path, ev=0.0):
+    return develop(path, Settings(ev=ev)).picture
+
+
+ENGINES = {"gpusim": developed_here, "libraw": develop_by_libraw}
+both = pytest.mark.parametrize("engine", ENGINES.values(), ids=ENGINES)
 SPACE = rgb_to_xyz(REC709_CHROMATICITIES)
 
 
@@ -60,7 +71,7 @@ def decoded(srgb: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("illuminant", ["D50", "D65", "A"])
 def test_libraw_agrees_with_the_matrix_in_float64(tmp_path, shoot, illuminant):
     shot = shoot(illuminant)
-    developed = patches_of(develop(written(shot, tmp_path)))
+    developed = patches_of(develop_by_libraw(written(shot, tmp_path)))
     # LibRaw's conversion: the camera's channels balanced to the as-shot white, then the inverse of
     # ColorMatrix2 with its rows scaled so that the white of sRGB is (1, 1, 1).
     from_rgb = colour_matrix(response(shot.sensor.qe), "D65") @ SPACE
@@ -80,26 +91,30 @@ def test_developed_patches_have_their_true_colours(tmp_path, shoot, illuminant, 
     # What a 3 x 3 matrix can do with these spectra, in float64: D65 0.84 mean, 2.83 worst; D50
     # 1.12, 2.74; A 2.86, 8.09, since LibRaw uses the matrix for D65 alone. On top, up to 1 level of
     # 8 bits in each component, 0.2 in the mean and 0.4 at worst.
-    developed = patches_of(develop(written(shoot(illuminant), tmp_path), np.log2(1 / 0.6)))
+    developed = patches_of(
+        develop_by_libraw(written(shoot(illuminant), tmp_path), np.log2(1 / 0.6))
+    )
     error = difference(decoded(developed / 255), true_rgb(illuminant))
     print(f"{illuminant}: dE2000 mean {error.mean():.2f}, max {error.max():.2f}")
     assert error.mean() < mean
     assert error.max() < worst
 
 
-def test_neutral_patches_are_neutral(tmp_path, shoot):
-    grey = patches_of(develop(written(shoot("D50"), tmp_path), np.log2(1 / 0.6)))[18:]
+@both
+def test_neutral_patches_are_neutral(tmp_path, shoot, engine):
+    grey = patches_of(engine(written(shoot("D50"), tmp_path), np.log2(1 / 0.6)))[18:]
     # The patches themselves are within 0.01 of flat, 4 levels; white balance adds nothing.
     true = 255 * encode_srgb(true_rgb("D50"))[18:]
     assert_close(np.ptp(grey, axis=1), np.ptp(true, axis=1), atol=2.5)
 
 
+@both
 @pytest.mark.parametrize("white_share", [0.05, 0.3, 0.9, 1.3])
-def test_the_exposure_sets_the_brightness(tmp_path, shoot, white_share):
+def test_the_exposure_sets_the_brightness(tmp_path, shoot, engine, white_share):
     light = decoded(
-        patches_of(develop(written(shoot("D65", white_share=white_share), tmp_path))) / 255
+        patches_of(engine(written(shoot("D65", white_share=white_share), tmp_path))) / 255
     )
-    whole = decoded(patches_of(develop(written(shoot("D65", white_share=0.9), tmp_path))) / 255)
+    whole = decoded(patches_of(engine(written(shoot("D65", white_share=0.9), tmp_path))) / 255)
     # Neutral 8, 6.5 and 5: none saturates at any of the exposures. Two roundings to 8 bits, of a
     # curve that is at most 1 / 12.92 there and 2.4 times as steep as straight at white.
     ratio = light[19:22] / whole[19:22]
@@ -107,17 +122,18 @@ def test_the_exposure_sets_the_brightness(tmp_path, shoot, white_share):
     assert np.all(np.abs(ratio * 0.9 / white_share - 1) < 2 * step)
 
 
+@both
 @pytest.mark.parametrize("ev", [-3.0, -1.0, 0.0, 1.5])
 @pytest.mark.parametrize("by", ["option", "file"])
-def test_stops_move_the_brightness_and_saturation_stays_white(tmp_path, shoot, ev, by):
+def test_stops_move_the_brightness_and_saturation_stays_white(tmp_path, shoot, engine, ev, by):
     """Patches up to a quarter of saturation are 2^EV times as bright."""
     shot = shoot("D65", white_share=0.25)
     shot.raw[:16, :16] = 65535
     path = written(shot, tmp_path)
-    plain = decoded(patches_of(develop(path)) / 255)
+    plain = decoded(patches_of(engine(path)) / 255)
     if by == "file":
         write_dng(path, shot.raw, shot.sensor, white_e=shot.white_e, exposure_s=0.01, ev=ev)
-    picture = develop(path, ev if by == "option" else 0.0)
+    picture = engine(path, ev if by == "option" else 0.0)
     assert picture[:12, :12].min() == 255
     moved = decoded(patches_of(picture) / 255)[20:22]
     step = 2.4 * 0.5 / 255 / np.minimum(encode_srgb(moved), encode_srgb(plain[20:22]))
@@ -139,7 +155,7 @@ def test_light_that_is_moved_rises_to_white(ev):
 @pytest.mark.parametrize("ev", [-20.1, 21, np.nan, np.inf])
 def test_stops_out_of_range_are_refused(tmp_path, shoot, ev):
     with pytest.raises(UserError, match="stops") as caught:
-        develop(written(shoot("D65"), tmp_path), ev)
+        develop_by_libraw(written(shoot("D65"), tmp_path), ev)
     assert caught.value.field == "--ev"
 
 
@@ -169,14 +185,14 @@ def test_a_saturated_frame_is_white(tmp_path, shoot, pattern, changes):
     write_dng(path, raw, camera, white_e=white, exposure_s=0.01)
     assert raw.min() > 0.9 * saturation_dn(camera)
     for ev in (-2.0, 0.0, 2.0):
-        assert np.mean(develop(path, ev) == 255) > 0.98
+        assert np.mean(developed_here(path, ev) == 255) > 0.98
 
 
 @pytest.mark.parametrize("program", ["LibRaw", "dcraw"])
 def test_other_programs_show_the_same_brightness(tmp_path, shoot, program):
     """Without the automatic brightness that the two of them have."""
     path = written(shoot("D65", white_share=0.2), tmp_path)
-    ours = decoded(patches_of(develop(path)) / 255)
+    ours = decoded(patches_of(develop_by_libraw(path)) / 255)
     if program == "LibRaw":
         with rawpy.imread(str(path)) as raw:
             theirs = raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16)
@@ -194,9 +210,10 @@ def test_other_programs_show_the_same_brightness(tmp_path, shoot, program):
     assert np.abs(stops).max() < 0.08
 
 
-def test_a_picture_is_upright_and_of_the_raws_size(tmp_path, shoot):
+@both
+def test_a_picture_is_upright_and_of_the_raws_size(tmp_path, shoot, engine):
     shot = shoot("D50")
-    picture = develop(written(shot, tmp_path))
+    picture = engine(written(shot, tmp_path))
     assert picture.dtype == np.uint8
     assert picture.shape == (*shot.raw.shape, 3)
 
@@ -204,12 +221,12 @@ def test_a_picture_is_upright_and_of_the_raws_size(tmp_path, shoot):
 def test_a_raw_that_is_no_tiff_has_no_baseline_exposure(tmp_path):
     path = tmp_path / "raw.raf"
     path.write_bytes(b"FUJIFILMCCD-RAW 0201" + bytes(1000))
-    assert _baseline_exposure_ev(path) == 0.0
+    assert baseline_ev(path) == 0.0
 
 
 def test_a_missing_raw_is_a_clear_error(tmp_path):
     with pytest.raises(UserError, match="no such raw file") as caught:
-        develop(tmp_path / "none.dng")
+        develop_by_libraw(tmp_path / "none.dng")
     assert caught.value.file == tmp_path / "none.dng"
 
 
@@ -218,7 +235,7 @@ def test_a_corrupt_raw_is_a_clear_error(tmp_path, shoot, content):
     path = written(shoot("D50"), tmp_path)
     path.write_bytes(path.read_bytes()[:2000] if content is None else content)
     with pytest.raises(UserError, match="LibRaw cannot develop") as caught:
-        develop(path)
+        develop_by_libraw(path)
     assert caught.value.file == path
     assert caught.value.value
 
