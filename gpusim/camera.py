@@ -35,7 +35,7 @@ PRESETS = Path(__file__).parent / "data" / "cameras"
 
 
 class Lens(Protocol):
-    """What a camera asks of its lens: `Prescription` and `ReadyLens` give it."""
+    """What a camera asks of its lens, whether a `Prescription` or a `ReadyLens`."""
 
     title: str
     source: str
@@ -47,9 +47,6 @@ class Lens(Protocol):
     @property
     def known(self) -> tuple[Known, ...]:
         """Over which wavelengths it is known."""
-
-    def bank(self, progress: Callable[[int, int], None] | None = None) -> FieldBank:
-        """Return its PSFs with everything else that the chain needs of it."""
 
     def model_dump(self) -> dict[str, object]:
         """Return what is known of it, for the report."""
@@ -139,7 +136,15 @@ class Camera:
     def bank(
         self, progress: Callable[[int, int], None] | None = None, **sampling: np.ndarray
     ) -> FieldBank:
-        """Return the lens's PSF bank; ``sampling`` as for `Prescription.bank`."""
+        """Return the lens's PSF bank, traced or ready-made.
+
+        ``sampling`` is for lenses that are traced: see `gpusim.psf.lens_bank.lens_bank`.
+        """
+        from gpusim.lens.prescription import Prescription
+        from gpusim.psf.lens_bank import lens_bank
+
+        if isinstance(self.lens, Prescription):
+            return lens_bank(self.lens, progress, **sampling)
         return self.lens.bank(progress, **sampling)
 
 
@@ -208,8 +213,8 @@ def load_camera(
 
 def _no_camera(name: str) -> str:
     """Say that there is no camera of a name: of which kind it is, or which may be meant."""
+    from gpusim.formats.lens_file import presets as lenses
     from gpusim.formats.ready import mtf_presets
-    from gpusim.lens.prescription import presets as lenses
     from gpusim.sensor.load import presets as sensors
 
     kinds = {"lens": {*lenses(), *mtf_presets()}, "sensor": set(sensors())}
@@ -250,8 +255,8 @@ def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
     A lens whose file states the axis alone is used to the corners of the sensor.
     """
     from gpusim.formats.imported import with_field_to
+    from gpusim.formats.lens_file import load_prescription
     from gpusim.formats.ready import MTF_TABLE, load_ready
-    from gpusim.lens.prescription import load_prescription
 
     if choice.prescription is None:
         name = choice.bank or choice.mtf

@@ -10,8 +10,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Device, default_device
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.plan.costs import LAVAPIPE
 
 

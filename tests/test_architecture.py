@@ -1,7 +1,8 @@
 """The layers, read from the source: who may import whom, and one name for each stage everywhere.
 
 render, library, plan, certify, report, batch, cli -> domain packages -> gpu -> wgpu; reference/
-stands apart, so that it can judge. An import inside a function counts like one at the top.
+stands apart, so that it can judge. An import inside a function counts like one at the top; one for
+type checkers alone, which never runs, counts where packages are told apart, not in cycles.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import ast
 import importlib
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -53,10 +54,25 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def imports(module: str, text: str, is_package: bool) -> Iterator[str]:
-    """Yield the dotted names that a module's text imports; ``from a import b`` yields ``a.b``."""
+def running(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of a module without what stands under ``if TYPE_CHECKING``."""
+    yield tree
+    for child in ast.iter_child_nodes(tree):
+        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            for node in child.orelse:
+                yield from running(node)
+        else:
+            yield from running(child)
+
+
+def imports(module: str, text: str, is_package: bool, typing: bool = True) -> Iterator[str]:
+    """Yield the dotted names that a module's text imports; ``from a import b`` yields ``a.b``.
+
+    ``typing``: with those for type checkers alone.
+    """
     package = module.split(".") if is_package else module.split(".")[:-1]
-    for node in ast.walk(ast.parse(text)):
+    tree = ast.parse(text)
+    for node in ast.walk(tree) if typing else running(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -69,6 +85,61 @@ IMPORTS = {
     name: sorted(set(imports(name, file.read_text(), file.name == "__init__.py")))
     for name, file in MODULES.items()
 }
+
+
+# A value's own makers, which the value offers as class methods: `Scene.load`, `Sensor.load`.
+MAKERS = {
+    ("gpusim.scene.scene", "gpusim.scene.make"),
+    ("gpusim.scene.scene", "gpusim.scene.arrays"),
+    ("gpusim.sensor.sensor", "gpusim.sensor.load"),
+}
+
+
+def home(name: str, modules: Mapping[str, Path]) -> str:
+    """Return the module of a dotted name; empty for one of another project."""
+    while name and name not in modules:
+        name = name.rpartition(".")[0]
+    return name
+
+
+def runs(text: Mapping[str, str], packages: Collection[str] = ()) -> dict[str, set[str]]:
+    """Return which modules each module imports when it runs, by the texts of all of them."""
+    return {
+        name: {
+            found
+            for one in imports(name, content, name in packages, typing=False)
+            if (found := home(one, text)) and found != name
+        }
+        for name, content in text.items()
+    }
+
+
+def cycle(graph: Mapping[str, Collection[str]]) -> list[str]:
+    """Return one cycle of a graph, its first member again at the end; empty where there is none."""
+    done: set[str] = set()
+    for start in graph:
+        path, left = [start], [iter(sorted(graph[start]))]
+        while path and start not in done:
+            following = next(left[-1], None)
+            if following is None:
+                done.add(path.pop())
+                left.pop()
+            elif following in path:
+                return [*path[path.index(following) :], following]
+            elif following not in done:
+                path.append(following)
+                left.append(iter(sorted(graph.get(following, ()))))
+    return []
+
+
+RUNS = runs(
+    {name: file.read_text() for name, file in MODULES.items()},
+    {name for name, file in MODULES.items() if file.name == "__init__.py"},
+)
+
+
+def package_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else ""
 
 
 def inside(name: str, package: str) -> bool:
@@ -103,6 +174,41 @@ def test_the_reader_finds_what_is_there():
     assert "wgpu" in IMPORTS["gpusim.gpu.device"]
     assert "gpusim.gpu.layout.ShaderError" in IMPORTS["gpusim.gpu.kernel"]
     assert offences("gpu", ("wgpu",))
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    graph = {
+        name: {one for one in found if (name, one) not in MAKERS} for name, found in RUNS.items()
+    }
+    assert cycle(graph) == []
+
+
+def test_no_package_imports_itself_by_way_of_others():
+    """What type checkers alone see is free; the top, `gpusim` itself, holds the version."""
+    graph: dict[str, set[str]] = {}
+    for name, found in RUNS.items():
+        if package := package_of(name):
+            others = {package_of(one) for one in found} - {"", package}
+            graph.setdefault(package, set()).update(others)
+    assert cycle(graph) == []
+
+
+def test_a_maker_is_imported_by_its_value():
+    assert [pair for pair in sorted(MAKERS) if pair[1] not in RUNS[pair[0]]] == []
+
+
+def test_a_cycle_is_found_also_inside_a_function():
+    text = {
+        "a.x": "import a.y\n",
+        "a.y": "if TYPE_CHECKING:\n    import a.x\ndef f():\n    from a import z\n",
+        "a.z": "",
+    }
+    assert cycle(runs(text)) == []
+    assert cycle(runs(text | {"a.z": "from a.x import g\n"})) == ["a.x", "a.y", "a.z", "a.x"]
+
+
+def test_lenses_know_nothing_of_point_spread_functions_and_files_of_others():
+    assert offences("lens", ("gpusim.psf", "gpusim.formats")) == []
 
 
 def test_only_the_gpu_layer_knows_wgpu():

@@ -23,7 +23,7 @@ import numpy as np
 
 from gpusim.camera import Camera, load_camera
 from gpusim.certify import certify
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE

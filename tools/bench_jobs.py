@@ -26,8 +26,9 @@ from scipy.ndimage import map_coordinates
 from gpusim.camera import Camera, load_camera
 from gpusim.certify import choose_probes, compare, glare_at, true_rates
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Array, Device, Kernel, Recording
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.optics.chief_ray import radial_map
@@ -193,7 +194,7 @@ class FrameCamera:
         without an axis (up to 0.4 % of the light lay there), and kernels of mirrored nodes no
         mirror images.
         """
-        bank = self.lens.bank(progress)
+        bank = Camera(self.lens, self.sensor, "frame").bank(progress)
         kept = round(FRAME_PSF * SIM_PITCH_UM / bank.pitch_um / 2)
         middle = bank.psf.shape[-1] // 2
         part = bank.psf[..., middle - kept : middle + kept, middle - kept : middle + kept].copy()

@@ -30,7 +30,8 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR, Projection
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays

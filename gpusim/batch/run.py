@@ -13,12 +13,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import LIGHTS, SIDECAR, Task, whole, work
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
     from distributed import Client
+
+    from gpusim.batch.sweep import Sweep
 
 FRAMES_A_TASK = 10  # a killed worker loses ten frames' work at most
 SWEEP_FILE = "sweep.json"

@@ -46,7 +46,6 @@ OF_SURFACE = (
     "tilt_y_deg",
 )
 OUTPUTS = ("raw", "npz", "exr", "developed", "truth")
-KINDS = {"raw": "dng", "npz": "npz", "exr": "exr", "developed": "png", "truth": "truth.exr"}
 
 
 class Sweep(Strict):

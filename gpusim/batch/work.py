@@ -16,16 +16,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gpusim
-from gpusim.batch.sweep import KINDS, Frame, Sweep
 from gpusim.errors import UserError
 from gpusim.library.light import Light, expose
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
 if TYPE_CHECKING:
+    from gpusim.batch.sweep import Frame, Sweep
     from gpusim.library import frame as library
 
 LIGHTS, SIDECAR = ".lights", ".json"
+# What a frame's file ends with, by output.
+KINDS = {"raw": "dng", "npz": "npz", "exr": "exr", "developed": "png", "truth": "truth.exr"}
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
 _SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames

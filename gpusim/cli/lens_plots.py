@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from gpusim.cli.files import staging, whole_file
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import KINDS as LENS_KINDS
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import is_ready
-from gpusim.lens.prescription import KINDS as LENS_KINDS
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.formats.text import decoded, finite
 from gpusim.lens.glass import BOOKS, D_LINE_NM, FORMULAS, catalogue, formula_index
-from gpusim.lens.prescription import Dispersion, Prescription
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.surface import Dispersion
 
 # A formula must give the nd that its catalogue prints. The makers' do so to 5e-7; a catalogue that
 # lost its higher coefficients, of which one is in circulation, misses by 1e-4 to 7e-3.

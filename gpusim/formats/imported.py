@@ -20,6 +20,9 @@ from gpusim.errors import UserError
 from gpusim.formats.agf import with_file_catalogues
 from gpusim.lens.account import Account
 from gpusim.lens.prescription import Prescription, validated
+from gpusim.lens.system import build, conjugates, first_order, geometry_of
+from gpusim.lens.trace import aim, launch_field, trace
+from gpusim.lens.wavefront import sample_rays
 
 # Design programs write an object at infinity as a distance of 1e10 lens units or more. From there
 # the wavefront over a pupil of 50 mm sags by 6e-5 waves.
@@ -127,8 +130,6 @@ def _with_pupil(lens: Prescription, working: bool) -> Prescription:
 
     Design programs aim at the rim of that from the object; cameras mark another.
     """
-    from gpusim.lens.system import conjugates, first_order
-
     order = first_order(lens)
     diameter = order.entrance_pupil_diameter_mm
     if working:  # as wide as it takes: paraxial angles go with the diameter
@@ -165,8 +166,6 @@ def with_small_field(lens: Prescription) -> Prescription:
     UserError
         Where the lens forms no image, or no chief ray off its axis passes.
     """
-    from gpusim.lens.system import build
-
     build(lens)  # what is wrong on the axis already is said as it is
     angle = SMALL_FIELD_DEG
     while not _passes(lens, angle):
@@ -215,8 +214,6 @@ def with_field_to(lens: Prescription, height_mm: float) -> Prescription:
 
 def _passes(lens: Prescription, angle_deg: float) -> bool:
     """Whether the chief ray of a lens that is used so far passes its clear apertures."""
-    from gpusim.lens.system import build
-
     try:
         return _chief(build(lens.model_copy(update={"max_field_deg": angle_deg})), angle_deg)[1]
     except UserError:
@@ -224,8 +221,6 @@ def _passes(lens: Prescription, angle_deg: float) -> bool:
 
 
 def _angle_of(lens: Prescription, height_mm: float, kind: str) -> float:
-    from gpusim.lens.system import build, conjugates, geometry_of
-
     if kind == "object height":
         geometry = geometry_of(lens)
         return math.degrees(math.atan(height_mm / (geometry.field_z - geometry.object_z)))
@@ -254,8 +249,6 @@ def _angle_of(lens: Prescription, height_mm: float, kind: str) -> float:
 
 def _widest(lens: Prescription) -> float:
     """Return the largest field whose chief ray passes all clear apertures, to 0.01 deg below."""
-    from gpusim.lens.system import build
-
     system = build(lens)
 
     def passes(angle: float) -> bool:
@@ -276,8 +269,6 @@ def _widest(lens: Prescription) -> float:
 
 def _chief(system, angle_deg: float) -> tuple[float, bool]:
     """Image height of the chief ray at the reference wavelength, and whether nothing clips it."""
-    from gpusim.lens.wavefront import sample_rays
-
     index = system.index(np.array([system.prescription.reference_nm]))
     rays = sample_rays(system, index, math.radians(angle_deg), np.zeros(1), np.zeros(1))
     return float(rays.chief_y_mm[0]), bool(rays.inside.all())
@@ -294,9 +285,6 @@ def _with_beams(lens: Prescription, beams: Iterable[Beam]) -> Prescription:
     UserError
         Where a ray of the beams does not pass the surfaces.
     """
-    from gpusim.lens.system import build
-    from gpusim.lens.trace import aim, launch_field, trace
-
     missing = [
         i
         for i, surface in enumerate(lens.surfaces)

@@ -18,7 +18,8 @@ from gpusim.formats.imported import INFINITE, ON_LINE, Beam, Fields, finished, r
 from gpusim.formats.text import decoded, finite
 from gpusim.lens.account import Account
 from gpusim.lens.glass import BOOKS, catalogue
-from gpusim.lens.prescription import ASPHERE_POWERS, Prescription
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.surface import ASPHERE_POWERS
 
 # Surface keys that carry no optics: display, solves (their result stands beside them), comments,
 # mirror substrate, mechanical size, propagation and coating-layout settings.

@@ -17,7 +17,7 @@ from gpusim.errors import UserError
 from gpusim.known import Known
 
 if TYPE_CHECKING:
-    from gpusim.lens.prescription import Surface
+    from gpusim.lens.surface import Surface
 
 # Catalogue name, as Zemax's GCAT writes it, to the database's books. B 270, Zerodur and the like
 # stand in the makers' own catalogues beside the optical glasses.

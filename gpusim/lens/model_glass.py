@@ -25,7 +25,9 @@ from gpusim.lens.glass import (
     mean_dpgf,
     optical_glasses,
 )
-from gpusim.lens.prescription import Prescription
+from gpusim.lens.model import LensModel
+from gpusim.lens.system import build, first_order
+from gpusim.lens.wavefront import sample_rays
 
 # The distance of two glasses is hypot(d nd, d Vd / 100), by which design programs substitute
 # catalogue glasses (Zemax manual, glass substitution). Beyond NEAR a glass is another one: nd and
@@ -61,17 +63,17 @@ def known(book: str) -> tuple[Known, ...]:
     return tuple(found)
 
 
-def model_surfaces(lens: Prescription) -> list[int]:
+def model_surfaces(lens: LensModel) -> list[int]:
     """Return the numbers of the surfaces with a model glass behind them."""
     return [n for n, surface in enumerate(lens.surfaces, start=1) if surface.glass == "model"]
 
 
-def wavelengths_of(lens: Prescription) -> np.ndarray:
+def wavelengths_of(lens: LensModel) -> np.ndarray:
     """Return the wavelengths at which the choice is judged: 400 to 700 nm and the design's own."""
     return np.unique([*_WAVELENGTHS_NM, *lens.design_wavelengths_nm, lens.reference_nm])
 
 
-def nearest(nd: float, vd: float, lens: Prescription) -> Known | None:
+def nearest(nd: float, vd: float, lens: LensModel) -> Known | None:
     """Return the nearest glass of the lens's catalogues, of all where it names none.
 
     One that has data at the lens's wavelengths; None where none lies within ``NEAR``.
@@ -92,7 +94,7 @@ def nearest(nd: float, vd: float, lens: Prescription) -> Known | None:
     return found if found is not None and apart(found) <= NEAR else None
 
 
-def _swapped(lens: Prescription) -> tuple[Prescription, dict[int, Known | None]]:
+def _swapped(lens: LensModel) -> tuple[LensModel, dict[int, Known | None]]:
     """Return the lens with the nearest glasses, and which they are by surface number."""
     surfaces, found = list(lens.surfaces), {}
     for number in model_surfaces(lens):
@@ -104,7 +106,7 @@ def _swapped(lens: Prescription) -> tuple[Prescription, dict[int, Known | None]]
     return lens.model_copy(update={"surfaces": tuple(surfaces)}), found
 
 
-def with_nearest(lens: Prescription) -> Prescription:
+def with_nearest(lens: LensModel) -> LensModel:
     """Return the lens with each model glass by the nearest one; the account says which.
 
     nd and Vd change with it, and so does the focus of a lens whose image plane is given.
@@ -118,7 +120,7 @@ def with_nearest(lens: Prescription) -> Prescription:
     return lens.derived(step, surfaces=swapped.surfaces, nearest_glasses=True)
 
 
-def _names(lens: Prescription, found: dict[int, Known | None]) -> str:
+def _names(lens: LensModel, found: dict[int, Known | None]) -> str:
     """Say which glass each surface gets."""
     said = []
     for number, near in found.items():
@@ -145,12 +147,12 @@ class Colour(NamedTuple):
         return Colour(self.lateral - other.lateral, self.longitudinal - other.longitudinal)
 
 
-def colour(lens: Prescription, wavelengths_nm: np.ndarray) -> Colour:
+def colour(lens: LensModel, wavelengths_nm: np.ndarray) -> Colour:
     """Trace the colour of a lens with every surface on its axis.
 
     Parameters
     ----------
-    lens : Prescription
+    lens : LensModel
     wavelengths_nm : ndarray, shape (L,)
 
     Raises
@@ -158,9 +160,6 @@ def colour(lens: Prescription, wavelengths_nm: np.ndarray) -> Colour:
     UserError
         Where a chief ray does not pass the lens, or a glass has no data at a wavelength.
     """
-    from gpusim.lens.system import build, first_order
-    from gpusim.lens.wavefront import sample_rays
-
     system = build(lens)
     system = replace(system, geometry=system.geometry.centred())
     lines = np.append(lens.reference_nm, wavelengths_nm)
@@ -171,10 +170,8 @@ def colour(lens: Prescription, wavelengths_nm: np.ndarray) -> Colour:
     return Colour(lateral[1:] - lateral[0], longitudinal[1:] - longitudinal[0])
 
 
-def in_one_plane(lens: Prescription) -> Prescription:
+def in_one_plane(lens: LensModel) -> LensModel:
     """Return the lens with its image plane where it is now, whatever its glasses become."""
-    from gpusim.lens.system import build
-
     system = build(lens)
     distance = float(system.image_z_mm - system.geometry.vertex_z[-1])
     last = lens.surfaces[-1].model_copy(update={"thickness": distance})
@@ -182,7 +179,7 @@ def in_one_plane(lens: Prescription) -> Prescription:
     return lens.model_copy(update=changes | {"surfaces": (*lens.surfaces[:-1], last)})
 
 
-def state_model_glasses(lens: Prescription) -> None:
+def state_model_glasses(lens: LensModel) -> None:
     """Add to the account of a lens what its model glasses leave open, in um; nothing without any.
 
     Two rows: the lens with its model glasses against that with the nearest catalogue glasses, and
@@ -228,7 +225,7 @@ def state_model_glasses(lens: Prescription) -> None:
     )
 
 
-def _shifted(lens: Prescription, number: int) -> Prescription:
+def _shifted(lens: LensModel, number: int) -> LensModel:
     """Return the lens with one model glass off the model by the spread."""
     surfaces = list(lens.surfaces)
     surface = surfaces[number - 1]

@@ -9,10 +9,11 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
-from gpusim.lens.prescription import Check, Prescription
+from gpusim.lens.model import Check, LensModel
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.throughput import along_axis
 from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
+from gpusim.lens.wavefront import best_focus_shift
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class System:
 
     Attributes
     ----------
-    prescription : Prescription
+    prescription : LensModel
     geometry : Geometry
     stop_radius_mm : float
         Real radius of the diaphragm.
@@ -67,7 +68,7 @@ class System:
         Place of the image plane.
     """
 
-    prescription: Prescription
+    prescription: LensModel
     geometry: Geometry
     stop_radius_mm: float
     semi_diameter_mm: np.ndarray
@@ -78,7 +79,7 @@ class System:
         return indices(self.prescription, wavelengths_nm)
 
 
-def geometry_of(prescription: Prescription) -> Geometry:
+def geometry_of(prescription: LensModel) -> Geometry:
     """Return the shapes of a prescription, and where its object is, as arrays."""
     surfaces = prescription.surfaces
     gaps = [s.thickness for s in surfaces[:-1]]
@@ -102,7 +103,7 @@ def geometry_of(prescription: Prescription) -> Geometry:
 
 
 def indices(
-    prescription: Prescription, wavelengths_nm: np.ndarray, *, printed: bool = False
+    prescription: LensModel, wavelengths_nm: np.ndarray, *, printed: bool = False
 ) -> np.ndarray:
     """Return the refractive indices, shape (S + 1, L); ``printed`` takes the source's nd and vd."""
     wavelengths_nm = np.atleast_1d(np.asarray(wavelengths_nm, dtype=float))
@@ -121,13 +122,13 @@ def indices(
 
 
 def first_order(
-    prescription: Prescription, wavelength_nm: float | None = None, *, printed: bool = False
+    prescription: LensModel, wavelength_nm: float | None = None, *, printed: bool = False
 ) -> FirstOrder:
     """Return the paraxial properties of a lens.
 
     Parameters
     ----------
-    prescription : Prescription
+    prescription : LensModel
     wavelength_nm : float, optional
         Wavelength (the prescription's reference wavelength).
     printed : bool
@@ -180,12 +181,12 @@ def first_order(
     )
 
 
-def conjugates(prescription: Prescription, wavelength_nm: float | None = None) -> Conjugates:
+def conjugates(prescription: LensModel, wavelength_nm: float | None = None) -> Conjugates:
     """Return how a lens images the plane that it looks at, from paraxial rays.
 
     Parameters
     ----------
-    prescription : Prescription
+    prescription : LensModel
     wavelength_nm : float, optional
         Wavelength (the prescription's reference wavelength).
 
@@ -227,7 +228,7 @@ def _reaches(geometry: Geometry, index: np.ndarray, y: float, u: float, image_mm
 
 
 def _image_mm(
-    prescription: Prescription, geometry: Geometry, index: np.ndarray, distance_mm: float
+    prescription: LensModel, geometry: Geometry, index: np.ndarray, distance_mm: float
 ) -> float:
     """Return the distance from the last vertex to the paraxial image of a point of the axis."""
     heights, angles = paraxial(geometry, index, distance_mm, 1.0)
@@ -246,7 +247,7 @@ def _image_mm(
     )
 
 
-def transmission(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.ndarray:
+def transmission(prescription: LensModel, wavelengths_nm: np.ndarray) -> np.ndarray:
     """Return the share of the light on the axis that passes, shape (L,): `gpusim.lens.throughput`.
 
     Normal incidence: R = ((n2 - n1) / (n2 + n1))^2 (Born & Wolf, sec. 1.5), or the coating's.
@@ -261,7 +262,7 @@ def transmission(prescription: Prescription, wavelengths_nm: np.ndarray) -> np.n
 
 
 @functools.lru_cache(maxsize=64)
-def _stop_radius(prescription: Prescription) -> float:
+def _stop_radius(prescription: LensModel) -> float:
     """Real radius of the stop: where the marginal ray of the axial beam crosses it.
 
     An f-number is a lens's marking: it is that of an object at infinity, wherever the object is.
@@ -289,7 +290,7 @@ def _stop_radius(prescription: Prescription) -> float:
     return abs(float(rays.y[-1, 0, 0]))
 
 
-def with_clear_apertures(prescription: Prescription) -> Prescription:
+def with_clear_apertures(prescription: LensModel) -> LensModel:
     """Return the lens with every missing semi-diameter set to what the full field needs.
 
     A surface whose source gives none must pass the whole beam at every field: its semi-diameter
@@ -339,13 +340,13 @@ def with_clear_apertures(prescription: Prescription) -> Prescription:
     )
 
 
-def _is_dummy(prescription: Prescription, i: int) -> bool:
+def _is_dummy(prescription: LensModel, i: int) -> bool:
     """Whether surface ``i`` has air on both sides."""
     before = prescription.surfaces[i - 1].glass if i else None
     return before is None and prescription.surfaces[i].glass is None
 
 
-def build(prescription: Prescription) -> System:
+def build(prescription: LensModel) -> System:
     """Return the lens ready to be traced.
 
     The stop's radius and the focus are those of the lens with every surface on the axis.
@@ -356,8 +357,6 @@ def build(prescription: Prescription) -> System:
         Where a glass is unknown, no ray reaches the stop, there is no real image or a field does
         not meet the object plane.
     """
-    from gpusim.lens.wavefront import best_focus_shift
-
     finite = prescription.object_distance_mm is not None
     if finite and prescription.max_field_deg > RECTILINEAR.end_deg:
         raise UserError(
@@ -401,7 +400,7 @@ class Checked:
         return abs(self.found - self.check.value) <= self.check.tolerance
 
 
-def checked(prescription: Prescription) -> list[Checked]:
+def checked(prescription: LensModel) -> list[Checked]:
     """Return each figure that the source states, with the one that the lens has."""
     return [
         Checked(
@@ -412,7 +411,7 @@ def checked(prescription: Prescription) -> list[Checked]:
     ]
 
 
-def failed_checks(prescription: Prescription) -> list[str]:
+def failed_checks(prescription: LensModel) -> list[str]:
     """Return one sentence for each figure of the source that the lens does not reproduce."""
     return [
         f"{one.check.quantity} ({one.check.indices} indices) is {one.found:.6g}, the source says "

@@ -13,7 +13,8 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
-from gpusim.lens.prescription import Coating, Layer, Prescription, Surface
+from gpusim.lens.model import LensModel
+from gpusim.lens.surface import Coating, Layer, Surface
 
 # Sellmeier coefficients of the ordinary ray of MgF2 (Dodge, Appl. Opt. 23, 1980 (1984), table 4),
 # for wavelengths in um: K1, L1^2, K2, L2^2, K3, L3^2. Films as dense as the crystal have its index.
@@ -36,7 +37,7 @@ class Crossings(NamedTuple):
     leg_mm: np.ndarray
 
 
-def goes_with_the_ray(prescription: Prescription) -> bool:
+def goes_with_the_ray(prescription: LensModel) -> bool:
     """Whether losses are known by ray: where surfaces have their coatings or glasses absorb."""
     coated = any(surface.coating is not None for surface in prescription.surfaces)
     return coated or prescription.internal_transmission
@@ -93,7 +94,7 @@ def mgf2_index(wavelengths_nm: np.ndarray) -> np.ndarray:
 
 
 def _reflectance(
-    prescription: Prescription,
+    prescription: LensModel,
     number: int,
     wavelengths_nm: np.ndarray,
     n1: np.ndarray,
@@ -120,12 +121,12 @@ def _reflectance(
     return (s + p) / 2
 
 
-def _glass_before(prescription: Prescription, number: int) -> str | None:
+def _glass_before(prescription: LensModel, number: int) -> str | None:
     return prescription.surfaces[number - 2].glass if number > 1 else None
 
 
 def _curve(
-    prescription: Prescription, coating: Coating, field: str, wavelengths_nm: np.ndarray
+    prescription: LensModel, coating: Coating, field: str, wavelengths_nm: np.ndarray
 ) -> np.ndarray:
     """Return a coating's reflectance, shape (L,), straight between the wavelengths given."""
     lines = coating.wavelength_nm
@@ -156,7 +157,7 @@ def absorption_per_mm(
     return glass.catalogue_absorption(surface.glass, catalogues, wavelengths_nm)
 
 
-def without_data(prescription: Prescription) -> dict[int, str]:
+def without_data(prescription: LensModel) -> dict[int, str]:
     """Return the glasses whose internal transmission nobody states, by surface number."""
     line = np.array([prescription.reference_nm])
     return {
@@ -168,13 +169,13 @@ def without_data(prescription: Prescription) -> dict[int, str]:
 
 
 def throughput(
-    prescription: Prescription, index: np.ndarray, wavelengths_nm: np.ndarray, rays: Crossings
+    prescription: LensModel, index: np.ndarray, wavelengths_nm: np.ndarray, rays: Crossings
 ) -> np.ndarray:
     """Return the share of the light of each ray that arrives, (L, R).
 
     Parameters
     ----------
-    prescription : Prescription
+    prescription : LensModel
     index : ndarray, shape (S + 1, L)
         Before the lens and behind each surface.
     wavelengths_nm : ndarray, shape (L,)
@@ -199,7 +200,7 @@ def throughput(
 
 
 def along_axis(
-    prescription: Prescription, index: np.ndarray, wavelengths_nm: np.ndarray
+    prescription: LensModel, index: np.ndarray, wavelengths_nm: np.ndarray
 ) -> np.ndarray:
     """Return the same of the ray along the axis of a centred lens, (L,)."""
     gaps = [0.0, *(surface.thickness for surface in prescription.surfaces[:-1])]

@@ -16,16 +16,19 @@ A centred lens is symmetric about the meridional plane, so only alpha >= 0 is ke
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.spatial import ConvexHull
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import System
+from gpusim.lens.model import LensModel
 from gpusim.lens.throughput import Crossings, along_axis, goes_with_the_ray, throughput
 from gpusim.lens.trace import Launch, aim, launch_field, trace
+
+if TYPE_CHECKING:
+    from gpusim.lens.system import System
 
 # Degrees of the polynomial in (alpha, beta): the second is tried where the first leaves too much.
 # Residuals of the double Gauss at f/2, 22 deg, in waves at 400 nm: f = 8 mm 9e-6 with 14;
@@ -52,12 +55,12 @@ class Losses:
 
     Attributes
     ----------
-    prescription : Prescription
+    prescription : LensModel
     index : ndarray, shape (S + 1, L)
     crossings : Crossings
     """
 
-    prescription: Prescription
+    prescription: LensModel
     index: np.ndarray
     crossings: Crossings
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any, Self
 from pydantic import ValidationError
 
 from gpusim.config.mistakes import user_error
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import ReadyLens, is_ready, load_ready
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.library.views import Views
 
 if TYPE_CHECKING:

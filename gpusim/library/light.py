@@ -15,6 +15,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Recording, Resident, Result, default_device
+from gpusim.library.store import read_light, save_light
 from gpusim.plan import Accuracy
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import Rect, aligned, strips, tiles_of
@@ -386,8 +387,6 @@ class Light:
         UserError
             The file cannot be written.
         """
-        from gpusim.library.store import save_light
-
         save_light(self, path)
 
     @classmethod
@@ -399,9 +398,7 @@ class Light:
         UserError
             No such file, or not a light.
         """
-        from gpusim.library.store import load_light
-
-        return load_light(path)
+        return cls(**read_light(path))
 
 
 def _checked(shot: Shot, sensor: Sensor) -> Shot:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from gpusim.formats.ready import ReadyLens
 from gpusim.lens.account import Account
-from gpusim.lens.prescription import ASPHERE_POWERS, Surface
+from gpusim.lens.surface import ASPHERE_POWERS, Surface
 from gpusim.lens.system import Checked, System
 from gpusim.report.drawing import svg
 from gpusim.report.lens.plots import PLOTS, draw_plot

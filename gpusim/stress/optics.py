@@ -11,9 +11,9 @@ import numpy as np
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import load_ready
 from gpusim.gpu import default_device
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.projection import ANGULAR
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field

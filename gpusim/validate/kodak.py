@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.camera import Camera
-from gpusim.lens.prescription import Prescription, load_prescription
+from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer

@@ -13,7 +13,7 @@ from optics.made import FLAT, monochrome, scene
 
 from gpusim.certify import compare
 from gpusim.certify.bank import bank_share
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import compute_bank, default_fields_deg
 from gpusim.psf.halo import distances_um

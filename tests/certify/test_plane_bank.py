@@ -12,7 +12,7 @@ from optics.made import FLAT, monochrome, scene
 
 from gpusim.certify.bank import bank_share
 from gpusim.certify.places import pixels_near, points_of
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
 from gpusim.psf.halo import distances_um
 from gpusim.psf.plane_bank import compute_plane_bank

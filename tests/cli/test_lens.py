@@ -13,8 +13,8 @@ from formats.exports import write_isetcam, write_zemax
 from PIL import Image
 
 from gpusim.cli import lens as cli_lens
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.formats.ready import NPZ_ARRAYS, load_ready
-from gpusim.lens.prescription import load_prescription, presets
 from gpusim.psf import plane_bank
 from gpusim.psf.bank import Bank, compute_bank
 from gpusim.psf.plane_bank import compute_plane_bank

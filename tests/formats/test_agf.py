@@ -6,8 +6,8 @@ import yaml
 
 from gpusim.errors import UserError
 from gpusim.formats.agf import dispersion_of, read_agf
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens import glass
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import indices
 
 # Coefficients and the (nd, Vd) printed beside them, re-keyed from the makers' catalogues; KRS-5 has

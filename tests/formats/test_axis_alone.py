@@ -8,7 +8,7 @@ from lens.made import lens
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
 from gpusim.formats.imported import SMALL_FIELD_DEG
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import first_order
 from gpusim.psf.bank import compute_bank
 

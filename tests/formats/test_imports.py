@@ -10,10 +10,11 @@ from lens.made import lens
 
 from gpusim.errors import UserError
 from gpusim.formats.agf import with_file_catalogues
+from gpusim.formats.lens_file import _parse_yaml, load_prescription
 from gpusim.formats.pbrt import parse_pbrt
 from gpusim.formats.seq import parse_seq
 from gpusim.formats.zmx import parse_zmx
-from gpusim.lens.prescription import APERTURES, _parse_yaml, load_prescription
+from gpusim.lens.model import APERTURES
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.pbrt import parse_pbrt
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 

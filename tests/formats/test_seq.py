@@ -5,8 +5,8 @@ import pytest
 from formats.written import seq_text
 
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.seq import parse_seq
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, first_order, with_clear_apertures
 from gpusim.lens.wavefront import sample_rays
 

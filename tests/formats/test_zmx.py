@@ -8,8 +8,8 @@ from formats.written import zmx_text
 from lens.made import lens, model
 
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.zmx import parse_zmx
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build, first_order, with_clear_apertures
 from gpusim.lens.wavefront import sample_rays
 from gpusim.psf.bank import compute_bank

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.lens.prescription import APERTURES, validated
+from gpusim.lens.model import APERTURES
+from gpusim.lens.prescription import validated
 from gpusim.lens.wavefront import Samples
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from harness.stage import MARGIN
 from lens.made import fisheye, lens, model
 
+from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Device
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import System, build
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams

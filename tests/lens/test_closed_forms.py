@@ -13,8 +13,8 @@ from lens.made import lens, model
 from scipy.integrate import quad, simpson
 from scipy.special import j0, j1
 
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens import wavefront as reference_wavefront
-from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.psf import psf as reference_psf

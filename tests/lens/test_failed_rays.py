@@ -5,7 +5,7 @@ import pytest
 from lens.made import lens, model
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import tilt_matrix
+from gpusim.lens.surface import tilt_matrix
 from gpusim.lens.system import build
 from gpusim.lens.trace import Geometry, Launch, aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays

@@ -12,9 +12,10 @@ from lens.made import lens, model
 from lens.rays import two_ovals
 
 from gpusim.errors import UserError
+from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.seq import parse_seq
 from gpusim.formats.zmx import parse_zmx
-from gpusim.lens.prescription import APERTURES, load_prescription
+from gpusim.lens.model import APERTURES
 from gpusim.lens.system import build, conjugates, first_order
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays

@@ -7,7 +7,7 @@ import pytest
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
-from gpusim.lens.prescription import Surface
+from gpusim.lens.surface import Surface
 
 FILE = Path("some-lens.yaml")
 LINES = np.array([glass.D_LINE_NM, glass.F_LINE_NM, glass.C_LINE_NM])

@@ -19,7 +19,7 @@ from lens.made import lens as made_lens
 from numpy.polynomial import chebyshev
 from scipy.optimize import brentq
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays

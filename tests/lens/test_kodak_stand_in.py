@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import sample_rays
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance

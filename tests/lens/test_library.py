@@ -5,7 +5,7 @@ import pytest
 from lens.rays import exact
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription, presets
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays

@@ -7,10 +7,10 @@ import pytest
 import yaml
 from lens.made import lens
 
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens import model_glass
 from gpusim.lens.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, model_index
 from gpusim.lens.model_glass import colour, known, nearest, state_model_glasses, with_nearest
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import indices
 from gpusim.psf.bank import WAVELENGTHS_NM
 

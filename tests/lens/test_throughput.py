@@ -11,8 +11,9 @@ from lens.made import lens, model
 
 from gpusim.errors import UserError
 from gpusim.formats.agf import read_agf, with_file_catalogues
+from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Device
-from gpusim.lens.prescription import Layer, load_prescription
+from gpusim.lens.surface import Layer
 from gpusim.lens.system import build, transmission
 from gpusim.lens.throughput import (
     Crossings,

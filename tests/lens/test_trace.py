@@ -5,7 +5,8 @@ import pytest
 from lens.made import fisheye, lens, model
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import ASPHERE_POWERS, load_prescription
+from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.surface import ASPHERE_POWERS
 from gpusim.lens.system import build, first_order, indices
 from gpusim.lens.trace import Launch, _meet, aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays

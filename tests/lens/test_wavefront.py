@@ -6,7 +6,7 @@ from lens.made import disc_samples, lens, model
 from scipy.interpolate import RegularGridInterpolator
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription, presets
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens.system import build, first_order, indices
 from gpusim.lens.trace import Launch, trace
 from gpusim.lens.wavefront import (

@@ -8,7 +8,7 @@ import pytest
 from harness import assert_close
 from optics.made import bank, plane_bank
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
 from gpusim.lens.system import System, build, first_order
 from gpusim.lens.wavefront import sample_rays

@@ -7,7 +7,7 @@ import pytest
 from optics.made import FLAT, monochrome, scene
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.density import LINES_SHARE, Density, LensShare, bank_density
 from gpusim.psf.bank import compute_bank, default_fields_deg

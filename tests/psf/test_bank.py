@@ -10,8 +10,9 @@ from lens.made import fisheye
 from optics.made import bank as made_bank
 
 from gpusim.errors import UserError
-from gpusim.lens.prescription import Coating, load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR
+from gpusim.lens.surface import Coating
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
 from gpusim.psf import bank as bank_module

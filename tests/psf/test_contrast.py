@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import build
 from gpusim.psf.contrast import field_contrast
 from gpusim.psf.transfer import DIRECTIONS, field_pupils

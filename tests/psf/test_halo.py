@@ -5,8 +5,8 @@ import pytest
 from scipy.fft import fft2, fftshift
 from scipy.integrate import quad
 
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.gpu import default_device
-from gpusim.lens.prescription import load_prescription, presets
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.psf.bank import compute_bank

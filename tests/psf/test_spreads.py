@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gpusim.lens.prescription import load_prescription, presets
+from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.psf import spreads as module
 
 LINES_NM = np.array([550.0])

@@ -10,7 +10,7 @@ import pytest
 import xarray
 from optics.made import bank as made_bank
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.psf import store
 from gpusim.psf.bank import Bank
 from gpusim.psf.store import from_cache, load_dataset, prune, save_dataset

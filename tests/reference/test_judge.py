@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera, load_camera
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.plan import Accuracy
 from gpusim.psf.transfer import field_pupils

@@ -8,7 +8,7 @@ import pytest
 from lens.made import lens
 from scipy.interpolate import CubicSpline
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.wavefront import pupils, sample_field

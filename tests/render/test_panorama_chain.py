@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy

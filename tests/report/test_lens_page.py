@@ -14,7 +14,7 @@ from labels import overlaps, words
 from matplotlib.figure import Figure
 from PIL import Image
 
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, checked, first_order
 from gpusim.psf.bank import Bank, compute_bank, default_fields_deg
 from gpusim.psf.plane_bank import compute_plane_bank

@@ -16,7 +16,7 @@ from PIL import Image
 
 from gpusim.cli import lens as cli_lens
 from gpusim.cli.lens_plots import Setting, second
-from gpusim.lens.prescription import load_prescription
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order
 from gpusim.psf.bank import compute_bank
 from gpusim.report.lens.plots import PLOTS, csv_text, draw_plot, json_text, tables

@@ -7,8 +7,8 @@ import pytest
 from lens.made import lens, model
 from lens.rays import oval
 
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.focus import field_focus, longitudinal_aberration
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import System, build
 from gpusim.lens.trace import trace
 from gpusim.lens.wavefront import field_launch

@@ -10,6 +10,7 @@ from lens.made import lens, model
 from lens.rays import oval
 from scipy.interpolate import CubicSpline
 
+from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.fields import Field, design_lines, main_fields
 from gpusim.lens.analysis.rays import (
     airy_radius_um,
@@ -20,7 +21,6 @@ from gpusim.lens.analysis.rays import (
     wavefront_map,
 )
 from gpusim.lens.analysis.zernike import fit
-from gpusim.lens.prescription import load_prescription
 from gpusim.lens.system import System, build
 
 GREEN = np.array([550.0])
