@@ -121,4 +121,5 @@ def fake_capture(
         temperature_c=25.0,
         accuracy=Accuracy(tolerance=tolerance, probes=2),
         band=Band(WAVELENGTHS_NM, (MISSING,)),
+        recipe={"camera": {"sensor": {}}, "noise": True},
     )

@@ -17,6 +17,7 @@ import numpy as np
 
 import gpusim
 from gpusim.errors import UserError
+from gpusim.library.again import recipe_of_frame
 from gpusim.library.light import Light, expose
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
@@ -125,6 +126,10 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
                 taken.save(part, taken=taken_at)
         files.append(name)
     certificate = light.certificate
+    made = {}
+    if "raw" in frame.sweep.outputs:
+        name = f"{frame.name}.{KINDS['raw']}"
+        made["recipe"] = recipe_of_frame(taken, out / name, taken_at, light=_recipe_name(frame))
     facts = {
         "number": frame.number,
         "scene": frame.scene,
@@ -143,10 +148,15 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
         "seconds": time.perf_counter() - started,
         "gpusim": gpusim.__version__,
         "sweep": frame.sweep.digest,
+        **made,
     }
     with whole(out / f"{frame.name}{SIDECAR}") as part:
         part.write_text(json.dumps(facts, default=_plain))
     return facts
+
+
+def _recipe_name(frame: Frame) -> str:
+    return f"light-{frame.light_key}{SIDECAR}"
 
 
 def _plain(value: object) -> object:
@@ -189,6 +199,8 @@ def _light(frame: Frame, out: Path) -> Light:
         with _alone(folder / f"{frame.light_key}.lock"):
             if not path.exists():
                 light = exposed(frame)
+                with whole(out / _recipe_name(frame)) as part:
+                    part.write_text(json.dumps(light.recipe))
                 light.save(path)
             else:
                 light = Light.load(path)

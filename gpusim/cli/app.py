@@ -96,6 +96,24 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
+def only(context: typer.Context, option: str, *allowed: str) -> None:
+    """Refuse all options that were given on the command line, but for some.
+
+    Raises
+    ------
+    UserError
+    """
+    for parameter in context.command.params:
+        source = context.get_parameter_source(parameter.name)
+        if source is not None and source.name == "COMMANDLINE" and parameter.name not in allowed:
+            raise UserError(
+                f"{option} takes all from its file",
+                field=parameter.opts[-1] if parameter.opts[-1].startswith("-") else parameter.name,
+                value=context.params[parameter.name],
+                allowed=f"{option} without it",
+            )
+
+
 @app.callback()
 def common(
     version: Annotated[
@@ -115,11 +133,24 @@ def _show_warning(message: Warning | str, *_: object) -> None:
 
 @app.command()
 def render(
-    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or a picture.")
-    ],
+    context: typer.Context,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
+    camera: Annotated[
+        str | None, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")
+    ] = None,
+    scene: Annotated[
+        str | None,
+        typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or a picture."),
+    ] = None,
+    recipe: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="JSON",
+            help="Make the raw again that this file lies beside: no other options, but for --out, "
+            "--quiet, --json and --adapter.",
+        ),
+    ] = None,
     exposure: Annotated[
         str, typer.Option(metavar="SECONDS", help="Exposure time: 0.01 or 1/60.")
     ] = "1/60",
@@ -258,6 +289,20 @@ def render(
     from gpusim.cli.render import run
 
     choose_adapter(adapter)
+    show = "json" if as_json else "nothing" if quiet else "table"
+    if recipe is not None:
+        from gpusim.cli import again
+
+        only(context, "--from", "recipe", "out", "as_json", "quiet", "adapter")
+        if code := again.run(recipe, out, show):
+            raise typer.Exit(code)
+        return
+    if camera is None or scene is None:
+        raise UserError(
+            "there is nothing to render",
+            field="CAMERA" if camera is None else "SCENE",
+            allowed="a camera and a scene; or --from a raw's JSON file",
+        )
     if code := run(
         camera,
         scene,
@@ -294,7 +339,7 @@ def render(
             "focus_shift_um": focus_shift,
         },
         sensor=sensor,
-        show="json" if as_json else "nothing" if quiet else "table",
+        show=show,
     ):
         raise typer.Exit(code)
 

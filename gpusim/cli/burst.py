@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.cli.render import exposure_seconds, rectangle_of
 from gpusim.errors import UserError
+from gpusim.library.again import recipe_of_frame
 from gpusim.library.light import expose
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
@@ -26,6 +28,7 @@ from gpusim.scene.patterns import Frame
 if TYPE_CHECKING:
     from gpusim.library.frame import Burst
 
+LIGHT = "light.json"  # what makes the light again, which the frames share
 FORMATS = ("npz", "dng", "exr")
 MOST_FRAMES = 10_000  # their numbers have four digits in the names of files
 THUMBNAIL_PX, COLUMNS, MOST_SHOWN = 320, 4, 16
@@ -129,10 +132,19 @@ def _write(burst: Burst, form: str, folder: Path, progress: Any) -> list[str]:
         np.savez(folder / "burst.npz", **arrays)
         return ["burst.npz"]
     names = []
+    if form == "dng":
+        (folder / LIGHT).write_text(json.dumps(burst.light.recipe, indent=1) + "\n")
+        names.append(LIGHT)
     for number, frame in enumerate(burst):
         name = f"frame-{number:04d}.{form}"
-        frame.save(folder / name)
+        taken = datetime.now(UTC)
+        frame.save(folder / name, taken=taken)
         names.append(name)
+        if form == "dng":
+            said = {"recipe": recipe_of_frame(frame, folder / name, taken, light=LIGHT)}
+            sidecar = f"frame-{number:04d}.json"
+            (folder / sidecar).write_text(json.dumps(said, indent=1) + "\n")
+            names.append(sidecar)
         if burst.truth_dn is not None:
             name = f"truth-{number:04d}.exr"
             write_exr(folder / name, {"Y": burst.truth_dn[number]})

@@ -85,6 +85,12 @@ class ReadyLens(Strict):
     file: str
 
     _bank: FieldBank = PrivateAttr()
+    _path: Path = PrivateAttr()
+
+    @property
+    def path(self) -> Path:
+        """Where it was read from."""
+        return self._path
 
     @property
     def history(self) -> tuple[str, ...]:
@@ -113,7 +119,7 @@ def ready_lens(bank: FieldBank, kind: str, file: Path) -> ReadyLens:
         "file": file.name,
     }
     lens = checked(ReadyLens, facts, file)
-    lens._bank = bank
+    lens._bank, lens._path = bank, file
     return lens
 
 

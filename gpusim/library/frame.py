@@ -138,7 +138,7 @@ class Frame:
         with tempfile.TemporaryDirectory() as folder:
             sensor = self.light.sensor.cut(*self.areas.lit[:2])
             path = Path(folder) / ("raw.dng" if has_dng(sensor) else "raw.tif")
-            self._write_raw(path, ev)
+            self.write_raw(path, ev)
             return Image.fromarray(develop(path).picture)
 
     def save(self, path: str | Path, ev: float = 0.0, *, taken: datetime | None = None) -> None:
@@ -166,7 +166,7 @@ class Frame:
     def _save(self, path: Path, ev: float, taken: datetime | None) -> None:
         suffix = path.suffix.lower()
         if suffix in (".dng", ".tif", ".tiff"):
-            self._write_raw(path, ev, taken)
+            self.write_raw(path, ev, taken)
         elif suffix in (".png", ".jpg", ".jpeg"):
             self.develop(ev).save(path)
         elif suffix == ".exr":
@@ -193,7 +193,8 @@ class Frame:
                 allowed=".dng, .tif, .png, .jpg, .exr, .npz",
             )
 
-    def _write_raw(self, path: Path, ev: float, taken: datetime | None = None) -> None:
+    def write_raw(self, path: Path, ev: float, taken: datetime | None = None) -> None:
+        """Write the raw as a DNG, or as a TIFF with its tags: see `save`."""
         light, areas = self.light, self.areas
         sensor = light.sensor.cut(*areas.lit[:2])
         if path.suffix.lower() == ".dng" and not has_dng(sensor):

@@ -99,6 +99,8 @@ class Light:
         What files say of the lens.
     tolerance : str
         For which it was made, in words.
+    recipe : dict
+        What makes it again: see `gpusim.render.recipe`.
     notes : tuple of str
         How the scene was read and placed.
     certificate : Certificate or None
@@ -116,6 +118,7 @@ class Light:
     transmission: np.ndarray
     optics: Optics
     tolerance: str
+    recipe: dict[str, Any]
     notes: tuple[str, ...] = ()
     certificate: Certificate | None = None
     _held: dict[str, Any] = field(
@@ -540,6 +543,7 @@ def lit(
         transmission=renderer.transmission,
         optics=renderer.optics,
         tolerance=renderer.accuracy.text,
+        recipe=renderer.recipe,
         notes=renderer.notes,
     )
     if not renderer.accuracy.probes:

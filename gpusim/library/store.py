@@ -21,7 +21,7 @@ from gpusim.sensor.sensor import Sensor
 if TYPE_CHECKING:
     from gpusim.library.light import Light
 
-KIND = "gpusim light 1"
+KIND = "gpusim light 2"
 SUFFIX = ".npz"
 
 
@@ -33,6 +33,7 @@ def save_light(light: Light, path: str | Path) -> None:
     optics = light.optics
     facts = {
         "kind": KIND,
+        "recipe": light.recipe,
         "title": light.title,
         "scene": light.scene,
         "sensor": light.sensor.model_dump(mode="json"),
@@ -94,6 +95,7 @@ def read_light(path: str | Path) -> dict[str, Any]:
             transmission=arrays["transmission"],
             optics=Optics(*facts["lens"], *(arrays[n] for n in ("real_um", "ideal_um", "light"))),
             tolerance=facts["tolerance"],
+            recipe=facts["recipe"],
             notes=tuple(facts["notes"]),
             certificate=None if certificate is None else Certificate(**certificate),
         )

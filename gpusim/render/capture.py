@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +63,8 @@ class Capture:
         Temperature of the sensor.
     costs : Costs or None
         The rates that the plan was made from: with them it is made again.
+    recipe : dict
+        What makes its light again: see `gpusim.render.recipe`.
     band : Band
         The wavelengths that were rendered, and what no data describe.
     """
@@ -90,6 +93,7 @@ class Capture:
     accuracy: Accuracy
     temperature_c: float
     band: Band
+    recipe: dict[str, Any]
     costs: Costs | None = None
 
     @property

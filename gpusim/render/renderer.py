@@ -6,8 +6,10 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -46,6 +48,7 @@ from gpusim.render.highlights import SplattedLight
 from gpusim.render.lighting import Lighting
 from gpusim.render.look import look
 from gpusim.render.reading import Reader, Reading, lit_for, reading_of
+from gpusim.render.recipe import recipe_of
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
@@ -117,6 +120,7 @@ class Renderer:
     ) -> None:
         self.camera, self.scene, self.accuracy = camera, scene, accuracy or Accuracy()
         self.longest_s = math.inf if exposure_s is None else exposure_s
+        self.method = method
         self.device = device or default_device()
         pool = self.device.pool
         self.memory_bytes = pool.budget if memory_bytes is None else memory_bytes
@@ -313,6 +317,7 @@ class Renderer:
             certificate = self.certificate(shot, rect, exposure_s, temperature_c, report)
         return Capture(
             costs=self._costs,
+            recipe=self.recipe,
             band=self.band,
             raw=shot.on_rect("dn"),
             rate=shot.on_rect("rate") if "rate" in keep else None,
@@ -595,6 +600,12 @@ class Renderer:
             self._hold(rect, None, report)
             lighting.render(None, lambda done, total: report("render", done, total))
         return found
+
+    @cached_property
+    def recipe(self) -> dict[str, Any]:
+        """What makes the light again: see `gpusim.render.recipe`."""
+        given = self.camera, self.scene, self.accuracy, self.longest_s, self.plan, self._costs
+        return recipe_of(*given, self.device.report(), noise=self._noise, method=self.method)
 
     @property
     def transmission(self) -> np.ndarray:

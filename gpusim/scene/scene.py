@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -52,6 +52,8 @@ class Scene:
         Spectra and white at any wavelengths, of a scene that is known beyond its grid.
     made_of : tuple of Known
         How far what the light is made of is known.
+    made_from : mapping, optional
+        Name or file and options by which `gpusim.scene.make.made_again` makes it; None of others.
     illumination : str
         What uneven light is in the source's coefficients, in words; empty where there is none.
     """
@@ -67,6 +69,7 @@ class Scene:
     light: Light | None = None
     made_of: tuple[Known, ...] = ()
     illumination: str = ""
+    made_from: Mapping[str, object] | None = None
 
     @classmethod
     def load(cls, name_or_path: str | Path, **options: object) -> Scene:
