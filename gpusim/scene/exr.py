@@ -19,6 +19,7 @@ from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 # float64; of all channels and parts together 4 GiB in float32.
 MOST_PIXELS = 1 << 27
 MOST_SAMPLES = 1 << 30
+MOST_OF_TILE = 1 << 24  # pixels: a tile is unpacked whole, however little of it is in the picture
 # White is some 100 cd/m^2 and the sun 1.6e9. Beyond 1e20 sums over a picture leave float32.
 LARGEST = 1e20
 # OpenEXR's filter from chroma at every other sample to those between: weights of the 1st, 3rd ...
@@ -107,6 +108,15 @@ def _open(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
                     value=f"{x1 - x0 + 1} x {y1 - y0 + 1} pixels",
                     allowed=f"{MOST_PIXELS:,} pixels; {MOST_SAMPLES:,} samples of all channels",
                 )
+        tiles = header.get("tiles")
+        if tiles is not None and tiles.xSize * tiles.ySize > MOST_OF_TILE:
+            raise UserError(
+                "tiles larger than any that are read",
+                file=path,
+                field="tiles",
+                value=f"{tiles.xSize} x {tiles.ySize} pixels",
+                allowed=f"{MOST_OF_TILE:,} pixels",
+            )
     if all("deep" in str(header.get("type")) for header in headers):
         raise UserError(
             "a deep picture: samples at many depths in each pixel",
