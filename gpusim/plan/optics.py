@@ -46,7 +46,7 @@ from gpusim.plan.predict import GUARD, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
-from gpusim.plan.stages import CCD_STAGES, RIM, Plan, PlanStage, describe
+from gpusim.plan.stages import RIM, Plan, PlanStage, describe
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.places import Places
 from gpusim.psf.sampling import PITCH_UM
@@ -54,6 +54,7 @@ from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.aperture import Response
+from gpusim.sensor.effects import EFFECTS
 from gpusim.sensor.planes import Planes, planes_of
 from gpusim.sensor.sensor import Sensor
 
@@ -250,7 +251,7 @@ def _plan(
         ),
         splat,
     )
-    of_sensor = ("mosaic", "crosstalk", "exposure", "noise", *CCD_STAGES, "coupling", "adc")
+    of_sensor = {effect.name for effect in EFFECTS}
     return Plan(
         basis=basis,
         scales=scales,

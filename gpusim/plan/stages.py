@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
-from gpusim.plan.costs import LAVAPIPE, Costs
+from gpusim.plan.costs import Costs
 from gpusim.plan.halo import HaloLevel
-from gpusim.plan.stage import PlanStage
+from gpusim.plan.stage import PlanStage, Stage
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
-from gpusim.sensor.cti_model import Cti
-from gpusim.sensor.noise_model import LineNoise, Masks
+from gpusim.sensor.effects import EFFECTS, EXPOSURE, Effect, running
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
 REASON = 60  # of which a reason may take
 RIM = "image circle"  # the stage that leaves black what lies beyond it
-CCD_STAGES = ("smear", "bloom", "parallel cti", "serial cti")
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,14 @@ class Plan:
     halo: tuple[HaloLevel, ...] = ()
 
     def runs(self, name: str) -> bool:
-        """Return whether a stage runs."""
+        """Return whether a stage runs.
+
+        Raises
+        ------
+        ValueError
+            Where no `Stage` has that name.
+        """
+        name = Stage(name)
         return any(stage.runs for stage in self.stages if stage.name == name)
 
     def text(self) -> str:
@@ -128,11 +132,6 @@ def describe(
     def cost(stage: str) -> float:
         return sum(layout.seconds.get(stage, 0.0) for layout in layouts)
 
-    def part(name: str, needed: bool, used: str, unused: str) -> PlanStage:
-        """Describe a stage or a part of one that nothing needs where it changes nothing."""
-        forced = not needed and name in force
-        return PlanStage(name, needed or forced, used if needed else unused + ", forced" * forced)
-
     source = f"{planes} of {len(scene.spectra)} spectra are told apart by the camera"
     return (
         PlanStage(
@@ -185,7 +184,7 @@ def describe(
             chosen.errors.get("cut"),
         ),
         splat,
-        *_sensor_stages(sensor, costs, noise, part),
+        *_sensor_stages(sensor, costs, noise, force),
     )
 
 
@@ -235,135 +234,21 @@ def _blocks(part: Part) -> str:
 
 
 def _sensor_stages(
-    sensor: Sensor,
-    costs: Costs,
-    noise: bool,
-    part: Callable[[str, bool, str, str], PlanStage],
+    sensor: Sensor, costs: Costs, noise: bool, force: Collection[str]
 ) -> tuple[PlanStage, ...]:
     """Describe what comes after the light."""
 
-    def timed(stage: PlanStage) -> PlanStage:
-        pixels = math.prod(sensor.frame.read[2:])
-        cost_s = costs.seconds(stage.name, pixels) if stage.runs else None
-        return replace(stage, predicted_cost_s=cost_s)
+    def described(effect: Effect) -> PlanStage:
+        needed = effect.has(sensor) and (noise or not effect.random)
+        forced = not needed and effect.forced and effect.name in force
+        reason = effect.reason(sensor, needed, noise) + ", forced" * forced
+        if effect is EXPOSURE and not noise:
+            reason += ", full well"  # which the noise stage holds to otherwise
+        runs = needed or forced
+        cost_s = costs.seconds(*effect.work(sensor)) if runs and effect.work else None
+        return PlanStage(effect.name, runs, reason, None, cost_s)
 
-    def spread(name: str, kind: str, what: str) -> PlanStage:
-        kernels = sensor.crosstalk and getattr(sensor.crosstalk, kind)
-        if kernels is None:
-            return PlanStage(name, False, f"the sensor file gives no {kind} cross-talk")
-        work = math.prod(sensor.frame.pixels[2:]) * kernels.side**2
-        side = f"{kernels.side} x {kernels.side}"
-        return PlanStage(
-            name, True, f"{side} pixels {what}", None, costs.seconds("crosstalk", work)
-        )
-
-    off = "noise is switched off"
-    lines, masks, law = sensor.lines or LineNoise(), sensor.masks or Masks(), sensor.read_noise_law
-
-    def effect(name: str, used: str, unused: str) -> PlanStage:
-        """Describe a part of exposure or noise, which may be drawn also where it is zero."""
-        return part(name, noise and name in sensor.effects, used, unused if noise else off)
-
-    def fixed(name: str, used: str | None, unused: str) -> PlanStage:
-        """Describe what cannot be done where the sensor has it not."""
-        runs = noise and name in sensor.effects
-        return PlanStage(name, runs, used if runs else unused if noise else off)
-
-    glare, sites = sensor.veiling_glare, len(sensor.site_channels())
-    mosaic = part(
-        "mosaic",
-        sites > 1 or glare > 0,
-        f"{sites} CFA sites" if sites > 1 else "adds the veiling glare",
-        "a sensor without filters or veiling glare: the plane is the frame",
-    )
-    black = sensor.optical_black
-    return (
-        timed(mosaic),
-        PlanStage(
-            "flare",
-            glare > 0,
-            f"veiling glare {glare:.2%} of the mean, added by mosaic"
-            if glare > 0
-            else "the sensor file gives none",
-        ),
-        timed(
-            PlanStage(
-                "border",
-                black is not None,
-                f"{black.top} + {black.bottom} rows and {black.left} + {black.right} columns of "
-                "optical black"
-                if black
-                else "the sensor file gives no optical black",
-            )
-        ),
-        spread("crosstalk", "optical", "of light and diffusing charge"),
-        effect("prnu", f"{sensor.prnu_percent:g} % of the signal", "all pixels respond alike"),
-        effect(
-            "prnu lines",
-            f"rows {lines.prnu_row_percent:g} %, columns {lines.prnu_column_percent:g} %",
-            "all rows and columns respond alike",
-        ),
-        fixed("gain mask", masks.gain, "the sensor file names no multiplicative mask"),
-        effect("dcnu", f"{sensor.dcnu_percent:g} % of the dark current", "dark current is even"),
-        timed(
-            PlanStage("exposure", True, "exposure time, dark current" + ", full well" * (not noise))
-        ),
-        fixed("defects", "dead, hot and stuck pixels", "the sensor file lists none"),
-        fixed("two numbers", "a normal law in place of Poisson's", "shot noise has Poisson's law"),
-        fixed(
-            "knee",
-            f"soft from {sensor.full_well_knee:.0%} of the full well on",
-            "the full well is a hard limit",
-        ),
-        timed(PlanStage("noise", noise, "shot noise, full well" if noise else off)),
-        spread("coupling", "electrical", "of collected charge, by the crosstalk stage"),
-        effect("dsnu", f"{sensor.dsnu_e:g} e-", "all pixels have the same offset"),
-        effect(
-            "dsnu lines",
-            f"rows {lines.dsnu_row_e:g} e-, columns {lines.dsnu_column_e:g} e-",
-            "all rows and columns have the same offset",
-        ),
-        fixed("offset mask", masks.offset_e, "the sensor file names no additive mask"),
-        effect(
-            "reset noise",
-            f"{sensor.reset_noise_at(None):.3g} e- at the reference temperature",
-            "none is left",
-        ),
-        effect(
-            "read noise",
-            f"{sensor.temporal_dark_noise_e:g} e-" + ", by its table" * (law is not None),
-            "it is one of the two numbers"
-            if "two numbers" in sensor.effects
-            else "the sensor has no temporal dark noise",
-        ),
-        effect(
-            "line noise",
-            f"rows {lines.row_noise_e:g} e-, columns {lines.column_noise_e:g} e-",
-            "rows and columns are as quiet as their pixels",
-        ),
-        *_shift_stages(sensor, costs, timed),
-        PlanStage(
-            "linearity",
-            sensor.linearity is not None,
-            _linearity(sensor) if sensor.linearity else "the response is a straight line",
-        ),
-        part(
-            "column fpn",
-            noise and sensor.column_offset is not None,
-            "offsets of the columns' converters, in adc",
-            "the converters of all columns are alike" if noise else off,
-        ),
-        timed(PlanStage("adc", True, _converter(sensor))),
-        timed(
-            PlanStage(
-                "merge",
-                sensor.dual_gain is not None,
-                f"reads at two gains, switched at {sensor.dual_gain.switch_dn} DN"
-                if sensor.dual_gain
-                else "the sensor reads at one gain",
-            )
-        ),
-    )
+    return tuple(map(described, EFFECTS))
 
 
 def sensor_runs(sensor: Sensor, noise: bool = True) -> Callable[[str], bool]:
@@ -371,56 +256,9 @@ def sensor_runs(sensor: Sensor, noise: bool = True) -> Callable[[str], bool]:
 
     ``noise``: with its noise and fixed patterns.
     """
+    names = running(sensor, noise)
 
-    def part(name: str, needed: bool, used: str, unused: str) -> PlanStage:
-        return PlanStage(name, needed, used if needed else unused)
+    def runs(name: str) -> bool:
+        return Stage(name) in names
 
-    stages = _sensor_stages(sensor, LAVAPIPE, noise, part)
-    return {one.name for one in stages if one.runs}.__contains__
-
-
-def _shift_stages(
-    sensor: Sensor, costs: Costs, timed: Callable[[PlanStage], PlanStage]
-) -> tuple[PlanStage, ...]:
-    """Describe what a CCD does to its charge on the way."""
-    pixels = math.prod(sensor.frame.read[2:])
-    none = "the sensor file gives none" if sensor.is_ccd else "the charge is not shifted"
-    smear = sensor.smear
-    by = smear and ("line by line" if smear.leak is None else f"{smear.leak:g} of the light leaks")
-
-    def transfer(name: str, cti: Cti | None) -> PlanStage:
-        if cti is None:
-            return PlanStage(name, False, none)
-        if cti.traps:
-            work = pixels * (cti.groups + 1) / 2
-            reason = f"{len(cti.traps)} kinds of traps, {cti.groups} groups of transfers"
-            return PlanStage(name, True, reason, None, costs.seconds("traps", work))
-        reason = f"{cti.inefficiency:g} of each packet left behind in each transfer"
-        return PlanStage(name, True, reason, None, costs.seconds("cti", pixels))
-
-    return (
-        timed(PlanStage("smear", True, f"{smear.kind.replace('_', ' ')}, {by}"))
-        if smear
-        else PlanStage("smear", False, none),
-        timed(PlanStage("bloom", True, "charge above the full well flows along the columns"))
-        if sensor.bloom
-        else PlanStage("bloom", False, none),
-        transfer("parallel cti", sensor.parallel_cti),
-        transfer("serial cti", sensor.serial_cti),
-    )
-
-
-def _linearity(sensor: Sensor) -> str:
-    """Say how far the read-out is from a straight line."""
-    low, high = sensor.linearity.error_percent(sensor.saturation_e)
-    return f"linearity error {low:+.2g} to {high:+.2g} % (EMVA 1288), in adc"
-
-
-def _converter(sensor: Sensor) -> str:
-    """Say what the converter does."""
-    text = f"{sensor.bit_depth} bit"
-    if sensor.analogue_gain != 1:
-        text += f", analogue gain {sensor.analogue_gain:g}"
-    if sensor.channel_black_level_dn:
-        text += ", a black level for each channel"
-    return text
+    return runs

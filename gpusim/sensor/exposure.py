@@ -9,6 +9,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Array, Kernel, Recording
+from gpusim.sensor.effects import switches
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.words import quads, words
@@ -69,15 +70,10 @@ def record_exposure(
     rows, cols = rate.shape[-2:]
     mean = rec.buffer(label, (rows, cols), "f4")
     row0, col0 = origin[0] + sensor.first_row, origin[1] + sensor.first_col
-    kernel = Kernel(
-        "sensor/exposure",
-        PRNU=runs("prnu"),
-        PRNU_LINES=runs("prnu lines"),
-        DCNU=runs("dcnu"),
-        MASK=runs("gain mask"),
-    )
+    drawn = {constant: runs(name) for constant, name in switches("exposure").items()}
+    kernel = Kernel("sensor/exposure", **drawn)
     mask = rate  # any buffer, where it is not read
-    if runs("gain mask"):
+    if drawn["MASK"]:
         mask = rec.buffer("gain mask", (rows, cols), "f4")
         rec.upload(mask, sensor.masks.part("gain", sensor.lit_place(origin), (rows, cols)))
     lines = sensor.lines or LineNoise()

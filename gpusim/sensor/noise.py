@@ -7,21 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from gpusim.gpu import Array, Kernel, Recording
+from gpusim.sensor.effects import switches
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.words import quads, words
 
 QUANTILES, REACH = 1025, 6.5  # of the table in the stage
 
-READ_OUT = {
-    "DSNU": "dsnu",
-    "DSNU_LINES": "dsnu lines",
-    "MASK": "offset mask",
-    "RESET": "reset noise",
-    "READ_NOISE": "read noise",
-    "LINES": "line noise",
-}
-"""What is added when the charge is read: overrides of the stage, and their names in the plan."""
+# Constants of the stage by effect: of its first half, and of what is added when the charge is read.
+COLLECTED, READ_OUT = switches("noise"), switches("noise", read_out=True)
 
 
 def record_noise(
@@ -63,8 +57,7 @@ def record_noise(
     shot, read_out : bool
         The halves: shot noise and full well; what is added when the charge is read.
     runs : callable, optional
-        Whether an effect is drawn, by its name in the plan: those of :data:`READ_OUT`, "two
-        numbers", "knee"; by default those that the sensor has.
+        Whether an effect is drawn, by its name in the plan; by default those that the sensor has.
 
     Returns
     -------
@@ -79,8 +72,7 @@ def record_noise(
     kernel = Kernel(
         "sensor/noise",
         SHOT=shot,
-        GAUSSIAN=shot and runs("two numbers"),
-        KNEE=shot and runs("knee"),
+        **{constant: shot and runs(name) for constant, name in COLLECTED.items()},
         READ_TABLE=law,
         **drawn,
     )

@@ -27,6 +27,7 @@ from gpusim.sensor.cfa import CFA_LETTERS, ColourFilterArray
 from gpusim.sensor.checks import check_fields
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.sensor.cti_model import Cti
+from gpusim.sensor.effects import NOISE, running
 from gpusim.sensor.eqe_model import EqeMap, MicroLens, read_eqe
 from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.frame import Border, Frame, Overscan
@@ -425,25 +426,7 @@ class Sensor(Strict):
     @property
     def effects(self) -> frozenset[str]:
         """What of noise and fixed patterns this sensor has, by the names of the plan."""
-        lines, masks = self.lines or LineNoise(), self.masks or Masks()
-        two_numbers = self.gaussian_variance_per_e is not None
-        has = {
-            "prnu": self.prnu_percent > 0,
-            "prnu lines": lines.prnu_row_percent > 0 or lines.prnu_column_percent > 0,
-            "dcnu": self.dcnu_percent > 0,
-            "gain mask": masks.gain is not None,
-            "defects": self.defects is not None,
-            "two numbers": two_numbers,
-            "knee": self.full_well_knee < 1,
-            "dsnu": self.dsnu_e > 0,
-            "dsnu lines": lines.dsnu_row_e > 0 or lines.dsnu_column_e > 0,
-            "offset mask": masks.offset_e is not None,
-            "reset noise": self.reset_noise is not None,
-            "read noise": not two_numbers
-            and (self.temporal_dark_noise_e > 0 or self.dual_gain is not None),
-            "line noise": lines.row_noise_e > 0 or lines.column_noise_e > 0,
-        }
-        return frozenset(name for name, needed in has.items() if needed)
+        return running(self) - running(self, noise=False) - {NOISE.name}
 
     def lit_place(self, origin: tuple[int, int]) -> tuple[int, int]:
         """Return where a pixel lies on the chip's lit area, by row and col, for files that list it.

@@ -15,12 +15,13 @@ from gpusim.optics import fold
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
-from gpusim.plan import Accuracy, Plan, layout, plan_optics
+from gpusim.plan import Accuracy, Plan, PlanStage, layout, plan_optics
 from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import BLOCK_BYTES, Memory, cheapest_grid, planes_at_nodes
 from gpusim.plan.optics import CUTS_UM, OVERSAMPLINGS
 from gpusim.plan.predict import cells_within, cut_error, edge_integral, even_error, node_error
+from gpusim.plan.stages import sensor_runs
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cfa import ColourFilterArray
@@ -69,9 +70,13 @@ def test_every_stage_says_why_it_runs_or_not():
         "dcnu",
         "exposure",
         "defects",
+        "smear",
         "two numbers",
         "knee",
         "noise",
+        "bloom",
+        "parallel cti",
+        "serial cti",
         "coupling",
         "dsnu",
         "dsnu lines",
@@ -79,10 +84,6 @@ def test_every_stage_says_why_it_runs_or_not():
         "reset noise",
         "read noise",
         "line noise",
-        "smear",
-        "bloom",
-        "parallel cti",
-        "serial cti",
         "linearity",
         "column fpn",
         "adc",
@@ -105,6 +106,14 @@ def test_every_stage_says_why_it_runs_or_not():
         assert (stage.predicted_cost_s is not None and stage.predicted_cost_s > 0) == timed
     total = sum(stage.predicted_cost_s or 0.0 for stage in plan.stages)
     assert total < plan.predicted_s < 10 * total  # dispatches come on top
+
+
+def test_a_stage_that_does_not_exist_is_no_stage_that_does_not_run():
+    plan = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2))
+    assert not plan.runs("column fpn") and not sensor_runs(sensor())("column fpn")
+    for ask in (plan.runs, sensor_runs(sensor()), lambda name: PlanStage(name, True, "")):
+        with pytest.raises(ValueError, match="'colum fpn' is not a valid Stage"):
+            ask("colum fpn")
 
 
 def words_of(text: str) -> str:
