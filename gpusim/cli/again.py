@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from PIL import Image
 from rich.console import Console
 
 from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.isp.develop import develop
+from gpusim.isp.files import write_picture
 from gpusim.library.again import made_raw, recipe_of_frame
 
 
@@ -34,7 +34,7 @@ def run(recipe: Path, out: Path, show: str) -> int:
         raw = folder / found.name
         same = found.write(raw)
         names = [f"{raw.stem}.{suffix}" for suffix in ("png", "json")]
-        Image.fromarray(develop(raw).picture).save(folder / names[0], compress_level=3)
+        write_picture(folder / names[0], develop(raw).picture)
         facts = {
             "same": same,
             "changed": list(found.changed),

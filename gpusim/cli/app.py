@@ -620,7 +620,7 @@ def sensor(
 def develop(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="A raw file that LibRaw knows.")],
     out: Annotated[
-        Path, typer.Option(metavar="FILE", help="The picture to write, a .png; 16 bits: a .tif.")
+        Path, typer.Option(metavar="FILE", help="The picture to write: a .png or a .tif.")
     ],
     ev: Annotated[
         float | None,
@@ -629,6 +629,10 @@ def develop(
     binned: Annotated[
         bool, typer.Option("--binned", help="Of quad Bayer, one pixel for each cell of 2 x 2.")
     ] = False,
+    bits: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Of each colour: 8 or 16; 8 of a .png and 16 of a .tif."),
+    ] = None,
     engine: Annotated[
         str,
         typer.Option(metavar="NAME", help="gpusim, or to compare: libraw, by --ev and --binned."),
@@ -673,7 +677,16 @@ def develop(
         "defects": defects,
         "shading": shading,
     }
-    run(raw, out, engine=engine, binned=binned, ev=ev, settings_file=settings, options=options)
+    run(
+        raw,
+        out,
+        engine=engine,
+        binned=binned,
+        bits=bits,
+        ev=ev,
+        settings_file=settings,
+        options=options,
+    )
 
 
 @app.command()

@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from PIL import Image
-
 from gpusim.cli.files import whole_file
 from gpusim.config.mistakes import checked
 from gpusim.errors import UserError
+from gpusim.isp.files import TIFFS, write_picture
 from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.settings import Settings, read_settings, settings_text
 
 ENGINES = ("gpusim", "libraw")
-SIXTEEN_BITS = (".tif", ".tiff")
+BITS = (8, 16)
 
 
 def run(
@@ -24,6 +22,7 @@ def run(
     *,
     engine: str,
     binned: bool,
+    bits: int | None,
     ev: float | None,
     settings_file: Path | None,
     options: dict[str, Any],
@@ -36,6 +35,8 @@ def run(
     engine : str
         One of `ENGINES`.
     binned : bool
+    bits : int, optional
+        Of each colour: 8 or 16; by default 8 of a PNG and 16 of a TIFF.
     ev : float, optional
         Stops; by default the settings file's, or 0.
     settings_file : Path, optional
@@ -45,13 +46,16 @@ def run(
         settings file's.
     """
     given = {name: value for name, value in options.items() if value is not None}
-    ours = settings_file is not None or bool(given) or out.suffix.lower() in SIXTEEN_BITS
+    ours = settings_file is not None or bool(given) or bits == 16 or out.suffix.lower() in TIFFS
     if engine not in ENGINES:
         raise UserError(
             "no such engine", field="--engine", value=engine, allowed=", ".join(ENGINES)
         )
+    if bits not in (*BITS, None):
+        raise UserError("no such number of bits", field="--bits", value=bits, allowed="8 or 16")
     if engine == "gpusim":
-        _ours(raw, out, given if ev is None else given | {"ev": ev}, settings_file, binned=binned)
+        more = {} if ev is None else {"ev": ev}
+        _ours(raw, out, given | more, settings_file, binned=binned, bits=bits)
         return
     if ours:
         named = "--settings" if settings_file else next(iter(given), "--out")
@@ -61,20 +65,26 @@ def run(
             allowed="--engine gpusim",
         )
     with whole_file(out, (".png",)) as file:
-        Image.fromarray(develop_by_libraw(raw, ev or 0.0, binned=binned)).save(file)
+        write_picture(file, develop_by_libraw(raw, ev or 0.0, binned=binned))
     print(out)
 
 
 def _ours(
-    raw: Path, out: Path, given: dict[str, Any], settings_file: Path | None, *, binned: bool
+    raw: Path,
+    out: Path,
+    given: dict[str, Any],
+    settings_file: Path | None,
+    *,
+    binned: bool,
+    bits: int | None,
 ) -> None:
     from gpusim.isp.develop import develop
 
     settings = _settings(settings_file, given)
-    wide = out.suffix.lower() in SIXTEEN_BITS
-    with whole_file(out, (".png", *SIXTEEN_BITS)) as file:
+    wide = bits == 16 or (bits is None and out.suffix.lower() in TIFFS)
+    with whole_file(out, (".png", *TIFFS)) as file:
         made = develop(raw, settings, binned=binned, bits=16 if wide else 8)
-        _save(made.picture, file)
+        write_picture(file, made.picture, settings.space)
         notes = [f"How {out.name} was developed; gpusim develop --settings reads it."]
         notes += [f"left out: {stage}: {why}" for stage, why in made.left_out.items()]
         file.with_suffix(".yaml").write_text(settings_text(settings, notes), encoding="utf-8")
@@ -91,12 +101,3 @@ def _settings(file: Path | None, given: dict[str, Any]) -> Settings:
     except UserError as error:  # the file's own were right
         error.file, error.field = None, f"--{str(error.field).replace('_', '-')}"
         raise
-
-
-def _save(picture: np.ndarray, file: Path) -> None:
-    if picture.dtype == np.uint8:
-        Image.fromarray(np.ascontiguousarray(picture)).save(file)
-        return
-    import tifffile
-
-    tifffile.imwrite(file, picture, photometric="rgb", compression="zlib", predictor=True)

@@ -21,6 +21,7 @@ from gpusim.errors import UserError
 from gpusim.gpu import held
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import has_dng, write_dng
+from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.levels import iso_speed, saturation_dn
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
@@ -139,7 +140,7 @@ class Frame:
             sensor = self.light.sensor.cut(*self.areas.lit[:2])
             path = Path(folder) / ("raw.dng" if has_dng(sensor) else "raw.tif")
             self.write_raw(path, ev)
-            return Image.fromarray(develop(path).picture)
+            return image_of(develop(path).picture)
 
     def save(self, path: str | Path, ev: float = 0.0, *, taken: datetime | None = None) -> None:
         """Write the frame to a file, whose suffix says as what.
@@ -168,7 +169,7 @@ class Frame:
         if suffix in (".dng", ".tif", ".tiff"):
             self.write_raw(path, ev, taken)
         elif suffix in (".png", ".jpg", ".jpeg"):
-            self.develop(ev).save(path)
+            write_picture(path, np.asarray(self.develop(ev)))
         elif suffix == ".exr":
             from gpusim.scene.exr import write_exr
 
