@@ -661,6 +661,12 @@ def develop(
         bool | None,
         typer.Option("--shading/--no-shading", help="Undo the lens's shading, where known."),
     ] = None,
+    rectify: Annotated[
+        bool | None,
+        typer.Option(
+            "--rectify/--no-rectify", help="Undo its distortion and lateral colour, where known."
+        ),
+    ] = None,
     settings: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="A .yaml as it is saved beside each picture."),
@@ -676,6 +682,7 @@ def develop(
         "roll_off": roll_off,
         "defects": defects,
         "shading": shading,
+        "rectify": rectify,
     }
     run(
         raw,

@@ -7,12 +7,14 @@ polynomials of the distance from the optical axis over that of the farthest corn
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from gpusim.isp.colour import CHANNELS, response
 from gpusim.psf.bank import Bank
 from gpusim.psf.field_bank import FieldBank
+from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
 from gpusim.sensor.frame import Rect
 from gpusim.sensor.sensor import Sensor
 
@@ -35,6 +37,10 @@ class Optics:
         the reference wavelength, rising from 0; none (n = 0) of a lens without an axis.
     light : ndarray (n,)
         Relative illumination there.
+    lines_nm : ndarray (L,)
+        Wavelengths at which the lateral colour is known.
+    shift_um : ndarray (L, n)
+        By how much farther from the axis light of these wavelengths lands.
     """
 
     name: str
@@ -43,6 +49,8 @@ class Optics:
     real_um: np.ndarray
     ideal_um: np.ndarray
     light: np.ndarray
+    lines_nm: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    shift_um: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def optics_of(name: str, bank: FieldBank) -> Optics:
@@ -54,7 +62,9 @@ def optics_of(name: str, bank: FieldBank) -> Optics:
     real = np.linspace(0, bank.rectilinear_circle_um, HEIGHTS)
     ideal, _ = bank.ideal_from_real(real)
     light = bank.illumination_at(real, np.zeros(HEIGHTS))[bank.reference]
-    return Optics(*given, real, ideal, light)
+    angle, _ = bank.angle_from_height(real)
+    lands = [bank.height_from_angle(angle, line)[0] for line in bank.wavelengths_nm]
+    return Optics(*given, real, ideal, light, bank.wavelengths_nm, np.stack(lands) - real)
 
 
 def opcodes(optics: Optics, sensor: Sensor, rect: Rect) -> bytes:
@@ -79,9 +89,13 @@ def opcodes(optics: Optics, sensor: Sensor, rect: Rect) -> bytes:
     if not (optics.real_um.size and 0 <= x <= 1 and 0 <= y <= 1):
         return b""
     farthest = np.hypot(max(x, 1 - x) * cols, max(y, 1 - y) * rows) * sensor.pixel_pitch_um
+    maps = [
+        (*warp(optics, farthest, shift_um), 0.0, 0.0) for shift_um in colour_shifts(optics, sensor)
+    ]
+    packed = struct.pack(f">I{6 * len(maps) + 2}d", len(maps), *sum(maps, ()), x, y)
     listed = [
         _opcode(FIX_VIGNETTE_RADIAL, struct.pack(">7d", *shading(optics, farthest), x, y)),
-        _opcode(WARP_RECTILINEAR, struct.pack(">I8d", 1, *warp(optics, farthest), 0, 0, x, y)),
+        _opcode(WARP_RECTILINEAR, packed),
     ]
     return struct.pack(">I", len(listed)) + b"".join(listed)
 
@@ -96,12 +110,33 @@ def shading(optics: Optics, farthest_um: float) -> np.ndarray:
     return np.linalg.lstsq(powers * light[:, None], 1 - light, rcond=None)[0]
 
 
-def warp(optics: Optics, farthest_um: float) -> np.ndarray:
-    """Return k of real = r (k0 + k1 r^2 + k2 r^4 + k3 r^6) for an ideal distance r: (4,)."""
+def warp(optics: Optics, farthest_um: float, shift_um: np.ndarray) -> np.ndarray:
+    """Return k of real = r (k0 + k1 r^2 + k2 r^4 + k3 r^6) for an ideal distance r: (4,).
+
+    ``shift_um`` (n,) is by how much farther than at the reference wavelength light lands.
+    """
     seen = optics.ideal_um <= farthest_um * 1.001
     r = optics.ideal_um[seen] / farthest_um
     powers = r[:, None] ** (1 + 2 * np.arange(4))
-    return np.linalg.lstsq(powers, optics.real_um[seen] / farthest_um, rcond=None)[0]
+    lands = (optics.real_um + shift_um)[seen] / farthest_um
+    return np.linalg.lstsq(powers, lands, rcond=None)[0]
+
+
+def colour_shifts(optics: Optics, sensor: Sensor) -> np.ndarray:
+    """Return by how much farther from the axis a sensor's colours lie, um: (colours, n).
+
+    The mean over what a colour collects of daylight (D65). Red, green and blue each; of other
+    filters one for all, since DNG has a map for each plane of the picture or one.
+    """
+    if not optics.lines_nm.size:
+        return np.zeros((1, optics.real_um.size))
+    curves = response(sensor.qe) * white_radiance("D65", 1.0)
+    if curves.shape[0] != len(CHANNELS):
+        curves = curves.sum(axis=0, keepdims=True)
+    shifts = np.stack(
+        [np.interp(WAVELENGTHS_NM, optics.lines_nm, one) for one in optics.shift_um.T], axis=1
+    )
+    return curves @ shifts / curves.sum(axis=1, keepdims=True)
 
 
 def _opcode(number: int, parameters: bytes) -> bytes:

@@ -20,6 +20,7 @@ from gpusim.isp.malvar import record_malvar
 from gpusim.isp.matrix import record_matrix
 from gpusim.isp.pack import record_pack, unpacked
 from gpusim.isp.quad import BAYER
+from gpusim.isp.rectify import record_rectify
 from gpusim.isp.repair import record_repair
 from gpusim.isp.roll_off import record_roll_off
 from gpusim.isp.settings import LARGEST_EV, PATCH, Settings
@@ -32,6 +33,7 @@ from gpusim.scene.spectra import white_radiance, xyz
 # Rows and columns around a band that its stages reach into: repair 2, directional 8. A multiple of
 # 4, as columns are.
 RIM = 12
+MOST_PIXELS = 24 << 20  # samples of all planes of a band: 96 MiB of the 128 that a binding has
 BAND_PIXELS = 1 << 20  # of a band, its rim not counted: 60 MB on the device
 SATURATED = 0.99  # share of the span from which on a pixel does not count for a white
 STEPS = 5  # pixels from one to the next that count for the grey world, in patterns
@@ -152,16 +154,16 @@ def develop_source(
     rows, cols = source.codes.shape
     picture = np.empty((rows, cols, 3), np.uint8 if bits == 8 else np.uint16)
     times: Counter[str] = Counter()
-    starts = range(0, rows, chain.band)
-    for number, start in enumerate(starts, start=1):
+    bands = chain.bands()
+    for number, (start, stop) in enumerate(bands, start=1):
         rec = Recording(device)
-        label = chain.record(rec, start)
+        label, above = chain.record(rec, start, stop)
         result = rec.run()
-        part = unpacked(result[label])[chain.top :, chain.left : chain.left + cols]
-        picture[start : start + chain.band] = part[: min(chain.band, rows - start)]
+        part = unpacked(result[label])[above:, chain.left : chain.left + cols]
+        picture[start:stop] = part[: stop - start]
         times.update(result.times_s)
         if progress is not None:
-            progress(number, len(starts))
+            progress(number, len(bands))
     return Developed(np.rot90(picture, source.turns), chain.left_out, dict(times))
 
 
@@ -180,8 +182,7 @@ class _Chain:
         # The mirrored rim begins such that red, of Bayer arrays, is at even rows and columns.
         row, col = _red_site(source.pattern) or (0, 0)
         self.top, self.left = RIM + row, RIM + col
-        period = math.lcm(2, len(source.pattern), source.black.shape[0])
-        self.band = max(BAND_PIXELS // cols // period, 1) * period
+        self.period = math.lcm(2, len(source.pattern), source.black.shape[0])
         self.codes = np.pad(
             source.codes,
             ((self.top, RIM + rows % 2 + row), (self.left, RIM + -(cols + self.left) % 4)),
@@ -218,6 +219,12 @@ class _Chain:
             self.left_out["shading"] = "the file says nothing of the lens's"
         elif not settings.shading:
             self.left_out["shading"] = "not asked for"
+        if source.rectification is None:
+            self.left_out["rectify"] = "the file says nothing of the lens's distortion"
+        elif not settings.rectify:
+            self.left_out["rectify"] = "not asked for"
+        elif len(source.rectification.maps) not in (1, len(source.colours)):
+            self.left_out["rectify"] = "the file's maps are of other colours"
         if self.method is None:
             self.left_out |= dict.fromkeys(("balance", "demosaicing"), "there are no filters")
         if self.ev == 0:
@@ -227,10 +234,53 @@ class _Chain:
         if settings.curve is None:
             self.left_out["curve"] = "not asked for"
 
-    def record(self, rec: Recording, start: int) -> str:
-        """Record the band from a row of the frame on; return the label of its picture."""
+    def bands(self) -> list[tuple[int, int]]:
+        """Return the rows of the picture, from and before, that are made at once.
+
+        Raises
+        ------
+        UserError
+            The lens's distortion spreads a line of the picture over more than the device takes.
+        """
+        rows, cols = self.source.codes.shape
+        band = max(BAND_PIXELS // cols // self.period, 1) * self.period
+        if "rectify" in self.left_out:
+            return [(start, min(start + band, rows)) for start in range(0, rows, band)]
+        most = MOST_PIXELS // (cols * max(len(self.source.colours), 3))
+        found, start = [], 0
+        while start < rows:
+            high = band
+            while True:
+                stop = min(start + high, rows)
+                first, last = self._seen(start, stop)
+                if last - first <= most:
+                    break
+                if high == 1:
+                    raise UserError(
+                        "the lens's distortion is too large to be undone",
+                        field="rectify",
+                        value=f"{last - first} rows of the raw for one of the picture",
+                        allowed=f"up to {most}",
+                    )
+                high = max(high // 2, 1)
+            found.append((start, stop))
+            start = stop
+        return found
+
+    def _seen(self, start: int, stop: int) -> tuple[int, int]:
+        """Return the rows of the frame that some of the picture are made of: whole periods."""
+        if "rectify" in self.left_out:
+            return start, stop
+        frame = self.source.codes.shape
+        first, last = self.source.rectification.rows_for(frame, start, stop)
+        return first // self.period * self.period, last
+
+    def record(self, rec: Recording, start: int, stop: int) -> tuple[str, int]:
+        """Record the rows from start to before stop; return label and first row of the picture."""
         source, out = self.source, self.left_out
-        rows = self.band + self.top + RIM + 1
+        made = start, stop - start
+        start, stop = self._seen(start, stop)
+        rows = stop - start + self.top + RIM + 1
         codes = self.codes[start : start + rows - rows % 2]
         light = record_linear(rec, codes, self.black, source.span, table=source.table)
         if "repair" not in out:
@@ -238,7 +288,12 @@ class _Chain:
         if "shading" not in out:
             first = start - self.top, -self.left
             record_shading(rec, light, source.shading, source.codes.shape, first)
-        colours = self._planes(rec, light, start)
+        colours, above = self._planes(rec, light, start), self.top
+        if "rectify" not in out:
+            first = start - self.top, -self.left
+            frame = source.codes.shape
+            colours = record_rectify(rec, colours, source.rectification, frame, first, made)
+            above = 0
         colours = record_matrix(rec, colours, self.matrix)
         if "roll_off" not in out:
             record_roll_off(rec, colours, self.ev, self.settings.roll_off)
@@ -246,7 +301,7 @@ class _Chain:
             record_transfer(rec, colours, self.space.transfer)
         if "curve" not in out:
             record_curve(rec, colours, self.settings.curve)
-        return record_pack(rec, colours, self.bits)
+        return record_pack(rec, colours, self.bits), above
 
     def _planes(self, rec: Recording, light: Array, start: int) -> Array:
         if self.method is None:

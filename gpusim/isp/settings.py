@@ -48,6 +48,8 @@ class Settings(Strict):
         Whether pixels that stand out are mended.
     shading : bool
         Whether the lens's shading is undone where the file gives it.
+    rectify : bool
+        Whether its distortion and lateral colour are.
     """
 
     demosaic: Literal["bilinear", "malvar", "directional"] | None = None
@@ -58,6 +60,7 @@ class Settings(Strict):
     curve: Annotated[tuple[tuple[Share, Share], ...], Field(min_length=2)] | None = None
     defects: bool = False
     shading: bool = True
+    rectify: bool = False
 
     @field_validator("curve")
     @classmethod

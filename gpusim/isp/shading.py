@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass
 
 import numpy as np
 
 from gpusim.gpu import Array, Kernel, Recording
-from gpusim.isp.optics import FIX_VIGNETTE_RADIAL
 
 
 @dataclass(frozen=True)
@@ -25,28 +23,6 @@ class Shading:
 
     k: tuple[float, ...]
     axis: tuple[float, float]
-
-
-def shading_of(opcodes: bytes) -> Shading | None:
-    """Return the shading that a DNG's OpcodeList3 undoes; None where it lists none.
-
-    Raises
-    ------
-    ValueError
-        A list that is cut off.
-    """
-    try:
-        (count,) = struct.unpack_from(">I", opcodes)
-        place = 4
-        for _ in range(count):
-            number, _, _, size = struct.unpack_from(">4I", opcodes, place)
-            if number == FIX_VIGNETTE_RADIAL:
-                *k, x, y = struct.unpack_from(">7d", opcodes, place + 16)
-                return Shading(tuple(k), (x, y))
-            place += 16 + size
-    except struct.error as error:
-        raise ValueError(f"a damaged list of opcodes: {error}") from None
-    return None
 
 
 def record_shading(

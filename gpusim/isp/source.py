@@ -9,8 +9,10 @@ import numpy as np
 
 from gpusim.isp import tiff
 from gpusim.isp.dng import TAGS
+from gpusim.isp.opcodes import corrections_of
 from gpusim.isp.rawfile import CodedFile, read_codes
-from gpusim.isp.shading import Shading, shading_of
+from gpusim.isp.rectify import Rectification
+from gpusim.isp.shading import Shading
 from gpusim.isp.white import D65_KELVIN, LIGHT_KELVIN
 from gpusim.sensor.cfa import CFA_LETTERS
 
@@ -50,6 +52,8 @@ class Source:
         By how many stops the file asks to be shown brighter.
     turns : int
         Quarter turns to the left that make the picture upright.
+    rectification : Rectification, optional
+        What undoes the lens's distortion and lateral colour.
     """
 
     codes: np.ndarray
@@ -63,6 +67,7 @@ class Source:
     noise: tuple[float, float] = UNKNOWN_NOISE
     ev: float = 0.0
     turns: int = 0
+    rectification: Rectification | None = None
 
     @property
     def colours(self) -> str:
@@ -131,9 +136,7 @@ def _of_ours(file: CodedFile) -> Source:
 
     has_colours = len(set("".join(file.pattern))) > 1
     noise = value("NoiseProfile")[:2]
-    shading = None
-    if TAGS["OpcodeList3"] in file.tags:
-        shading = shading_of(bytes(file.tags[TAGS["OpcodeList3"]][1]))
+    shading, rectification = corrections_of(file.tags, TAGS["OpcodeList3"])
     return Source(
         file.codes,
         file.table,
@@ -145,6 +148,7 @@ def _of_ours(file: CodedFile) -> Source:
         shading,
         (float(noise[0]), float(noise[1])),
         float(value("BaselineExposure")[0]),
+        rectification=rectification,
     )
 
 
@@ -184,6 +188,7 @@ def _of_libraw(path: Path) -> Source:
         if len(order) > 1 and _positive(gains):
             neutral = gains.min() / gains
         matrices = _dng_matrices(path, len(order))
+        shading, rectification = corrections_of(_dng_tags(path), TAGS["OpcodeList3"])
         known = np.array(raw.rgb_xyz_matrix, np.float64)[order]
         if not matrices and len(order) >= 3 and known.any():
             matrices = {D65_KELVIN: known}
@@ -195,7 +200,9 @@ def _of_libraw(path: Path) -> Source:
             letters,
             neutral,
             matrices,
+            shading,
             ev=baseline_ev(path),
+            rectification=rectification,
             turns=TURNS.get(raw.sizes.flip, 0),
         )
 
@@ -213,20 +220,19 @@ def _period(sites: np.ndarray) -> np.ndarray:
     return sites[:rows, :cols]
 
 
-def _tags(path: Path) -> dict[int, tuple[int, object]]:
+def _dng_tags(path: Path) -> dict[int, tuple[int, object]]:
+    """Return the tags of a DNG; none of what is none."""
     try:
-        return tiff.read_tags(path)[0]
+        tags = tiff.read_tags(path)[0]
     except ValueError:
         return {}
+    return tags if TAGS["DNGVersion"] in tags else {}
 
 
 def _dng_matrices(path: Path, colours: int) -> dict[float, np.ndarray]:
     """Return the matrices of another's DNG; LibRaw passes only one of them on."""
-    tags = _tags(path)
-    if TAGS["DNGVersion"] not in tags:
-        return {}
     try:
-        found = _matrices(tags)
+        found = _matrices(_dng_tags(path))
     except ValueError:
         return {}
     fits = all(one.shape == (colours, 3) and np.isfinite(one).all() for one in found.values())
@@ -235,8 +241,8 @@ def _dng_matrices(path: Path, colours: int) -> dict[float, np.ndarray]:
 
 def baseline_ev(path: Path) -> float:
     """Return by how many stops a DNG asks to be shown brighter; 0 where it does not, or is none."""
-    tags = _tags(path)
-    if TAGS["DNGVersion"] not in tags or TAGS["BaselineExposure"] not in tags:
+    tags = _dng_tags(path)
+    if TAGS["BaselineExposure"] not in tags:
         return 0.0
     (stops,) = tiff.numbers(tags[TAGS["BaselineExposure"]])
     return float(stops) if np.isfinite(stops) else 0.0

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 KIND = "gpusim light 2"
 SUFFIX = ".npz"
+OF_OPTICS = ("real_um", "ideal_um", "light", "lines_nm", "shift_um")
 
 
 def save_light(light: Light, path: str | Path) -> None:
@@ -57,6 +58,8 @@ def save_light(light: Light, path: str | Path) -> None:
                 real_um=optics.real_um,
                 ideal_um=optics.ideal_um,
                 light=optics.light,
+                lines_nm=optics.lines_nm,
+                shift_um=optics.shift_um,
             )
         os.replace(part, path)
     except OSError as error:
@@ -93,7 +96,7 @@ def read_light(path: str | Path) -> dict[str, Any]:
             glare=arrays["glare"],
             white_e_per_s=facts["white_e_per_s"],
             transmission=arrays["transmission"],
-            optics=Optics(*facts["lens"], *(arrays[n] for n in ("real_um", "ideal_um", "light"))),
+            optics=Optics(*facts["lens"], *(arrays[name] for name in OF_OPTICS)),
             tolerance=facts["tolerance"],
             recipe=facts["recipe"],
             notes=tuple(facts["notes"]),

@@ -16,6 +16,7 @@ from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, write_dng
 from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.pipeline import develop_source, neutral_for
+from gpusim.isp.rectify import Rectification
 from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
 from gpusim.isp.source import Source, _of_libraw, read_source
@@ -152,7 +153,7 @@ def test_every_filter_array_shows_what_is_there(device: Device, tmp_path, shoot,
 def test_stages_without_work_are_left_out_and_named(device: Device):
     given = source(np.full((24, 24), 0.5))
     made = develop_source(given, Settings(), device)
-    assert set(made.left_out) == {"repair", "shading", "roll_off", "curve"}
+    assert set(made.left_out) == {"repair", "shading", "rectify", "roll_off", "curve"}
     assert set(made.times_s) == {
         f"isp/{stage}"
         for stage in (
@@ -162,10 +163,14 @@ def test_stages_without_work_are_left_out_and_named(device: Device):
     }  # fmt: skip
     curve = ((0.0, 0.0), (0.5, 0.6), (1.0, 1.0))
     given = replace(given, shading=Shading((0.1, 0, 0, 0, 0), (0.5, 0.5)))
-    full = Settings(defects=True, ev=1, curve=curve, demosaic="malvar")
+    straight = Rectification(((1.0, 0.01, 0, 0, 0, 0),), (0.5, 0.5))
+    given = replace(given, rectification=straight)
+    full = Settings(defects=True, ev=1, curve=curve, demosaic="malvar", rectify=True)
     made = develop_source(given, full, device)
     assert made.left_out == {}
-    assert {"isp/repair", "isp/shading", "isp/roll_off", "isp/curve"} < set(made.times_s)
+    assert {"isp/repair", "isp/shading", "isp/rectify", "isp/roll_off", "isp/curve"} < set(
+        made.times_s
+    )
     alone = develop_source(source(np.full((24, 24), 0.5), ("W",)), Settings(), device)
     assert {"balance", "demosaicing"} < set(alone.left_out)
 

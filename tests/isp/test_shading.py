@@ -1,6 +1,4 @@
-"""Lens-shading correction against the reference, and the opcode it comes from."""
-
-import struct
+"""Lens-shading correction against the reference."""
 
 import numpy as np
 import pytest
@@ -8,7 +6,7 @@ from harness import assert_close
 from isp.stages import F32, ULP, through
 
 from gpusim.gpu import Device
-from gpusim.isp.shading import Shading, record_shading, shading_of
+from gpusim.isp.shading import Shading, record_shading
 from gpusim.reference.shading import shading
 
 GIVEN = Shading((0.4, 0.25, -0.1, 0.05, 0.02), (0.47, 0.55))
@@ -31,16 +29,3 @@ def test_light_is_scaled(device: Device):
     given = (20, 24), (0, 0)
     found = through(device, light, lambda rec, one: record_shading(rec, one, GIVEN, *given))
     assert_close(found, light * shading(light.shape, GIVEN.k, GIVEN.axis, *given), atol=24 * ULP)
-
-
-def opcode(number: int, values: tuple[float, ...]) -> bytes:
-    return struct.pack(f">4I{len(values)}d", number, 0x01030000, 1, 8 * len(values), *values)
-
-
-def test_the_shading_is_found_among_other_opcodes():
-    warp = opcode(1, (1.0, 2.0, 3.0))
-    listed = struct.pack(">I", 2) + warp + opcode(3, (*GIVEN.k, *GIVEN.axis))
-    assert shading_of(listed) == GIVEN
-    assert shading_of(struct.pack(">I", 1) + warp) is None
-    with pytest.raises(ValueError, match="opcodes"):
-        shading_of(listed[:-9])
