@@ -667,6 +667,13 @@ def develop(
             "--rectify/--no-rectify", help="Undo its distortion and lateral colour, where known."
         ),
     ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RAW",
+            help="Take pedestal, white balance and colour matrices from another camera's file.",
+        ),
+    ] = None,
     settings: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="A .yaml as it is saved beside each picture."),
@@ -683,6 +690,7 @@ def develop(
         "defects": defects,
         "shading": shading,
         "rectify": rectify,
+        "like": None if like is None else str(like),
     }
     run(
         raw,

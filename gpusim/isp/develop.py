@@ -12,7 +12,7 @@ from gpusim.isp.pipeline import Developed, develop_source
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.isp.settings import Settings
-from gpusim.isp.source import Source, read_source
+from gpusim.isp.source import Source, like, read_source
 
 PLAIN = Settings()
 
@@ -51,11 +51,27 @@ def develop(
     if not path.is_file():
         raise UserError("no such raw file", file=path)
     source = _read(path, binned=binned)
+    if settings.like is not None:
+        source = _like(source, Path(settings.like))
     try:
         return develop_source(source, settings, device or default_device(), bits, progress)
     except UserError as error:
         error.file = error.file or path
         raise
+
+
+def _like(source: Source, path: Path) -> Source:
+    if not path.is_file():
+        raise UserError("no such raw file", file=path, field="--like")
+    try:
+        return like(source, _read(path, binned=False))
+    except ValueError as error:
+        raise UserError(
+            f"the other camera's file does not fit: {error}",
+            file=path,
+            field="--like",
+            allowed="a raw file with filters of the same colours",
+        ) from None
 
 
 def _read(path: Path, *, binned: bool) -> Source:

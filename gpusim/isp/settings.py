@@ -44,6 +44,8 @@ class Settings(Strict):
         them.
     curve : tuple of (float, float), optional
         Points of a tone curve on stored values, from 0 to 1.
+    like : str, optional
+        A raw file of another camera: its pedestal, white balance and colour matrices are taken.
     defects : bool
         Whether pixels that stand out are mended.
     shading : bool
@@ -58,6 +60,7 @@ class Settings(Strict):
     ev: Annotated[float, Field(ge=-LARGEST_EV, le=LARGEST_EV)] = 0.0
     roll_off: Annotated[float, Field(ge=0, le=LARGEST_ROLL_OFF)] = 0.0
     curve: Annotated[tuple[tuple[Share, Share], ...], Field(min_length=2)] | None = None
+    like: str | None = None
     defects: bool = False
     shading: bool = True
     rectify: bool = False

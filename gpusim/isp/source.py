@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from gpusim.isp import tiff
 from gpusim.isp.dng import TAGS
 from gpusim.isp.opcodes import corrections_of
-from gpusim.isp.rawfile import CodedFile, read_codes
+from gpusim.isp.rawfile import CodedFile, read_codes, repeated
 from gpusim.isp.rectify import Rectification
 from gpusim.isp.shading import Shading
 from gpusim.isp.white import D65_KELVIN, LIGHT_KELVIN
@@ -94,6 +95,30 @@ class Source:
                 black = self.black[np.ix_(at % self.black.shape[0], across % self.black.shape[1])]
                 found.append(((level - black) / self.span).ravel())
         return np.concatenate(found)
+
+
+def like(source: Source, other: Source) -> Source:
+    """Return a frame with the pedestal, the white and the matrices of another camera's file.
+
+    The pedestal is that of each colour, in codes: it stays where a table makes the codes linear.
+    Saturation stays the frame's own.
+
+    Raises
+    ------
+    ValueError
+        The other has filters of other colours.
+    """
+    if source.colours != other.colours:
+        raise ValueError(f"its filters are {other.colours}, those of the raw {source.colours}")
+    black, span = source.black, source.span
+    if source.table is None:
+        sites = np.array([list(line) for line in other.pattern])
+        both = tuple(map(math.lcm, sites.shape, other.black.shape))
+        sites, level = repeated(sites, both), repeated(other.black, both)
+        levels = {colour: float(level[sites == colour].mean()) for colour in other.colours}
+        black = np.array([[levels[letter] for letter in line] for line in source.pattern])
+        span = source.span + float(source.black.mean() - black.mean())
+    return replace(source, black=black, span=span, neutral=other.neutral, matrices=other.matrices)
 
 
 def read_source(path: Path) -> Source:

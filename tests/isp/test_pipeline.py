@@ -19,7 +19,7 @@ from gpusim.isp.pipeline import develop_source, neutral_for
 from gpusim.isp.rectify import Rectification
 from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
-from gpusim.isp.source import Source, _of_libraw, read_source
+from gpusim.isp.source import Source, _of_libraw, like, read_source
 from gpusim.reference.malvar import malvar
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, rgb_to_xyz
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
@@ -289,6 +289,36 @@ def test_a_photograph_is_developed_as_it_was(device: Device):
     made = develop_source(given, Settings(space="linear"), device).picture / 255
     error = np.sqrt(np.mean((made - picture) ** 2))
     assert error < 0.015
+
+
+def test_a_raw_is_developed_with_another_cameras_colours(device: Device, tmp_path, shoot):
+    """Pedestal, white and matrices come from the other file, and saturation stays."""
+    ours = written(shoot("A"), tmp_path)
+    other = tmp_path / "other.dng"
+    shot = shoot("D65", [["G", "R"], ["B", "G"]])
+    levels = {"R": 4000.0, "B": 4200.0}
+    sensor = shot.sensor.model_copy(update={"channel_black_level_dn": levels})
+    write_dng(other, shot.raw, sensor, white_e=shot.white_e, exposure_s=0.01)
+    other.write_bytes(other.read_bytes().replace(b"gpusim\0", b"Camera\0"))
+    own, theirs = read_source(ours), read_source(other)
+    found = like(own, theirs)
+    assert own.pattern == ("BG", "GR")
+    assert_close(found.black, np.array([[4200.0, 4096], [4096, 4000]]), atol=0)
+    white_dn = own.span + own.black.mean()
+    assert found.span + found.black.mean() == pytest.approx(white_dn)
+    assert found.neutral is theirs.neutral and found.matrices is theirs.matrices
+    assert np.array_equal(found.codes, own.codes)
+    made = develop(ours, Settings(like=str(other)), device=device).picture
+    expected = develop_source(found, Settings(), device).picture
+    assert np.array_equal(made, expected)
+    # Tungsten with daylight's white is yellow.
+    assert made[..., 0].mean() > 1.3 * made[..., 2].mean()
+    with pytest.raises(UserError, match="no such raw file") as caught:
+        develop(ours, Settings(like="none.dng"), device=device)
+    assert caught.value.field == "--like"
+    mono = replace(theirs, pattern=("W",))
+    with pytest.raises(ValueError, match="filters"):
+        like(own, mono)
 
 
 @pytest.mark.parametrize("content", [b"", b"not a raw file\n" * 100, None])
