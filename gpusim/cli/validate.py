@@ -6,7 +6,7 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -21,32 +21,37 @@ from gpusim.gpu import default_device
 from gpusim.report.drawing import png
 from gpusim.report.words import duration
 from gpusim.validate.bars import Bar
+from gpusim.validate.report import Report
+
+Progress = Callable[[str, int, int], None]
 
 
 def kodak(out: Path, *, own_tracer: bool) -> int:
     """Reproduce the Kodak paper's validation; return the exit code, 1 where a bar fails."""
-    from gpusim.validate import kodak_figures as figures
     from gpusim.validate import kodak_page as page
     from gpusim.validate.kodak import measure_edges, predictor_of, stand_in
 
+    def made(progress: Progress) -> Report:
+        lens = stand_in()
+        progress("predictions", 0, 1)
+        predictor = predictor_of(lens, own=own_tracer)
+        progress("predictions", 1, 1)
+        return page.report(measure_edges(lens, predictor, progress))
+
+    return _written(out, made)
+
+
+def _written(out: Path, made: Callable[[Progress], Report]) -> int:
+    """Make a report and write it into a folder; return the exit code."""
     started, device = time.perf_counter(), default_device()
     with staging(out) as folder:
         # numba, which optiland uses, warns of its own insides.
         with screen.progress_bar() as progress, threadpool_limits(1), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            lens = stand_in()
-            progress("predictions", 0, 1)
-            predictor = predictor_of(lens, own=own_tracer)
-            progress("predictions", 1, 1)
-            edges = measure_edges(lens, predictor, progress)
-        bars = edges.bars()
-        drawn = {
-            "positions": figures.draw_positions(edges),
-            "edges": figures.draw_edges(edges),
-            "mtf": figures.draw_mtfs(edges),
-        }
+            report = made(progress)
+        drawn = {one.name: one.figure for one in report.sections if one.figure is not None}
         pictures = {name: png(figure) for name, figure in drawn.items()}
-        names = {name: f"validation-kodak-{name}.png" for name in pictures}
+        names = {name: f"validation-{report.name}-{name}.png" for name in pictures}
         for name, picture in pictures.items():
             (folder / names[name]).write_bytes(picture)
         facts = {
@@ -54,23 +59,23 @@ def kodak(out: Path, *, own_tracer: bool) -> int:
             "command": ["gpusim", *sys.argv[1:]],
             "adapter": device.report()["adapter"],
             "seconds": time.perf_counter() - started,
-            **page.numbers(edges, bars),
+            **report.facts(),
         }
         text = json.dumps(facts, indent=1, allow_nan=False)
-        (folder / "kodak.json").write_text(text + "\n")
-        (folder / "kodak.html").write_text(page.html(edges, bars, pictures), encoding="utf-8")
-        written = page.markdown(edges, bars, names)
-        (folder / "validation-kodak.md").write_text(written, encoding="utf-8")
+        (folder / f"{report.name}.json").write_text(text + "\n")
+        (folder / f"{report.name}.html").write_text(report.html(pictures), encoding="utf-8")
+        page = folder / f"validation-{report.name}.md"
+        page.write_text(report.markdown(names), encoding="utf-8")
     console = Console()
-    if not edges.independent:
-        screen.show_warning(f"predicted by {edges.tracer}, which is not independent of the renders")
-    console.print(bars_table(bars))
-    held = sum(bar.held for bar in bars)
-    said = f"{held} of {len(bars)} bars held, predicted by {edges.tracer}, in "
+    if not report.independent:
+        screen.show_warning(f"predicted by {report.tracer}, not independent of the renders")
+    console.print(bars_table(report.bars))
+    held = sum(bar.held for bar in report.bars)
+    said = f"{held} of {len(report.bars)} bars held, predicted by {report.tracer}, in "
     said += duration(facts["seconds"])
-    for line in (said, *(str(out / name) for name in ("kodak.html", "kodak.json"))):
+    for line in (said, *(str(out / f"{report.name}.{kind}") for kind in ("html", "json"))):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    return 0 if held == len(bars) else 1
+    return 0 if held == len(report.bars) else 1
 
 
 def bars_table(bars: Sequence[Bar]) -> Table:
@@ -78,5 +83,5 @@ def bars_table(bars: Sequence[Bar]) -> Table:
     shown = Table("what", "worst", "bar", "", box=None, header_style="bold")
     for bar in bars:
         verdict = Text("held", "green") if bar.held else Text("NOT HELD", "bold red")
-        shown.add_row(Text(bar.name), f"{bar.value:.4g}", f"{bar.bound:g} {bar.unit}", verdict)
+        shown.add_row(Text(bar.name), f"{bar.value:.4g}", f"{bar.bound:.4g} {bar.unit}", verdict)
     return shown

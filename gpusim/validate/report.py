@@ -1,0 +1,140 @@
+"""The report of a validation: bars and sections, as HTML, Markdown and JSON."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+from gpusim.report.page import document
+from gpusim.validate.bars import Bar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """A table: names of its columns, rows of as many cells, and what columns are together called.
+
+    ``groups`` holds (columns, name) from the left, in HTML alone.
+    """
+
+    head: Sequence[str]
+    body: Sequence[Sequence[str]]
+    groups: Sequence[tuple[int, str]] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of a report. ``name`` is that of the figure's file, where it has one."""
+
+    title: str
+    text: str = ""
+    name: str = ""
+    figure: Figure | None = None
+    rows: Rows | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What a validation found.
+
+    Attributes
+    ----------
+    name : str
+        Of its files.
+    title, paper, text : str
+        Text says who predicted what, and how it is compared.
+    bars : sequence of Bar
+    sections : sequence of Section
+    numbers : dict
+        Every number, for the JSON file.
+    tracer : str
+        The program that predicted.
+    independent : bool
+        Whether it is not ours.
+    """
+
+    name: str
+    title: str
+    paper: str
+    text: str
+    bars: Sequence[Bar]
+    sections: Sequence[Section]
+    numbers: dict[str, Any] = field(default_factory=dict)
+    tracer: str = ""
+    independent: bool = True
+
+    def facts(self) -> dict[str, Any]:
+        """Return every number of the report."""
+        bars = [dataclasses.asdict(bar) | {"held": bar.held} for bar in self.bars]
+        who = {"tracer": self.tracer, "independent": self.independent}
+        return {"paper": self.paper, **who, "bars": bars, **self.numbers}
+
+    def html(self, pictures: Mapping[str, bytes]) -> str:
+        """Return a page that needs no other file; ``pictures`` are PNG files by section's name."""
+        verdicts = [("good", "held") if bar.held else ("bad", "NOT HELD") for bar in self.bars]
+        cells = [
+            f"<td>{escape(bar.name)}</td>{_cell(f'{bar.value:.4g}')}{_cell(f'{bar.bound:.4g}')}"
+            f'<td>{escape(bar.unit)}</td><td class="{look}">{said}</td>'
+            for bar, (look, said) in zip(self.bars, verdicts, strict=True)
+        ]
+        head = "<th>What</th>" + "".join(f'<th class="number">{n}</th>' for n in ("Worst", "Bar"))
+        parts = [
+            f"<p>{escape(self.text)}</p><h2>Bars</h2>",
+            _html_rows(f"<tr>{head}<th></th><th></th></tr>", cells),
+        ]
+        for section in self.sections:
+            parts.append(f"<h2>{escape(section.title)}</h2>")
+            if section.text:
+                parts.append(f"<p>{escape(section.text)}</p>")
+            if section.figure is not None:
+                data = base64.b64encode(pictures[section.name]).decode()
+                parts.append(
+                    f'<figure><img class="sheet" src="data:image/png;base64,{data}" '
+                    f'alt="{escape(section.title)}"></figure>'
+                )
+            if section.rows is not None:
+                parts.append(_html_table(section.rows))
+        return document(escape(self.title), escape(self.paper), *parts)
+
+    def markdown(self, names: Mapping[str, str]) -> str:
+        """Return the page as Markdown; ``names`` are the files of the figures by section's name."""
+        lines = [f"# {self.title}", "", f"{self.paper}.", "", self.text, "", "## Bars", ""]
+        lines += ["| what | worst | bar | unit | held |", "|---|---|---|---|---|"]
+        lines += [
+            f"| {bar.name} | {bar.value:.4g} | {bar.bound:.4g} | {bar.unit} | "
+            f"{'yes' if bar.held else '**no**'} |"
+            for bar in self.bars
+        ]
+        for section in self.sections:
+            lines += ["", f"## {section.title}", ""]
+            if section.text:
+                lines += [section.text, ""]
+            if section.figure is not None:
+                lines += [f"![{section.title}]({names[section.name]})", ""]
+            if section.rows is not None:
+                head, body = section.rows.head, section.rows.body
+                lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+                lines += [f"| {' | '.join(row)} |" for row in body] + [""]
+        return "\n".join(lines).rstrip() + "\n"
+
+
+def _cell(text: str) -> str:
+    return f'<td class="number">{escape(text)}</td>'
+
+
+def _html_rows(head: str, cells: Sequence[str]) -> str:
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
+    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+
+
+def _html_table(rows: Rows) -> str:
+    top = "".join(f'<th colspan="{count}">{escape(name)}</th>' for count, name in rows.groups)
+    names = "".join(f'<th class="number">{escape(name)}</th>' for name in rows.head)
+    head = (f"<tr>{top}</tr>" if top else "") + f"<tr>{names}</tr>"
+    return _html_rows(head, ["".join(map(_cell, row)) for row in rows.body])
