@@ -45,11 +45,17 @@ class Camera(camera.Camera):
         super().__post_init__()
 
     @classmethod
-    def load(cls, name_or_path: str | Path, **changes: object) -> Camera:
+    def load(cls, name_or_path: str | Path, *, sensor: str | None = None, **lens: float) -> Camera:
         """Return a camera of the package by its name, or that of a file.
 
-        ``changes``: fields of its lens in place of the file's (``f_number``, ``focal_length_mm``,
-        ``focus_distance_m`` ...), and ``sensor``.
+        Parameters
+        ----------
+        name_or_path : str or path
+        sensor : str, optional
+            Name or file of another sensor, in place of the file's.
+        lens : float
+            Fields of its lens in place of the file's: ``f_number``, ``focal_length_mm``,
+            ``focus_distance_m`` ...
 
         Raises
         ------
@@ -63,7 +69,6 @@ class Camera(camera.Camera):
         >>> camera.sensor.cols, camera.lens.f_number
         (2028, 4.0)
         """
-        sensor = changes.pop("sensor", None)
-        found = camera.load_camera(name_or_path, changes or None, sensor)
-        lens = Lens.of(found.lens) if isinstance(found.lens, Prescription) else found.lens
-        return cls(lens, found.sensor, found.title)
+        found = camera.load_camera(name_or_path, lens or None, sensor)
+        own = Lens.of(found.lens) if isinstance(found.lens, Prescription) else found.lens
+        return cls(own, found.sensor, found.title)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class Lens(Prescription, Views):
+class Lens(Views):
     """A lens by its surfaces: a `Prescription` that shows its PSF, MTF and layout.
 
     Made by `Lens.load`, or of the fields of a lens file: ``Lens(title=..., surfaces=[...], ...)``.

@@ -478,7 +478,7 @@ def expose(
     accuracy = Accuracy.parse(str(tolerance), probes, best_effort=best_effort)
     rect = rectangle(tile, camera.sensor)
     # Only a tolerance in sigmas asks for the exposure.
-    longest = {} if exposure_s is None else {"exposure_s": exposure_s}
+    longest: dict[str, Any] = {} if exposure_s is None else {"exposure_s": exposure_s}
     renderer = Renderer(
         camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes, **longest
     )
@@ -489,7 +489,11 @@ def expose(
 
 
 def _check_given(
-    camera: object, scene: object, probes: object, tile: object, exposure_s: float | None
+    camera: object,
+    scene: object,
+    probes: object,
+    tile: Sequence[int] | None,
+    exposure_s: float | None,
 ) -> None:
     """Refuse a name in place of a camera or a scene, the two in each other's place, and the like.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.lens.prescription import Prescription
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,10 +84,11 @@ class Mtf:
 
     def at(self, frequency_cy_mm: float) -> tuple[float, float]:
         """Return tangential and sagittal contrast at a frequency."""
-        return tuple(
+        tangential, sagittal = (
             float(np.interp(frequency_cy_mm, self.frequency_cy_mm, one))
             for one in (self.tangential, self.sagittal)
         )
+        return tangential, sagittal
 
     def plot(self) -> Figure:
         """Return a picture of both curves."""
@@ -118,8 +120,8 @@ class Layout:
         return layout_figure(self)
 
 
-class Views:
-    """PSF, MTF and layout of a lens that can be traced."""
+class Views(Prescription):
+    """A lens that can be traced, with its PSF, MTF and layout."""
 
     def psf(
         self,
@@ -220,10 +222,10 @@ class Views:
                 field="frequency_cy_mm",
                 allowed="an array (K,) of cycles per mm, none negative",
             )
-        both = [np.abs(traced.otf(frequency, way)) for way in transfer.DIRECTIONS]
+        tangential, sagittal = (np.abs(traced.otf(frequency, way)) for way in transfer.DIRECTIONS)
         perfect = np.array([transfer.diffraction_mtf(frequency, one, number) for one in WHITE_NM])
         limit = traced.weight @ perfect / traced.weight.sum()
-        return Mtf(frequency, *both, math.degrees(theta), limit)
+        return Mtf(frequency, tangential, sagittal, math.degrees(theta), limit)
 
     def layout(self) -> Layout:
         """Return the section through the lens with the rays of its fields.
