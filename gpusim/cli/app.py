@@ -202,7 +202,8 @@ def render(
         str,
         typer.Option(
             metavar="E",
-            help="Error allowed: 1e-3 of the local signal, or 0.1sigma of a pixel's noise.",
+            help="Error allowed: 1e-3 of the local signal, 0.1sigma of a pixel's noise, or "
+            "'as good as 0.4 s allows'.",
         ),
     ] = "1e-3",
     certify: Annotated[

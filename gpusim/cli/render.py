@@ -7,6 +7,7 @@ import math
 import re
 import sys
 import tempfile
+import textwrap
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +32,7 @@ from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs, planned_costs
 from gpusim.render import capture as take
 from gpusim.render import look
+from gpusim.render.deadline import resolved
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import unevenly_lit
@@ -115,11 +117,16 @@ def run(
     device = default_device()
     if dry_run:
         with screen.progress_bar() as progress:
-            given = accuracy, exposure_s
-            seen = look(camera, scene, *given, lambda *done: progress("lens", *done))
             costs = costs or adapter_costs(
                 device, progress=lambda done, total: progress("calibrate", done, total)
             )
+
+            def traced(done: int, total: int) -> None:
+                progress("lens", done, total)
+
+            given = {"noise": noise, "method": method, "exposure_s": exposure_s}
+            accuracy, afforded = resolved(camera, scene, accuracy, costs, **given, progress=traced)
+            seen = look(camera, scene, accuracy, exposure_s, traced)
         chosen = plan_optics(
             seen.bank,
             camera.sensor,
@@ -132,6 +139,8 @@ def run(
             density=seen.density,
         )
         print(with_band(chosen, seen.band).text())
+        if afforded:
+            print(textwrap.fill(f"{afforded}."))
         return 0
     with staging(out) as folder:
         with (

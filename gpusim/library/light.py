@@ -446,7 +446,9 @@ def expose(
     camera : Camera
     scene : Scene
     tolerance : float or str
-        Root mean square error of the mean signal, relative to it; ``"0.1sigma"``: of its noise.
+        Root mean square error of the mean signal, relative to it; ``"0.1sigma"``: of its noise;
+        ``"as good as 0.4 s allows"``: the least whose kernels, light and read-out are predicted to
+        take no longer on this adapter, for a whole frame. The light's notes say what that is.
     probes : int
         Pixels at which the result is held against the exact model; 0: no certificate.
     tile : (x, y, width, height), optional

@@ -14,8 +14,9 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
+from gpusim.plan.deadline import predicted_parts
 from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
-from gpusim.plan.optics import LARGEST_STRIDE, WORST_TO_RMS, alias_of, held_um
+from gpusim.plan.optics import LARGEST_STRIDE, alias_of, held_um
 from gpusim.plan.predict import GUARD, cut_error
 from gpusim.psf.places import Places
 from gpusim.render import Renderer
@@ -227,12 +228,3 @@ def _grid(renderer: Renderer, stride: int, reach: float, cells: tuple[int, int])
         value=f"{2 * half} samples",
         allowed=f"{TRANSFORMS[-1] * 3 // 4}",
     )
-
-
-def predicted_parts(plan: Plan) -> dict[str, float]:
-    """Return the planner's predicted errors by part, relative: RMS, and of cuts the bound."""
-    of = {stage.name: stage.predicted_error or 0.0 for stage in plan.stages if stage.runs}
-    # The planes' prediction is that of the worst spectrum in its weakest channel.
-    planes = max(of.get("paint", 0.0), of.get("warp", 0.0)) / WORST_TO_RMS
-    nodes = max(of.get(stage, 0.0) for stage in ("columns", "direct"))  # by method
-    return {"planes": planes, "alias": of.get("rows", 0.0), "nodes": nodes}

@@ -22,9 +22,10 @@ from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
 from gpusim.pareto import knobs
-from gpusim.pareto.knobs import Variant, predicted_parts
+from gpusim.pareto.knobs import Variant
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.calibrate import adapter_costs
+from gpusim.plan.deadline import predicted_parts
 from gpusim.render import Renderer
 from gpusim.scene.scene import Scene
 
@@ -175,8 +176,10 @@ def sweep(
     device = device or default_device()
     costs = adapter_costs(device)
     chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
+    accuracy = chosen.accuracy  # that of a time is found
     # The others have its bank, know no more of the lens, and do not wait for it.
     known = SimpleNamespace(
+        title=camera.title,
         sensor=camera.sensor,
         bank=lambda *_, **__: chosen.bank,
         lens=SimpleNamespace(title=camera.lens.title),

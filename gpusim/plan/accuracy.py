@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, replace
 
 from gpusim.errors import UserError
@@ -12,8 +13,10 @@ RANGES = {"relative": (SMALLEST, LARGEST), "sigma": (1e-3, 10.0)}
 BEST_EFFORT = "; or any, with --best-effort"  # what a refusal offers
 FLOAT32 = "float32 leaves more in sums over a frame"
 ALLOWED = (
-    "1e-5 to 0.1, relative to the local signal; or 0.001sigma to 10sigma, of the temporal noise"
+    "1e-5 to 0.1, relative to the local signal; or 0.001sigma to 10sigma, of the temporal noise; "
+    "or as good as 0.4 s allows"
 )
+DEADLINE = re.compile(r"as good as (\S+?) ?(m?s) allows?")
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,16 @@ class Accuracy:
         temporal noise at the exposure. An error below a tenth of a sigma is invisible in the raw.
     best_effort: bool
         Whether a tolerance that cannot be met is planned for as well as can be; else it is refused.
+    within_s : float, optional
+        Seconds that a first frame may take as predicted: the tolerance is then the least that they
+        allow, in place of `tolerance`. `gpusim.render.deadline` finds it.
     """
 
     tolerance: float = 1e-3
     probes: int = 256
     unit: str = "relative"
     best_effort: bool = False
+    within_s: float | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -57,6 +64,13 @@ class Accuracy:
                 value=self.text,
                 allowed=ALLOWED,
             )
+        if self.within_s is not None and not 0 < self.within_s < math.inf:
+            raise UserError(
+                "The time is none that work can take.",
+                field="tolerance",
+                value=self.text,
+                allowed="seconds above 0",
+            )
         if self.probes < 0:
             raise UserError(
                 "Too few probes.", field="certify", value=self.probes, allowed="0 or more"
@@ -64,7 +78,9 @@ class Accuracy:
 
     @classmethod
     def parse(cls, text: str, probes: int = 256, *, best_effort: bool = False) -> Accuracy:
-        """Return what a tolerance in words asks for: ``1e-3``, or ``0.1sigma``.
+        """Return what a tolerance in words asks for.
+
+        ``1e-3``; ``0.1sigma``; or ``as good as 0.4 s allows``.
 
         Raises
         ------
@@ -73,7 +89,11 @@ class Accuracy:
         """
         number = text.strip().removesuffix("sigma")
         unit = "relative" if number == text.strip() else "sigma"
+        deadline = DEADLINE.fullmatch(text.strip())
         try:
+            if deadline is not None:
+                within_s = float(deadline[1]) * (1e-3 if deadline[2] == "ms" else 1.0)
+                return cls(LARGEST, probes, best_effort=best_effort, within_s=within_s)
             tolerance = float(number)
         except ValueError:
             raise UserError(
@@ -83,7 +103,9 @@ class Accuracy:
 
     @property
     def text(self) -> str:
-        """The tolerance in words: 0.001, or 0.1 sigma."""
+        """The tolerance in words: 0.001, 0.1 sigma, or as good as 0.4 s allows."""
+        if self.within_s is not None:
+            return f"as good as {self.within_s:g} s allows"
         return self.in_words(self.tolerance)
 
     def in_words(self, tolerance: float) -> str:

@@ -44,6 +44,7 @@ from gpusim.plan.tiles import (
 )
 from gpusim.render.capture import Capture
 from gpusim.render.coarse import CoarseCamera, seen_by
+from gpusim.render.deadline import resolved
 from gpusim.render.highlights import SplattedLight
 from gpusim.render.lighting import Lighting
 from gpusim.render.look import look
@@ -162,6 +163,17 @@ class Renderer:
         """Plan, and place the scene on the sensor."""
         camera, sensor = self.camera, self.camera.sensor
         started = time.perf_counter()
+        self.accuracy, self.afforded = resolved(
+            camera,
+            self.scene,
+            self.accuracy,
+            costs,
+            noise=noise,
+            method=method,
+            force=force,
+            exposure_s=self.longest_s,
+            progress=lambda *done: report("lens", *done),
+        )
         asked = self.accuracy, self.longest_s
         seen = look(camera, self.scene, *asked, lambda *done: report("lens", *done))
         self.band, self.density, self.scene = seen.band, seen.density, seen.scene
@@ -619,9 +631,10 @@ class Renderer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How the scene was read and placed."""
+        """How the scene was read and placed, and what a time afforded."""
         placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
-        return self.scene.notes + placed
+        afforded = (self.afforded,) if self.afforded else ()
+        return self.scene.notes + placed + afforded
 
     def white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
