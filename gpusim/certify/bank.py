@@ -29,6 +29,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
 from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.halo import LAST_FALLS_FROM
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.traced import cached_traced_bank, cached_traced_plane_field
 from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHeight, TracedPoint
@@ -125,11 +126,19 @@ def beyond(
 ) -> tuple[float, tuple[str, ...]]:
     """Return what the light beyond the widest PSF costs, and a word on it.
 
-    So far out it is spread evenly: every pixel lacks its share of the mean signal.
+    So far out it is spread evenly: every pixel lacks its share of the mean signal. It costs nothing
+    where all of it lands beside the sensor: no pixel is farther from a point that sends light than
+    the sensor's corner from the far side of the image circle.
     """
     share = getattr(bank, "beyond_energy", None)
     if share is None:
         return 0.0, ("window: what lands beyond the PSFs is not known to the bank",)
+    last = bank.levels[-1]
+    reach_um = last.psf.shape[-1] / 2 * last.pitch_um
+    corner_um = sensor.pixel_pitch_um * np.hypot(sensor.rows, sensor.cols) / 2
+    farthest_um = corner_um + np.hypot(*bank.centre_um) + bank.rectilinear_circle_um
+    if bank.halo is not None and LAST_FALLS_FROM * reach_um >= farthest_um:
+        return 0.0, (f"window: light beyond {reach_um / 1e3:.3g} mm lands beside the sensor",)
     most = float(share.max())
     even = most * float(rate.mean(dtype=np.float64))
     # Pixels beyond the image circle have no light to lose, and do not count.
@@ -140,9 +149,8 @@ def beyond(
     if not len(lit):
         return 0.0, ()
     lost = errors(sensor, lit + even, lit, exposure_s, accuracy)
-    last = bank.levels[-1]
-    reach_mm = last.psf.shape[-1] / 2 * last.pitch_um / 1e3
-    words = f"window: {most:.1e} of the light lands more than {reach_mm:.3g} mm from its chief ray"
+    words = f"window: {most:.1e} of the light lands more than {reach_um / 1e3:.3g} mm from its "
+    words += "chief ray"
     return float(np.sqrt(np.mean(lost**2))), (words,)
 
 

@@ -31,6 +31,7 @@ from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.alias import Alias
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
+from gpusim.plan.contrast import contrast_of
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
 from gpusim.plan.halo import describe_halo, halo_levels, surroundings
@@ -71,9 +72,6 @@ TONE_SHARE = 0.1
 # plane's light.
 ANGLE_SHARE = 0.05
 TAIL_SHARE = 0.4  # for the nodes of the tails, which add in the squares
-# Signal of a white next to a dark neighbour's: the tail of an edge is measured against the dark
-# side.
-CONTRAST = 20.0
 ALIAS_SHARE = 0.7  # of the tolerance; with that of the nodes in the squares, all of it
 # Radii at which the core of the PSFs may be cut from their tail, um.
 CUTS_UM = (6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0)
@@ -474,7 +472,7 @@ class _Problem:
         errors = {"alias": alias, "nodes": nodes}
         limits = {knob: tolerance for knob in ("nodes", "modes")}
         limits["alias"] = ALIAS_SHARE * tolerance
-        limits |= {knob: tolerance / CONTRAST for knob in ("cut", "support")}
+        limits |= {knob: tolerance / self.contrast for knob in ("cut", "support")}
         tail = None
         if cut_um is not None:
             lag, few = self._tails[cut_um]
@@ -582,7 +580,7 @@ class _Problem:
                     value=f"PSFs of {2 * reach:.0f} sim samples, sites {stride} apart",
                     allowed=f"{2 * DIRECT_REACH} samples, {DIRECT_STRIDE}",
                 )
-            limit = self.accuracy.tolerance / CONTRAST
+            limit = self.accuracy.tolerance / self.contrast
             support, errors["support"] = self._support(pitch_um, reach_um, weight, limit)
             options = {"support": support}
             reach = max(support - 4, 0)
@@ -828,6 +826,11 @@ class _Problem:
         return 4 if self.planes.period == 4 else 1
 
     @property
+    def contrast(self) -> float:
+        """By how much what PSFs lack far out counts more where the scene is dark."""
+        return contrast_of(self._placed)
+
+    @property
     def coarse_pitch_um(self) -> float:
         return self.sensor.pixel_pitch_um * self.planes.period / self.coarse_stride
 
@@ -842,7 +845,7 @@ class _Problem:
     @cached_property
     def _tails(self) -> dict[float, tuple[float, tuple[int, int]]]:
         """Return what the tails' nodes cost and the fewest cells between them, by cut to try."""
-        limit = self.accuracy.tolerance / CONTRAST
+        limit = self.accuracy.tolerance / self.contrast
         fit = [cut for cut, lost in self._lost.items() if lost <= limit]
         return {cut: self._tail_nodes(cut) for cut in fit[:CUTS_TRIED]}
 

@@ -39,8 +39,10 @@ AnyBank = TypeVar("AnyBank")  # Bank or PlaneBank
 SIZE = 128
 STEP = 8
 LEVELS = 3
-# A level's weight falls, as a raised cosine, from this fraction of its radius to its end.
+# A level's weight falls, as a raised cosine, from this fraction of its radius to its end. No other
+# level takes over from the last one: it holds what it can.
 FALLS_FROM = 0.5
+LAST_FALLS_FROM = 0.875
 # Diffracted light is summed up in polar bins, so many around and of this width in ln r: against
 # twice as many each way the levels change by 1e-3 of their light.
 AROUND = 256
@@ -115,9 +117,12 @@ def pitches_um(core_pitch_um: float) -> np.ndarray:
     return core_pitch_um * float(STEP) ** np.arange(1, LEVELS + 1)
 
 
-def fall(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
-    """Return the weight of what lies within a level: 1, from `FALLS_FROM` on less, at the end 0."""
-    share = np.clip((distance_um / radius_um - FALLS_FROM) / (1 - FALLS_FROM), 0, 1)
+def fall(distance_um: np.ndarray, radius_um: float, start: float = FALLS_FROM) -> np.ndarray:
+    """Return the weight of what lies within a level: 1, from a share of it on less, at the end 0.
+
+    ``start``: that share of the radius.
+    """
+    share = np.clip((distance_um / radius_um - start) / (1 - start), 0, 1)
     return 0.5 * (1 + np.cos(np.pi * share))
 
 
@@ -293,8 +298,9 @@ def halo(
     even = np.concatenate([even, even[:, :1]], axis=1)
     levels = np.zeros((len(level_pitch_um), SIZE, SIZE))
     line = np.arange(SIZE) - SIZE // 2
-    for level, pitch, inner, outer in zip(
-        levels, level_pitch_um, radii[:-1], radii[1:], strict=True
+    ends = [FALLS_FROM] * (len(levels) - 1) + [LAST_FALLS_FROM]
+    for level, pitch, inner, outer, end in zip(
+        levels, level_pitch_um, radii[:-1], radii[1:], ends, strict=True
     ):
         x, y = line[:, None] * pitch, line * pitch
         distance = np.hypot(x, y)
@@ -303,14 +309,14 @@ def halo(
         turn = np.arctan2(*np.broadcast_arrays(x, y))[used] % (2 * np.pi)
         at = [(np.log(r) - edges[0]) / LOG_STEP - 0.5, turn / (2 * np.pi) * AROUND]
         level[used] = pitch**2 / r**3 * map_coordinates(even, at, order=1, mode="nearest")
-        level *= (1 - fall(distance, inner)) * fall(distance, outer)
+        level *= (1 - fall(distance, inner)) * fall(distance, outer, end)
         if len(rays):
             # By their own distance: no ray is lost or counted twice between two levels.
-            own = (1 - fall(far, inner)) * fall(far, outer)
+            own = (1 - fall(far, inner)) * fall(far, outer, end)
             level += _deposited(rays * own, places / pitch + SIZE // 2)
-    outside = beyond + float(polar.sum(axis=1) @ (1 - fall(middle, radii[-1])))
+    outside = beyond + float(polar.sum(axis=1) @ (1 - fall(middle, radii[-1], LAST_FALLS_FROM)))
     if len(rays):
-        outside += float(rays @ (1 - fall(far, radii[-1])))
+        outside += float(rays @ (1 - fall(far, radii[-1], LAST_FALLS_FROM)))
     return levels, outside
 
 

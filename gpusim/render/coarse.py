@@ -23,12 +23,17 @@ class CoarseCamera:
         return self.level
 
 
-def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor) -> Scene:
-    """Return the scene as a coarse sensor of another size sees it: where the real one does."""
+def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor, level_um: float) -> Scene:
+    """Return the scene as a coarse sensor of another size sees it: where the real one does.
+
+    Bright outliers of a photograph are samples like others where these are at most half as large as
+    the level's own samples, `level_um` apart: it has no detail that would tell them apart.
+    """
     half = tuple(side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows))
     if isinstance(scene.source, Chart):
         scale = half[1] / (coarse.rows * coarse.pixel_pitch_um / 2)
         return replace(scene, source=scene.source.placed(scale))
-    if scene.source.half_um is not None:
-        return scene
-    return replace(scene, source=replace(scene.source, half_um=half))
+    source = scene.source
+    covered = half if source.half_um is None else source.half_um
+    whole = source.whole or 2 * source.pitch_um(*half) <= level_um
+    return replace(scene, source=replace(source, half_um=covered, whole=whole))

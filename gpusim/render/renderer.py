@@ -567,7 +567,7 @@ class Renderer:
             report("halo", done, len(banks))
             renderer = Renderer(
                 CoarseCamera(bank, grid.sensor),
-                seen_by(self.scene, sensor, grid.sensor),
+                seen_by(self.scene, sensor, grid.sensor, bank.pitch_um),
                 level.accuracy,
                 self.device,
                 memory_bytes=self.memory_bytes,
