@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -21,8 +22,21 @@ WINDOW_AIRY = 16.0
 SAMPLES = 160  # across that window: five a radius of the Airy disc
 
 
+class _Drawn:
+    """What draws itself, and is shown so where a notebook shows it."""
+
+    def plot(self) -> Figure:
+        """Return a picture of it."""
+        raise NotImplementedError
+
+    def _repr_png_(self) -> bytes:
+        picture = io.BytesIO()
+        self.plot().savefig(picture, format="png", dpi=110)
+        return picture.getvalue()
+
+
 @dataclass(frozen=True, eq=False)
-class Psf:
+class Psf(_Drawn):
     """A point-spread function.
 
     Attributes
@@ -57,7 +71,7 @@ class Psf:
 
 
 @dataclass(frozen=True, eq=False)
-class Mtf:
+class Mtf(_Drawn):
     """A polychromatic modulation transfer function.
 
     Attributes
@@ -98,7 +112,7 @@ class Mtf:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class Layout(_Drawn):
     """A section through a lens with its rays.
 
     Attributes
