@@ -20,6 +20,7 @@ from gpusim.render.renderer import Renderer, rectangle
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Frame
+    from gpusim.plan.stages import Plan
     from gpusim.scene.scene import Scene
 
 # How each setting of a lens is made, from the lens that the session was given; in this order.
@@ -71,7 +72,7 @@ class Session:
         progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.redone: tuple[str, ...] = ()  # by the last frame: of "plan", "light", "read-out"
-        self._progress, self._title = progress, camera.title
+        self.progress, self._title = progress, camera.title
         self._parts: dict[str, Any] = {
             "lens": camera.lens,
             "sensor": camera.sensor,
@@ -169,6 +170,11 @@ class Session:
     def _accuracy(self) -> Accuracy:
         return Accuracy.parse(str(self._parts["tolerance"]), self._parts["probes"])
 
+    @property
+    def plan(self) -> Plan | None:
+        """How the light of the last frame was made; None before the first."""
+        return None if self._renderer is None else self._renderer.plan
+
     def light(self) -> Light:
         """Return the light of the settings of now, made if it is not there."""
         done = []
@@ -178,12 +184,12 @@ class Session:
                     self.camera,
                     self._parts["scene"],
                     self._accuracy(),
-                    progress=self._progress,
+                    progress=self.progress,
                 )
                 done.append("plan")
             sensor = self._parts["sensor"]
             self._light = lit(
-                self._renderer, rectangle(self._parts["tile"], sensor), self._progress
+                self._renderer, rectangle(self._parts["tile"], sensor), self.progress
             )
             done.append("light")
         self.redone = tuple(done)

@@ -757,7 +757,11 @@ def compute_bank(
 
 
 def bank_of(
-    generator: Generator, reference_nm: float = REFERENCE_NM, focus_um: float = 0.0
+    generator: Generator,
+    reference_nm: float = REFERENCE_NM,
+    focus_um: float = 0.0,
+    *,
+    wide: bool = True,
 ) -> Bank:
     """Return the bank of a lens that is traced already, at any focus.
 
@@ -768,6 +772,9 @@ def bank_of(
         One of its wavelengths.
     focus_um : float
         How far the image plane is moved away from the lens.
+    wide : bool
+        Whether to work out what lands beyond the window; else the PSFs hold all of the light: for
+        drafts.
 
     Raises
     ------
@@ -809,6 +816,17 @@ def bank_of(
             value=f"{angles[-1]:g}",
             allowed=f"up to {np.degrees(min(folds)):.4g} deg",
         )
+    halo = {}
+    if wide:
+        halo = halo_of(
+            lambda field, line: generator.wave(field, line, focus_um),
+            wavelengths,
+            float(generator.pitch_um),
+            radius_um,
+            core,
+        )
+    else:
+        psfs /= psfs.sum(axis=(2, 3), keepdims=True)
     provenance = provenance_of(system)
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
@@ -835,13 +853,7 @@ def bank_of(
         ray_deg=rays_deg,
         ray_um=rays_um,
         principal_mm=principal,
-        **halo_of(
-            lambda field, line: generator.wave(field, line, focus_um),
-            wavelengths,
-            float(generator.pitch_um),
-            radius_um,
-            core,
-        ),
+        **halo,
     )
 
 

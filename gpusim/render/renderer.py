@@ -25,6 +25,7 @@ from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.halo import Halo, coarse_grid
 from gpusim.optics.halo import needed as coarse_rects
+from gpusim.optics.kernels import field_images, field_kernels
 from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat
@@ -42,6 +43,7 @@ from gpusim.plan.tiles import (
     tile_bytes,
     tiles_of,
 )
+from gpusim.psf.field_bank import FieldBank
 from gpusim.render.capture import Capture
 from gpusim.render.coarse import CoarseCamera, seen_by
 from gpusim.render.deadline import resolved
@@ -234,6 +236,40 @@ class Renderer:
         if self.resident_glare is not None:
             self.resident_glare.destroy()
         trim_heap()
+
+    def refocus(self, bank: FieldBank) -> None:
+        """Take the PSFs of the same lens at other focus or stop; plan and maps stay: for drafts.
+
+        Only for plans that convolve whole PSFs by transforms, whatever their width, and banks of
+        the same wavelengths.
+        """
+        self.bank, self.core = bank, bank.levels[0]
+        self.drop_light()
+        basis, (scale,) = self.plan.basis, self.plan.scales
+        sensor = self.camera.sensor
+        if basis.elsewhere is None:
+            response = spectral_weights(self.core, sensor, wavelengths_nm=basis.wavelengths_nm)
+            basis = replace(basis, response=response)
+            basis = replace(basis, weights=basis.rates.sum(axis=-1))
+        reach_um = math.hypot(sensor.rows, sensor.cols) / 2 * sensor.pixel_pitch_um
+        images, places = field_images(
+            self.core,
+            basis.rates,
+            reach_um,
+            elsewhere=basis.elsewhere,
+            wavelengths_nm=basis.wavelengths_nm,
+        )
+        whole = np.ones(images.shape[-2:])
+        kernels = field_kernels(images, places, self.core.pitch_um, scale.pitch_um, whole)
+        scale = replace(scale, kernels=kernels)
+        self.plan = replace(self.plan, basis=basis, scales=(scale,))
+        for convolve in self.convolutions:
+            convolve.release()
+        sites = list(planes_of(sensor).channels)
+        needed = self.sources[0].needed
+        self.convolutions = [
+            convolution(self.device, scale, needed, sensor.response_um, sites)
+        ]
 
     def drop_light(self) -> None:
         """Forget the light of the last frame: the next one is convolved anew, with what is held."""
