@@ -85,7 +85,6 @@ class Engine:
     """Makes pictures for knobs and views, and keeps what the next ones may use."""
 
     def __init__(self) -> None:
-        self._parts: tuple[tuple, Camera, Scene] | None = None
         self._draft_key: tuple | None = None
         self._draft: Draft | None = None
         self._lens_key: object = None
@@ -96,22 +95,6 @@ class Engine:
         self._session_key: tuple | None = None
         self._developers = {DRAFT: Developer(), REFINED: Developer()}
 
-    def camera(self, knobs: Knobs) -> Camera:
-        """Return the camera of knobs.
-
-        Raises
-        ------
-        UserError
-            A part is missing or a value is one that it cannot have.
-        """
-        return self._made(knobs)[0]
-
-    def _made(self, knobs: Knobs) -> tuple[Camera, Scene]:
-        key = replace(knobs, exposure_s=None, temperature_c=None, seed=0, noise=True, ev=0.0)
-        if self._parts is None or self._parts[0] != key:
-            self._parts = (key, *knobs.parts())
-        return self._parts[1:]
-
     def draft(self, knobs: Knobs, view: View) -> Shown:
         """Return a draft of what is seen.
 
@@ -121,7 +104,7 @@ class Engine:
             The camera or the scene cannot be had so.
         """
         clock = _Clock()
-        camera, scene = self._made(knobs)
+        camera, scene = knobs.made_camera(), knobs.made_scene()
         sensor = camera.sensor
         seen = view.seen(sensor.rows, sensor.cols, _period(camera))
         step = step_for(seen[2] * seen[3])
@@ -147,7 +130,7 @@ class Engine:
     def _made_draft(
         self, knobs: Knobs, camera: Camera, scene: Scene, step: int, clock: _Clock
     ) -> Draft:
-        """Return the draft's chain for a lens, a scene and a step, kept until one of them changes."""
+        """Return the draft's chain, kept until lens, scene, pixels or step change."""
         self._trace(replace(knobs, focus_shift_um=None), scene, clock)
         # Focus and stop change PSFs alone; where light lands they leave as it is.
         lasting = replace(knobs, focus_shift_um=None, f_number=None)
@@ -168,7 +151,7 @@ class Engine:
         if self._lens is not None:
             self._lens.release()
             self._lens = None
-        lens = in_focus.parts()[0].lens
+        lens = in_focus.made_camera().lens
         if isinstance(lens, Prescription) and lens.is_centred:
             self._lens = DraftLens(lens, scene.wavelengths_nm)
             clock.did("lens")
@@ -216,7 +199,7 @@ class Engine:
                 progress(what, done, total)
 
         clock = _Clock()
-        camera, scene = self._made(knobs)
+        camera, scene = knobs.made_camera(), knobs.made_scene()
         seen = view.seen(camera.sensor.rows, camera.sensor.cols, _period(camera))
         key = knobs.optics
         if self._session is None or self._session_key != key:
@@ -246,10 +229,10 @@ class Engine:
         Turned as it lies on the sensor is left to the eye: row tangential, column radial. The pitch
         of its samples, um, comes with it.
         """
-        camera, _ = self._made(knobs)
-        if self._draft is None:
+        draft, sensor = self._draft, knobs.bare.made_camera().sensor
+        if draft is None:
             return np.zeros((2, 2)), 1.0
-        bank, sensor = self._draft.renderer.core, camera.sensor
+        bank = draft.renderer.core
         height = sensor.pixel_pitch_um * float(np.hypot(x - sensor.cols / 2, y - sensor.rows / 2))
         heights = bank.real_height_um[:, bank.reference]
         field = int(np.argmin(np.abs(heights - height)))

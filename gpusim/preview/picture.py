@@ -15,7 +15,14 @@ from gpusim.isp.source import Source, read_source
 from gpusim.library.frame import Frame
 from gpusim.sensor.sensor import Sensor
 
-COLOURS = {"R": (1, 0, 0), "G": (0, 1, 0), "B": (0, 0, 1), "C": (0, 1, 1), "M": (1, 0, 1), "Y": (1, 1, 0)}
+COLOURS = {
+    "R": (1, 0, 0),
+    "G": (0, 1, 0),
+    "B": (0, 0, 1),
+    "C": (0, 1, 1),
+    "M": (1, 0, 1),
+    "Y": (1, 1, 0),
+}
 GREY = (1, 1, 1)
 
 
@@ -32,7 +39,11 @@ class Developer:
 
         Bayer frames by Malvar, He and Cutler's interpolation, the others as `gpusim develop` does.
         """
-        if self._source is None or self._sensor is not frame.light.sensor or self._shape != frame.raw.shape:
+        if (
+            self._source is None
+            or self._sensor is not frame.light.sensor
+            or self._shape != frame.raw.shape
+        ):
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "raw.dng"
                 frame.save(path)

@@ -32,7 +32,12 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "CTI": ("parallel_cti", "serial_cti"),
 }
 # What these fields are where their effect is off, if that is not their default.
-OFF = {"temporal_dark_noise_e": 0.0, "dark_current_e_per_s": 0.0, "dsnu_e": 0.0, "prnu_percent": 0.0}
+OFF = {
+    "temporal_dark_noise_e": 0.0,
+    "dark_current_e_per_s": 0.0,
+    "dsnu_e": 0.0,
+    "prnu_percent": 0.0,
+}
 
 
 @dataclass(frozen=True)
@@ -111,35 +116,40 @@ class Knobs:
         names = ("camera", "lens", "sensor", *LENS_KNOBS)
         return tuple(getattr(self, name) for name in names)
 
-    def parts(self) -> tuple[Camera, Scene]:
-        """Return camera and scene, the sensor at its gain and without the effects that are off.
+    def made_camera(self) -> Camera:
+        """Return the camera, its sensor at its gain and without the effects that are off.
 
         Raises
         ------
         UserError
             A part is missing or a value is one that it cannot have.
         """
-        lens = tuple(
-            (name, value) for name in LENS_KNOBS if (value := getattr(self, name)) is not None
-        )
+        given = ((name, getattr(self, name)) for name in LENS_KNOBS)
+        lens = tuple((name, value) for name, value in given if value is not None)
         made = _camera(self.camera, self.lens, lens, self.sensor)
-        chosen = made.sensor if self.iso is None else made.sensor.at_iso(self.iso)
-        chosen = without(chosen, self.off)
-        scene = _scene(
-            self.scene, self.luminance_cd_m2, self.illuminant, Frame.of(made.sensor)
-        )
-        return Camera(made.lens, chosen, made.title), scene
+        sensor = made.sensor if self.iso is None else made.sensor.at_iso(self.iso)
+        return Camera(made.lens, without(sensor, self.off), made.title)
+
+    def made_scene(self) -> Scene:
+        """Return the scene, laid out for the sensor.
+
+        Raises
+        ------
+        UserError
+            There is none of that name, or a value is one that it cannot have.
+        """
+        frame = Frame.of(self.bare.made_camera().sensor)
+        return _scene(self.scene, self.luminance_cd_m2, self.illuminant, frame)
+
+    @property
+    def bare(self) -> Knobs:
+        """The same camera with its lens as it is and all effects on."""
+        return Knobs(self.camera, self.scene, self.lens, self.sensor)
 
     def command(self, tile: tuple[int, int, int, int] | None, exposure_s: float) -> str:
-        """Return the command line that makes the picture."""
-        words = ["gpusim", "render", self.camera, self.scene, "--exposure", f"{exposure_s:.9g}"]
+        """Return the command line that makes the raw, beside the camera file that was saved."""
+        words = ["gpusim", "render", "camera.yaml", self.scene, "--exposure", repr(exposure_s)]
         given = {
-            "--lens": self.lens,
-            "--sensor": self.sensor,
-            "--focal-length": self.focal_length_mm,
-            "--f-number": self.f_number,
-            "--focus-distance": self.focus_distance_m,
-            "--focus-shift": self.focus_shift_um,
             "--luminance": self.luminance_cd_m2,
             "--illuminant": self.illuminant,
             "--iso": self.iso,
@@ -151,7 +161,7 @@ class Knobs:
         }
         for option, value in given.items():
             if value is not None:
-                words += [option, f"{value:g}" if isinstance(value, float) else str(value)]
+                words += [option, str(value)]
         if not self.noise:
             words.append("--no-noise")
         return " ".join([*words, "--out", "out"])
@@ -162,7 +172,9 @@ def without(sensor: Sensor, off: frozenset[str]) -> Sensor:
     update = {}
     for effect in off:
         for name in EFFECTS[effect]:
-            update[name] = OFF.get(name, Sensor.model_fields[name].get_default(call_default_factory=True))
+            update[name] = OFF.get(
+                name, Sensor.model_fields[name].get_default(call_default_factory=True)
+            )
     return sensor.model_copy(update=update) if update else sensor
 
 

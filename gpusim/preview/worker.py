@@ -91,7 +91,7 @@ class Worker:
         try:
             while (job := self._next()) is not None:
                 self._make(*job)
-        except BaseException as error:  # noqa: BLE001 - the window raises it again
+        except BaseException as error:
             self.failure = error
             with self._changed:
                 self._changed.notify_all()

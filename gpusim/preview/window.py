@@ -1,0 +1,174 @@
+"""The preview's canvases: a window, or none, where events come from a script."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gpusim.errors import UserError
+
+if TYPE_CHECKING:
+    from gpusim.preview.app import App
+    from gpusim.preview.state import Knobs
+
+SIZE = (1528, 774)  # points: a view of 960 x 720 between the panels, over the status lines
+MISSING = "pip install 'gpusim[preview]'"
+
+
+def check_packages() -> None:
+    """Say what is missing.
+
+    Raises
+    ------
+    UserError
+        A package of the extra is not installed.
+    """
+    for name in ("imgui_bundle", "rendercanvas", "glfw"):
+        try:
+            __import__(name)
+        except ImportError as error:
+            raise UserError(
+                f"the preview needs the package {name.replace('_', '-')}, which cannot be "
+                f"imported: {error}",
+                allowed=MISSING,
+            ) from error
+
+
+def _device() -> Any:
+    """Return a device of its own for the screen: drawing does not wait for the chain's work."""
+    import wgpu
+
+    return wgpu.gpu.request_adapter_sync().request_device_sync()
+
+
+def app_on(canvas: Any, knobs: Knobs, out: Path, *, refine: bool) -> tuple[App, Any]:
+    """Return the screen's state on a canvas, and what draws it."""
+    from wgpu.utils.imgui import ImguiRenderer
+
+    from gpusim.preview.app import App
+    from gpusim.preview.textures import Textures
+
+    device = _device()
+    drawing = ImguiRenderer(device, canvas)
+    app = App(knobs, Textures(device, drawing.backend), out, refine=refine)
+    drawing.set_gui(app.gui)
+    return app, drawing
+
+
+def show(knobs: Knobs, out: Path) -> None:
+    """Open a window and stay until it is closed.
+
+    Raises
+    ------
+    UserError
+        There is no display, or no window can be opened on it.
+    """
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform.startswith("linux") and not display:
+        raise UserError(
+            "there is no display to open a window on",
+            field="DISPLAY",
+            allowed="a desktop, or --screenshot FILE.png, which needs none",
+        )
+    import glfw
+
+    if not glfw.init():
+        raise UserError(
+            "no window can be opened on this display",
+            field="DISPLAY",
+            value=display,
+            allowed="a desktop, or --screenshot FILE.png, which needs none",
+        )
+    from rendercanvas.glfw import GlfwRenderCanvas, loop
+
+    canvas = GlfwRenderCanvas(
+        size=SIZE, title=f"{knobs.camera}, {knobs.scene}", update_mode="ondemand", max_fps=60
+    )
+    app, drawing = app_on(canvas, knobs, out, refine=True)
+    failure: list[BaseException] = []
+
+    def draw() -> None:
+        try:
+            drawing.render()
+        except Exception as error:  # raised again below: the loop would log it and go on
+            failure.append(error)
+            canvas.close()
+            return
+        if app.worker.phase[0] or not app.worker.idle:
+            canvas.request_draw()
+
+    app.changed = lambda: loop.call_soon_threadsafe(canvas.request_draw)
+    # ImGui answers an event in the frame after it.
+    for event in ("pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char"):
+        canvas.add_event_handler(lambda _: canvas.request_draw(), event)
+    canvas.request_draw(draw)
+    try:
+        loop.run()
+    finally:
+        app.close()
+    if failure:
+        raise failure[0]
+
+
+class Offscreen:
+    """The same screen without a window: events are given, pictures are taken.
+
+    Parameters
+    ----------
+    knobs : Knobs
+    out : Path
+    size : (int, int)
+        Points.
+    refine : bool
+    """
+
+    def __init__(
+        self, knobs: Knobs, out: Path, size: tuple[int, int] = SIZE, *, refine: bool = True
+    ) -> None:
+        from rendercanvas.offscreen import OffscreenRenderCanvas
+
+        self.canvas = OffscreenRenderCanvas(size=size, pixel_ratio=1)
+        self.app, self._drawing = app_on(self.canvas, knobs, out, refine=refine)
+        self._failure: BaseException | None = None
+        self.canvas.request_draw(self._draw)
+        self.frame()
+
+    def _draw(self) -> None:
+        try:
+            self._drawing.render()
+        except Exception as error:  # raised again below: the canvas would log it and go on
+            self._failure = error
+
+    def frame(self) -> np.ndarray:
+        """Draw the screen once; return it, (rows, cols, 4), uint8."""
+        pixels = np.asarray(self.canvas.draw())
+        if self._failure is not None:
+            raise self._failure
+        return pixels
+
+    def event(self, kind: str, **fields: Any) -> None:
+        """Give an event as rendercanvas names it, and draw the frame that answers it."""
+        self.canvas.submit_event({"event_type": kind, **fields})
+        self.frame()
+
+    def settle(self, kind: str, timeout_s: float) -> np.ndarray:
+        """Wait for the picture of what is asked for now; return the screen.
+
+        Raises
+        ------
+        UserError
+            It did not come in time.
+        """
+        if not self.app.worker.wait(self.app.number, kind, timeout_s):
+            raise UserError(f"no {kind} picture came within {timeout_s:g} s", field="wait")
+        self.frame()
+        return self.frame()
+
+    def close(self) -> None:
+        """End the work."""
+        self.app.close()
+        self.canvas.close()
