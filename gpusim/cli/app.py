@@ -479,6 +479,71 @@ def batch(
 
 
 @app.command()
+def preview(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset or a camera file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart, or a picture's file.")],
+    exposure: Annotated[
+        str | None,
+        typer.Option(metavar="SECONDS", help="0.01 or 1/100; by default by the scene's white."),
+    ] = None,
+    iso: Annotated[int | None, typer.Option(metavar="N", help="A step of the sensor's.")] = None,
+    f_number: Annotated[float | None, typer.Option(min=0.1, metavar="N")] = None,
+    focus_shift: Annotated[
+        float | None, typer.Option(metavar="UM", help="Image plane moved away from the lens.")
+    ] = None,
+    sensor: Annotated[str | None, typer.Option(metavar="SENSOR", help="Another sensor.")] = None,
+    lens_name: Annotated[
+        str | None, typer.Option("--lens", metavar="LENS", help="Another prescription.")
+    ] = None,
+    luminance: Annotated[
+        float | None, typer.Option(metavar="CD/M2", help="Luminance of the scene's white.")
+    ] = None,
+    illuminant: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Light on a chart.")
+    ] = None,
+    tolerance: Annotated[
+        str, typer.Option(metavar="R", help="Of the picture at rest, as of gpusim render.")
+    ] = "1e-2",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where saving writes.")] = Path(
+        "out/preview"
+    ),
+    screenshot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="No window: save the screen, a .png, once it is refined."
+        ),
+    ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="No window: do the steps of a .json, see docs/preview.md."
+        ),
+    ] = None,
+    adapter: Adapter = None,
+) -> None:
+    """Turn the knobs of a camera and look: a draft at once, the rendered picture at rest.
+
+    Needs the extra: pip install 'gpusim[preview]'.
+    """
+    from gpusim.cli.preview import run
+    from gpusim.cli.render import exposure_seconds
+
+    choose_adapter(adapter)
+    given = {
+        "exposure_s": None if exposure is None else exposure_seconds(exposure),
+        "iso": iso,
+        "f_number": f_number,
+        "focus_shift_um": focus_shift,
+        "sensor": sensor,
+        "lens": lens_name,
+        "luminance_cd_m2": luminance,
+        "illuminant": illuminant,
+        "tolerance": tolerance,
+    }
+    run(camera, scene, given, out, screenshot, script)
+
+
+@app.command()
 def chart(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],

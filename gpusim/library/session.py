@@ -188,9 +188,7 @@ class Session:
                 )
                 done.append("plan")
             sensor = self._parts["sensor"]
-            self._light = lit(
-                self._renderer, rectangle(self._parts["tile"], sensor), self.progress
-            )
+            self._light = lit(self._renderer, rectangle(self._parts["tile"], sensor), self.progress)
             done.append("light")
         self.redone = tuple(done)
         return self._light

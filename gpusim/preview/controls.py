@@ -17,7 +17,7 @@ from gpusim.scene.charts import CHARTS
 from gpusim.sensor import load as sensors
 from gpusim.sensor.sensor import Sensor
 
-OWN = "the camera's own"
+OWN, OWN_LIGHT = "the camera's own", "the scene's own"
 ILLUMINANTS = ("D50", "D55", "D65", "A", "E", "FL2", "5100K")
 TOLERANCES = ("1e-1", "1e-2", "1e-3")
 LONGEST_S, SHORTEST_S = 4.0, 1e-6
@@ -75,7 +75,7 @@ class Controls:
         names = names if value in names else [value, *names]
         turned, new = imgui.combo(label, names.index(value), names)
         if turned:
-            self._changes[name] = None if names[new] == OWN else names[new]
+            self._changes[name] = None if names[new] in (OWN, OWN_LIGHT) else names[new]
 
     def _read_out(self, knobs: Knobs) -> None:
         imgui.separator_text("exposure")
@@ -135,7 +135,9 @@ class Controls:
     def _scene(self, knobs: Knobs) -> None:
         imgui.separator_text("scene")
         self._choice("scene", "scene", knobs.scene, list(CHARTS))
-        self._choice("light", "illuminant", knobs.illuminant or OWN, [OWN, *ILLUMINANTS])
+        self._choice(
+            "light", "illuminant", knobs.illuminant or OWN_LIGHT, [OWN_LIGHT, *ILLUMINANTS]
+        )
         self._slider(
             "white, cd/m2", "luminance_cd_m2", knobs.luminance_cd_m2 or 300.0,
             0.01, 1e5, "%.3g", log=True,

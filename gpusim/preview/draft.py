@@ -29,6 +29,7 @@ from gpusim.sensor.sensor import Sensor
 
 FIELDS, RAYS = 4, 64
 SIZE = 256  # samples of the PSFs at most: a window of 128 um at 0.5 um
+WAYS = 12  # to convolve, among which one takes whole PSFs
 TOLERANCE = 0.1  # the loosest that plans are made for
 PIXELS = 250_000  # of a draft: it is read and developed within a frame of the screen
 # What of a sensor's figures grows with the photosites that are counted together: electrons with
@@ -141,6 +142,12 @@ class Draft:
         small = Camera(lens or camera.lens, binned(camera.sensor, step), camera.title)
         accuracy = Accuracy(TOLERANCE, 0, best_effort=True)
         self.renderer = Renderer(small, scene, accuracy, method="fft" if lens else None)
+        if lens is not None and len(self.renderer.plan.scales) > 1:
+            # Other PSFs may be wider than the core that this plan cuts out.
+            others = self.renderer.plans(WAYS, "fft")
+            plan = next(one for one in others if len(one.scales) == 1)
+            self.renderer.release()
+            self.renderer = Renderer(small, scene, accuracy, plan=plan)
 
     @property
     def bank(self) -> FieldBank:

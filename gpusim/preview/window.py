@@ -145,6 +145,8 @@ class Offscreen:
 
     def frame(self) -> np.ndarray:
         """Draw the screen once; return it, (rows, cols, 4), uint8."""
+        # A canvas without a loop takes its events in when it is told to.
+        self.canvas._events.flush()
         pixels = np.asarray(self.canvas.draw())
         if self._failure is not None:
             raise self._failure

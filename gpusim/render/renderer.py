@@ -267,9 +267,7 @@ class Renderer:
             convolve.release()
         sites = list(planes_of(sensor).channels)
         needed = self.sources[0].needed
-        self.convolutions = [
-            convolution(self.device, scale, needed, sensor.response_um, sites)
-        ]
+        self.convolutions = [convolution(self.device, scale, needed, sensor.response_um, sites)]
 
     def drop_light(self) -> None:
         """Forget the light of the last frame: the next one is convolved anew, with what is held."""
