@@ -15,12 +15,12 @@ import numpy as np
 from imgui_bundle import imgui
 
 from gpusim.errors import UserError
+from gpusim.gpu.screen import Textures
 from gpusim.preview import answers
 from gpusim.preview.controls import Controls
 from gpusim.preview.engine import REFINED, Engine, Shown
 from gpusim.preview.saving import save
 from gpusim.preview.state import Knobs, View
-from gpusim.preview.textures import Textures
 from gpusim.preview.worker import Worker
 
 LEFT, RIGHT = 268.0, 300.0  # widths of the panels, points
@@ -73,7 +73,7 @@ class App:
         self._corner: tuple[float, float] | None = None  # of a region that is being dragged
         self._lock = threading.Lock()
         self._memory: dict[str, tuple[Any, Any]] = {}
-        self.worker = Worker(Engine(), self._present, refine=refine)
+        self.worker = Worker(Engine(), self._present, refine=refine, told=lambda: self.changed())
 
     # What is asked for, and what comes.
 

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.gpu.screen import drawing_on
 
 if TYPE_CHECKING:
     from gpusim.preview.app import App
     from gpusim.preview.state import Knobs
 
 SIZE = (1528, 774)  # points: a view of 960 x 720 between the panels, over the status lines
+ANSWERED = 4  # frames: ImGui takes in a move, a press and a release in frames of their own
 MISSING = "pip install 'gpusim[preview]'"
 
 
@@ -38,23 +40,12 @@ def check_packages() -> None:
             ) from error
 
 
-def _device() -> Any:
-    """Return a device of its own for the screen: drawing does not wait for the chain's work."""
-    import wgpu
-
-    return wgpu.gpu.request_adapter_sync().request_device_sync()
-
-
 def app_on(canvas: Any, knobs: Knobs, out: Path, *, refine: bool) -> tuple[App, Any]:
     """Return the screen's state on a canvas, and what draws it."""
-    from wgpu.utils.imgui import ImguiRenderer
-
     from gpusim.preview.app import App
-    from gpusim.preview.textures import Textures
 
-    device = _device()
-    drawing = ImguiRenderer(device, canvas)
-    app = App(knobs, Textures(device, drawing.backend), out, refine=refine)
+    drawing, textures = drawing_on(canvas)
+    app = App(knobs, textures, out, refine=refine)
     drawing.set_gui(app.gui)
     return app, drawing
 
@@ -90,6 +81,7 @@ def show(knobs: Knobs, out: Path) -> None:
     )
     app, drawing = app_on(canvas, knobs, out, refine=True)
     failure: list[BaseException] = []
+    due = 0  # frames still to draw for the last event
 
     def draw() -> None:
         try:
@@ -98,13 +90,24 @@ def show(knobs: Knobs, out: Path) -> None:
             failure.append(error)
             canvas.close()
             return
-        if app.worker.phase[0] or not app.worker.idle:
+        nonlocal due
+        due = max(due - 1, 0)
+        if due:
             canvas.request_draw()
 
+    def answer(_: object) -> None:
+        nonlocal due
+        due = ANSWERED
+        canvas.request_draw()
+
     app.changed = lambda: loop.call_soon_threadsafe(canvas.request_draw)
-    # ImGui answers an event in the frame after it.
-    for event in ("pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char"):
-        canvas.add_event_handler(lambda _: canvas.request_draw(), event)
+    canvas.add_event_handler(
+        answer, "pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char", "resize"
+    )
+    canvas.add_event_handler(
+        lambda event: canvas.close() if _leaves(event["key"], event["modifiers"]) else None,
+        "key_down",
+    )
     canvas.request_draw(draw)
     try:
         loop.run()
@@ -112,6 +115,10 @@ def show(knobs: Knobs, out: Path) -> None:
         app.close()
     if failure:
         raise failure[0]
+
+
+def _leaves(key: str, modifiers: tuple[str, ...]) -> bool:
+    return key.lower() == "q" and "Control" in modifiers
 
 
 class Offscreen:

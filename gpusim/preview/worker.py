@@ -7,6 +7,7 @@ is made for an older number is given up at its next step.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from gpusim.errors import UserError
 from gpusim.preview.engine import REFINED, Engine, Shown, Stale
 from gpusim.preview.state import Knobs, View
 
+NEWS_S = 0.25  # drawing the screen takes a core from the work for some 30 ms
 REST_S = 0.35  # without a change, until the picture itself is made
 
 
@@ -37,16 +39,24 @@ class Worker:
         Called in the worker's thread with each picture and its number.
     refine : bool
         Whether to make the picture itself at rest.
+    told : callable
+        Called in the worker's thread when there is news of the work, some times a second.
     """
 
     def __init__(
-        self, engine: Engine, present: Callable[[Shown, int], None], *, refine: bool = True
+        self,
+        engine: Engine,
+        present: Callable[[Shown, int], None],
+        *,
+        refine: bool = True,
+        told: Callable[[], None] = lambda: None,
     ) -> None:
         self.engine, self.refine = engine, refine
         self.phase = ("", 0, 0)  # what is being done: name, done, total
         self.mistake: UserError | None = None  # of the newest request
         self.failure: BaseException | None = None  # ended the thread
-        self._present = present
+        self._present, self._told = present, told
+        self._told_at = 0.0
         self._changed = threading.Condition()
         self._wanted: Wanted | None = None
         self._drafted = self._refined = -1
@@ -95,6 +105,7 @@ class Worker:
             self.failure = error
             with self._changed:
                 self._changed.notify_all()
+            self._told()
         finally:
             self.engine.release()
 
@@ -139,6 +150,11 @@ class Worker:
             if not draft or self.mistake is not None:
                 self._refined = wanted.number
             self._changed.notify_all()
+        self._told()
 
     def _progress(self, what: str, done: int, total: int) -> None:
         self.phase = (what, done, total)
+        now = time.monotonic()
+        if now - self._told_at > NEWS_S:
+            self._told_at = now
+            self._told()

@@ -1,4 +1,4 @@
-"""Pictures on the device that draws the screen."""
+"""What a screen of panels is drawn with: a device of its own, Dear ImGui, and its pictures."""
 
 from __future__ import annotations
 
@@ -6,6 +6,18 @@ from typing import Any
 
 import numpy as np
 import wgpu
+
+
+def drawing_on(canvas: Any) -> tuple[Any, Textures]:
+    """Return what draws Dear ImGui on a canvas of rendercanvas, and its pictures.
+
+    It has a device of its own: drawing does not wait for work on others.
+    """
+    from wgpu.utils.imgui import ImguiRenderer
+
+    device = wgpu.gpu.request_adapter_sync().request_device_sync()
+    drawing = ImguiRenderer(device, canvas)
+    return drawing, Textures(device, drawing.backend)
 
 
 class Textures:
