@@ -33,6 +33,7 @@ TOP = (
     "report",
     "batch",
     "preview",
+    "web",
     "cli",
 )
 HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")

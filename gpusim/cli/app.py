@@ -427,6 +427,46 @@ def burst(
         raise typer.Exit(code)
 
 
+@app.command(name="export-web")
+def export_web(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the page.")],
+    tile: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="This rectangle; else the middle, 960 x 720."),
+    ] = None,
+    tolerance: Annotated[
+        str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
+    ] = "1e-3",
+    certify: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Probe pixels of the certificate; 0: none.")
+    ] = 64,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the noise.")] = 0,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Write a page for browsers: exposure, gain, noise, pan and zoom by the same shaders.
+
+    The light is made here; the page reads it out and develops it with WebGPU, without Python.
+    """
+    from gpusim.cli.web import run
+
+    choose_adapter(adapter)
+    run(
+        camera,
+        scene,
+        out,
+        tile=tile,
+        tolerance=tolerance,
+        probes=certify,
+        seed=seed,
+        show=not quiet,
+    )
+
+
 @app.command()
 def batch(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="A YAML file: see docs/batch.md.")],

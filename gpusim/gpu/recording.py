@@ -113,6 +113,16 @@ class Recording:
         self._downloads: set[str] = set()
         self._prefix = ""
 
+    @property
+    def commands(self) -> Iterator[Command]:
+        """All commands, in order."""
+        return chain.from_iterable(self._segments)
+
+    @property
+    def params(self) -> bytes:
+        """The uniforms of all dispatches, each at its ``offset``."""
+        return bytes(self._params)
+
     @contextmanager
     def labelled(self, prefix: str) -> Iterator[None]:
         """Begin the labels of all buffers that are declared meanwhile with a text.
@@ -243,10 +253,9 @@ class Recording:
         segments = [segment for segment in self._segments if segment]
         run = _Run(self.device)
         with self.device.telling_of_loss():
-            commands = chain.from_iterable(segments)
             first_uses = {
                 command.kernel.key: command
-                for command in commands
+                for command in self.commands
                 if isinstance(command, Dispatch) and command.kernel.key not in self.device.compiled
             }
             try:

@@ -167,6 +167,53 @@ def develop_source(
     return Developed(np.rot90(picture, source.turns), chain.left_out, dict(times))
 
 
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """A recorded development of a frame in one band.
+
+    Attributes
+    ----------
+    label : str
+        Of the picture that is downloaded: rows of codes of 32 bits, red lowest.
+    rows, cols : ndarray of int
+        Which row and column of the frame each row and column of the padded codes is.
+    top, left : int
+        Where the frame begins in the picture.
+    """
+
+    label: str
+    rows: np.ndarray
+    cols: np.ndarray
+    top: int
+    left: int
+
+
+def record_whole(rec: Recording, source: Source, settings: Settings) -> Whole:
+    """Record the development of a frame of one band, 8 bits a colour: for `gpusim.web`.
+
+    Raises
+    ------
+    UserError
+        The settings do not fit the frame, or the frame is larger than a band.
+    """
+    chain = _Chain(source, settings, 8)
+    rows = source.codes.shape[0]
+    if len(chain.bands()) > 1:
+        raise UserError(
+            "the frame is too large to be developed at once",
+            field="tile",
+            value=f"{source.codes.size} pixels",
+            allowed=f"some {BAND_PIXELS:,} pixels at most",
+        )
+    label, top = chain.record(rec, 0, rows)
+    row_of, col_of = (
+        np.pad(np.arange(count), around, mode="reflect")
+        for count, around in zip(source.codes.shape, chain.padding, strict=True)
+    )
+    high = rows + chain.top + RIM + 1
+    return Whole(label, row_of[: high - high % 2], col_of, top, chain.left)
+
+
 class _Chain:
     """The stages of one frame, and the bands it is cut into."""
 
@@ -183,11 +230,11 @@ class _Chain:
         row, col = _red_site(source.pattern) or (0, 0)
         self.top, self.left = RIM + row, RIM + col
         self.period = math.lcm(2, len(source.pattern), source.black.shape[0])
-        self.codes = np.pad(
-            source.codes,
-            ((self.top, RIM + rows % 2 + row), (self.left, RIM + -(cols + self.left) % 4)),
-            mode="reflect",
+        self.padding = (
+            (self.top, RIM + rows % 2 + row),
+            (self.left, RIM + -(cols + self.left) % 4),
         )
+        self.codes = np.pad(source.codes, self.padding, mode="reflect")
         self.black = self._rolled(source.black)
         sites = np.array([list(line) for line in source.pattern])
         self.pattern = tuple("".join(line) for line in self._rolled(sites))

@@ -29,7 +29,7 @@ from gpusim.render.reading import (
 )
 from gpusim.render.renderer import Renderer, check_shot, rectangle
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, noise_seed
+from gpusim.sensor.readout import Shot, noise_seed, record_readout
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -358,6 +358,30 @@ class Light:
             reading.take(tile, self._resident(whole, planes.period), whole)
         reading.finish()
         return reading
+
+    def recording(self, shot: Shot, noise: bool = True) -> tuple[Recording, str]:
+        """Return the read-out of one frame as a recording, and under which label its raw comes.
+
+        All of it is read at once, however much memory that takes.
+
+        Raises
+        ------
+        UserError
+            A CCD, whose read-out is no one recording; a value of the shot is out of range.
+        """
+        if self.sensor.is_ccd:
+            raise UserError(
+                "charge of a CCD moves by columns and rows in turns: that is no one recording",
+                field="sensor",
+                value=self.sensor.name,
+                allowed="a CMOS sensor",
+            )
+        runs, period = sensor_runs(self.sensor, noise), planes_of(self.sensor).period
+        whole = aligned(lit_for(self.rect, self.sensor, runs), period)
+        rec = Recording(default_device())
+        given = self._resident(whole, period), self._resident_glare(), self.sensor
+        outputs = record_readout(rec, *given, self.rect, whole, _checked(shot, self.sensor), runs)
+        return rec, rec.download(outputs["dn"])
 
     def release(self) -> None:
         """Give the device's memory back; what needs it again brings it there again."""
