@@ -79,6 +79,9 @@ def test_the_list_names_every_job_in_a_line_of_its_own():
         "blur-1mp",
         *DEVELOP,
         "burst",
+        "preview-sensor",
+        "preview-pan",
+        "preview-focus",
     ]
     assert [name for name, _ in lines] == [*whole, *STAGES]
     assert all(what for _, what in lines)

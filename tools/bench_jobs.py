@@ -20,6 +20,7 @@ from bench_blur import blur_1mp
 from bench_burst import burst_job
 from bench_ccd import linear_job, smear_job, trap_job
 from bench_isp import develop_job
+from bench_preview import preview_job
 from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
@@ -962,6 +963,15 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
         partial(develop_job, method="directional", job=Job),
     ),
     "burst": ("20 frames of 512 x 512 of one light", partial(burst_job, job=Job)),
+    "preview-sensor": (
+        "20 turns of the exposure knob, each to its draft on a screen of 1528 x 774",
+        partial(preview_job, what="sensor", job=Job),
+    ),
+    "preview-pan": ("20 frames of what is there, moved", partial(preview_job, what="pan", job=Job)),
+    "preview-focus": (
+        "a turn of the focus knob, to its draft",
+        partial(preview_job, what="focus", job=Job),
+    ),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
     "rows": ("row transforms, one plane", partial(convolution_job, "rows")),
