@@ -42,7 +42,7 @@ class Outcome:
     new : int
         Frames that this run rendered.
     seconds : float
-        Of this run.
+        Those of this run.
     """
 
     sweep: Sweep

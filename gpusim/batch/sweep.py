@@ -73,11 +73,12 @@ class Sweep(Strict):
     tile : (x, y, width, height), optional
     tolerance : str
     probes : int
-        Of each light's certificate; 0: none.
+        Probe pixels of each light's certificate; 0: none.
     best_effort : bool
         Whether to go on where the tolerance cannot be met.
     outputs : list of str
-        Of raw (DNG), npz (raw, electrons, truth), exr (electrons), developed (PNG), truth (EXR).
+        Any of raw (DNG), npz (raw, electrons, truth), exr (electrons), developed (PNG), truth
+        (EXR).
     """
 
     camera: str

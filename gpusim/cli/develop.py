@@ -36,7 +36,7 @@ def run(
         One of `ENGINES`.
     binned : bool
     bits : int, optional
-        Of each colour: 8 or 16; by default 8 of a PNG and 16 of a TIFF.
+        Bits of each colour, 8 or 16; by default 8 of a PNG and 16 of a TIFF.
     ev : float, optional
         Stops; by default the settings file's, or 0.
     settings_file : Path, optional

@@ -19,7 +19,7 @@ def record_matrix(
     planes : Array (colours, rows, cols), f32; or (rows, cols), of one colour
         Rows times columns a multiple of 4.
     matrix : ndarray (3, colours)
-        Of up to eight colours.
+        Up to eight colours.
     label : str
         Label of the buffer that is returned.
 

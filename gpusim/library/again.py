@@ -109,7 +109,7 @@ class Again:
     ----------
     frame : Frame
     name : str
-        Of the raw.
+        The raw file.
     ev : float
     taken : datetime
     sha256 : str

@@ -45,7 +45,7 @@ class Session:
     tolerance : float or str
         As of `gpusim.expose`.
     probes : int
-        Of the certificate; 0: none, which suits a preview.
+        Number of the certificate's probe pixels; 0: none, which suits a preview.
     progress : callable, optional
         Called with (what, done, total).
 

@@ -40,7 +40,7 @@ fn dft5(x0: vec2f, x1: vec2f, x2: vec2f, x3: vec2f, x4: vec2f) -> Five {
     return Five(x0 + p + q, near + turn_near, far + turn_far, far - turn_far, near - turn_near);
 }
 
-// Of the slots r, r + 32 .. r + 128, the one that is m modulo 5.
+// The one of the slots r, r + 32 .. r + 128 that is m modulo 5.
 fn slot(r: u32, m: u32) -> u32 {
     return r + 32u * (3u * (m + 4u * r) % 5u);
 }

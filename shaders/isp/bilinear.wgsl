@@ -1,6 +1,6 @@
 // Demosaicing of any filter array: each colour at a pixel is the mean of its sites around, weighted by a tent.
 //   weight = (REACH - |rows away|)(REACH - |columns away|);   a site keeps the value of its own colour
-// Of a 2 x 2 pattern and REACH 2 that is bilinear interpolation. Sites outside the frame do not count; where that leaves a
+// For a 2 x 2 pattern and REACH 2 that is bilinear interpolation. Sites outside the frame do not count; where that leaves a
 // colour without any, at the rim, its tent has FAR in place of REACH.
 // One dispatch does up to four colours, more take several.
 // Units: light relative to saturation. In: light (rows, cols), of which the frame is the rectangle from first to before

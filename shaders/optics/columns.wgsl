@@ -62,7 +62,7 @@ struct Params {
 // Slots of sixteen times sixteen numbers: 17 apart, for a power of two would fall on few sets of the cache.
 const SQUARE = 16u * 17u;
 
-// Of one channel, by q.
+// One channel, by q.
 alias Sum = array<vec2f, 16>;
 
 // For the upper and for the lower nodes: (left, right) each.
@@ -91,7 +91,7 @@ fn sides(j: u32, kx: u32, y: u32) -> vec4f {
     return result;
 }
 
-// Of a row turned by w.
+// A row turned by w.
 fn weighted(j: u32, kx: u32, y: u32, w: vec2f) -> Weighted {
     var a = vec4f(0.0);
     if (y < params.height) {

@@ -106,7 +106,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let n = 8u * (id.x % EIGHTS);
     let place = id.y % (PLACES / COLUMNS) * COLUMNS;
     let row = id.y / (PLACES / COLUMNS);
-    // Of the sources that the first of the eight photosites gathers: the first line, and the first vec4f.
+    // Among the sources that the first of the eight photosites gathers: the first line, and the first vec4f.
     let top = i32(D * m + row * STEP) - i32(R) - HIGH;
     let offset = i32(place / PERIOD * D + place % PERIOD * STEP);
     let first_group = (offset - HIGH) >> 2u;

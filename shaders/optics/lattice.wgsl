@@ -4,7 +4,7 @@
 //   rates[site, origin_y + step_y m, origin_x + step_x n] += sum_q sum_d F_s[q + d M] exp(2 pi i q n / M),  F_s[T-k] = conj F_s[k], F_s[T/2] = 0
 // Two sites share one complex transform, F_s + i F_s', and two of those share the lanes.
 // folded (ceil(S/2), M, T/2, 2) electrons/s -> rates (S, rows, cols) electrons/s.
-// Of the window only those photosites are added that the block's light reaches: beyond them lie rounding errors.
+// Only those photosites of the window are added that the block's light reaches: beyond them lie rounding errors.
 // Dispatch: (ceil(seen_y/D), ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 #include "line_fft"
@@ -44,7 +44,7 @@ fn bin(pair: u32, q: u32, m: u32) -> vec2f {
     return vec2f(sum.x - sum.w, -sum.y - sum.z);
 }
 
-// Of one or two sites the second pair is read past the end, and not used.
+// With one or two sites the second pair is read past the end, and not used.
 fn bins(pair: u32, q: u32, m: u32) -> vec4f {
     return vec4f(bin(pair, q, m), bin(pair + 1u, q, m));
 }

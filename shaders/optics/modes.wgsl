@@ -35,14 +35,14 @@ struct Params {
 
 var<workgroup> sh_line: array<vec4f, T>;
 
-// Of one map at node x of a row of the block.
+// One map at node x of a row of the block.
 fn map_at(line: u32, x: u32, y: u32) -> f32 {
     let position = params.first.y + f32(y) * params.step.y;
     let i = (line % RANK * MAP_Y + params.node.y + u32(position)) * MAP_X + x;
     return mix(maps[i], maps[i + MAP_X], fract(position));
 }
 
-// Of two rows: the first line and the second of each.
+// Two rows: the first line and the second of each.
 fn weighted(line: u32, other: u32, y: u32, next: u32, x: u32) -> vec4f {
     if (x >= BX) {
         return vec4f(0.0);

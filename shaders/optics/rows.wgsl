@@ -34,7 +34,7 @@ fn source_row(row: u32) -> u32 {
     return row - y + select(y, BY - 1u - y, params.mirrored.y == 1u);
 }
 
-// Of two rows: a (1 - s) and a s each.
+// Two rows: a (1 - s) and a s each.
 fn weighted(row: u32, next: u32, x: u32) -> vec4f {
     if (x >= BX) {
         return vec4f(0.0);

@@ -42,7 +42,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-// Of each plane (rows, cols): of the raster what the block sees. Beyond PLANES they are not read.
+// Each plane (rows, cols): what the block sees of the raster. Beyond PLANES they are not read.
 @group(0) @binding(1) var<storage, read> coefficients: array<f32>;
 @group(0) @binding(2) var<storage, read> coefficients_1: array<f32>;
 @group(0) @binding(3) var<storage, read> coefficients_2: array<f32>;
@@ -118,7 +118,7 @@ fn load_patch(x: vec2f) -> Patch {
     );
 }
 
-// Of the six coefficients around the cells first, first + 1 and first + 2; those of u's cell, the others 0.
+// Among the six coefficients around the cells first, first + 1 and first + 2; those of u's cell, the others 0.
 fn weights_of(u: f32, first: f32) -> Weights {
     let cell = clamp(floor(u) - first, 0.0, 2.0);
     let w = cubic_weights(u - (first + cell));

@@ -1,6 +1,6 @@
 // Border: the frame around the pixels that are known; 0 beyond them.
 //   framed[r, c] = inner[r - row0, c - col0] within the inner rectangle, else 0
-// Of light: the optical black around the lit pixels sees none. Of charge: overscan has held none.
+// The optical black around the lit pixels sees no light; overscan has held no charge.
 // Units: those of the input, whichever they are.
 // In: inner (inner_rows, inner_cols). Out: framed (rows, cols), in which the inner rectangle begins at (row0, col0).
 // Dispatch: ceil(cols/16) x ceil(rows/16) workgroups of 16 x 16, one pixel each. Lavapipe: 0.9 of the speed of adc.

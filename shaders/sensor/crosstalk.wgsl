@@ -31,9 +31,9 @@ struct Params {
 // What ten columns of a row hold, or where in the row they lie.
 struct Ten { a: vec4f, b: vec4f, c: vec2f }
 struct Places { a: vec4u, b: vec4u, c: vec2u }
-// Of both groups of columns.
+// For both groups of columns.
 struct Both { left: vec4f, right: vec4f }
-// Of the rows that are not done.
+// The rows that are not done.
 struct Sums { s0: Both, s1: Both, s2: Both, s3: Both, s4: Both, s5: Both, s6: Both }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -126,7 +126,7 @@ fn put(row: u32, col: u32, value: vec4f) {
 
 // Takes row i of the input: the last of `next.s0`'s rows, the one before of s1's, and so on; `odd` is i modulo 2.
 fn step(next: Sums, x: Ten, y: Ten, i: u32, odd: u32, quad: u32) -> Sums {
-    // Of a pattern of one or two rows it is known before the shader runs which shares these are: fewer loads.
+    // For a pattern of one or two rows it is known before the shader runs which shares these are: fewer loads.
     var row = i;
     if (PY <= 2u) {
         row = odd;

@@ -1,6 +1,6 @@
 // Defects: pixels of a list, changed in place:
 //   plane[at] = min(keep plane[at] + add, limit)
-// Of mean electrons before the noise: a dead pixel keeps no light (keep 0, add its dark signal), a hot one has
+// Mean electrons, before the noise: a dead pixel keeps no light (keep 0, add its dark signal), a hot one has
 // dark current of its own (keep 1). Of electrons that were read: a stuck pixel gives the same always (keep 0).
 // Units: electrons. at: place in the plane (rows, cols), row by row, each once.
 // In: at, keep, add (count). In and out: plane.

@@ -137,7 +137,7 @@ def test_the_truth_is_the_mean_of_many_frames(name: str):
     error = np.abs(burst.raw.mean(axis=0) - burst.truth_dn[0])
     inside = (burst.truth_dn[0] > 20) & (burst.truth_dn[0] < 0.9 * light.sensor.raw_max_dn)
     assert inside.mean() > 0.5
-    # Of two merged reads a few pixels lie beside the switch, where the codes' noise changes.
+    # A few pixels of two merged reads lie beside the switch, where the codes' noise changes.
     assert (error <= allowed)[inside].mean() > 0.995
 
 
