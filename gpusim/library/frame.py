@@ -22,6 +22,7 @@ from gpusim.gpu import held
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.files import image_of, write_picture
+from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
@@ -117,16 +118,9 @@ class Frame:
         """
         row, col, rows, cols = self.areas.active
         lit = self.raw[row : row + rows, col : col + cols]
-        first = self.areas.lit
-        letters = np.array([list(line) for line in self.light.sensor.cfa.letters])
-        high, wide = letters.shape
         edges = np.linspace(0, self.light.sensor.raw_max_dn + 1, bins + 1)
-        counts = {letter: np.zeros(bins, np.int64) for letter in dict.fromkeys(letters.ravel())}
-        for down in range(high):
-            for across in range(wide):
-                letter = letters[(first[0] + down) % high, (first[1] + across) % wide]
-                counts[letter] += np.histogram(lit[down::high, across::wide], edges)[0]
-        return edges, counts
+        values = channel_values(lit, self.light.sensor, self.areas.lit[:2])
+        return edges, {name: np.histogram(one, edges)[0] for name, one in values.items()}
 
     def develop(self, ev: float = 0.0) -> Image.Image:
         """Return the picture: white balance as shot, colour matrix, sRGB; see `gpusim develop`.

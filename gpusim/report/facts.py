@@ -17,6 +17,7 @@ from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.isp.levels import iso_speed, saturated_share
 from gpusim.plan.costs import content_of
 from gpusim.render.recipe import PACKAGES
+from gpusim.report.histogram import histogram_facts
 from gpusim.scene import Chart
 from gpusim.scene.spectra import STEP_NM
 
@@ -69,6 +70,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "iso": iso_speed(capture.camera.sensor),
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),
         },
+        "histogram": histogram_facts(capture),
         "camera": _camera(capture.camera),
         "scene": {**_scene(capture.scene), "notes": plain(capture.notes)},
         "device": plain(capture.device),

@@ -1,6 +1,7 @@
 """The report as one HTML file, a function of the facts and of the developed picture alone.
 
-Pictures are embedded and nothing is loaded from elsewhere, so the file can be sent and kept.
+Pictures are embedded, so the file can be sent and kept; its loupe shows developed.png where that
+lies beside it, and else the overview.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from gpusim.plan.stages import RIM
+from gpusim.report.histogram import histogram_html
 from gpusim.report.probes import probe_map
 from gpusim.report.words import (
     duration,
@@ -63,13 +65,19 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
     return document(
         title,
         summary,
-        _cards(facts),
         _pictures(facts, developed),
-        _stages(facts),
+        histogram_html(facts["histogram"]),
+        _cards(facts),
         _certificate(facts),
         _quantum_efficiency(facts),
-        _details(facts),
+        _folded("What was done, and what was left out", _stages(facts)),
+        _folded("Parameters, versions, files", _details(facts)),
+        f"<script>{resources.files('gpusim.report').joinpath('loupe.js').read_text()}</script>",
     )
+
+
+def _folded(title: str, content: str) -> str:
+    return f'<details class="part"><summary>{title}</summary>{content}</details>'
 
 
 def _place(facts: Mapping[str, Any]) -> str:
@@ -181,11 +189,15 @@ def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
             f'alt="{label}"><figcaption>{label}</figcaption></figure>'
         )
     return f"""<h2>The picture</h2>
-<figure><div class="overview">
+<figure><div class="overview" data-whole="developed.png" data-size="{cols},{rows}">
 <img src="{_embedded(overview, "JPEG", quality=_OVERVIEW_QUALITY)}" alt="The developed capture">
 <svg viewBox="0 0 {cols} {rows}" fill="none">
 <g stroke="#000" stroke-opacity=".6" stroke-width="{cols / 280:.1f}">{frames}</g>
-<g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg></div>
+<g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg>
+<canvas class="loupe" width="220" height="220"></canvas></div>
+<p class="soft knobs"><button data-zoom="in" aria-label="zoom in">+</button>
+<button data-zoom="out" aria-label="zoom out">&minus;</button>
+<span class="loupe-at">Point at the picture for a loupe; the wheel zooms.</span></p>
 <figcaption>The developed raw, at {size[0]} x {size[1]} px. {escape(saturated(facts))}.
 The frames are the crops below, which show each pixel as it is.</figcaption></figure>
 {_rim(facts)}{_no_data(facts)}<div class="crops">{crops}</div>"""

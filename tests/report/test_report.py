@@ -16,8 +16,10 @@ from fake_capture import COLS, POINTS, ROWS, RUNNERS_UP, STAGES, fake_capture
 from PIL import Image
 
 from gpusim import report
+from gpusim.config.plain import plain
+from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.plan import Accuracy
-from gpusim.report.facts import plain, shaders_sha256
+from gpusim.report.histogram import histogram_facts
 from gpusim.report.probes import probe_map
 from gpusim.report.words import duration, error, exposure, mebibytes
 
@@ -141,7 +143,40 @@ def test_the_page_is_well_formed_and_loads_nothing(page: str):
         if name in ("src", "href") and tag != "a":
             assert value.startswith("data:image/")
     assert "url(" not in page
-    assert "<script" not in page
+    # The one script is the loupe's, and takes nothing but the picture beside the page.
+    assert page.count("<script") == 1
+    script = page[page.index("<script>") :]
+    for word in ("fetch", "import", "http", "XMLHttp", "eval", "localStorage"):
+        assert word not in script
+    assert script.count(".src = ") == 1 and 'data-whole="developed.png"' in page
+
+
+def test_the_picture_comes_first_and_the_engine_is_folded(page: str):
+    order = ["The picture", "The raw", "Certificate", "What was done", "Parameters, versions"]
+    places = [page.index(f">{title}") for title in order]
+    assert places == sorted(places)
+    assert page.index('class="cards"') > places[1]
+    assert page.count('<details class="part">') == 2
+
+
+def test_the_raws_histogram_counts_every_lit_pixel():
+    capture = fake_capture()
+    found = histogram_facts(capture)
+    assert list(found["channels"]) == ["R", "G", "B"]
+    counted = {name: sum(one["counts"]) for name, one in found["channels"].items()}
+    assert counted == {"R": ROWS * COLS // 4, "G": ROWS * COLS // 2, "B": ROWS * COLS // 4}
+    letters = np.array(capture.camera.sensor.cfa.letters)
+    row, col = np.argwhere(letters == "R")[0]
+    red = capture.raw[row::2, col::2]
+    assert found["channels"]["R"]["median_dn"] == np.median(red)
+    top = found["saturation_dn"]
+    assert found["channels"]["R"]["saturated_share"] == np.mean(red >= top)
+    # EMVA 1288's model: read noise and shot noise of the median's electrons, and rounding.
+    sensor, one = capture.camera.sensor, found["channels"]["G"]
+    signal = (one["median_dn"] - sensor.black_level_dn) / sensor.system_gain_dn_per_e
+    rounding = 1 / 12 / sensor.system_gain_dn_per_e**2
+    noise = np.sqrt(sensor.temporal_dark_noise_e**2 + signal + rounding)
+    assert one["median_snr_db"] == pytest.approx(20 * np.log10(signal / noise), abs=0.1)
 
 
 def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
