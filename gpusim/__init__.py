@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gpusim.errors import UserError
     from gpusim.library.camera import Camera
     from gpusim.library.frame import Burst, Frame
+    from gpusim.library.irradiance import Irradiance
     from gpusim.library.lens import Lens
     from gpusim.library.light import Light, expose
     from gpusim.library.session import Session
@@ -30,6 +31,7 @@ _HOMES = {
     "Burst": "gpusim.library.frame",
     "Camera": "gpusim.library.camera",
     "Frame": "gpusim.library.frame",
+    "Irradiance": "gpusim.library.irradiance",
     "Lens": "gpusim.library.lens",
     "Light": "gpusim.library.light",
     "Scene": "gpusim.scene.scene",
@@ -43,6 +45,7 @@ __all__ = [
     "Burst",
     "Camera",
     "Frame",
+    "Irradiance",
     "Lens",
     "Light",
     "Scene",

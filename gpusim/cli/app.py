@@ -140,7 +140,11 @@ def render(
     ] = None,
     scene: Annotated[
         str | None,
-        typer.Argument(metavar="SCENE", help="A chart name, a chart's .yaml, or a picture."),
+        typer.Argument(
+            metavar="SCENE",
+            help="A chart name, a chart's .yaml, or a picture; or the .npz of an irradiance, in "
+            "place of scene and lens.",
+        ),
     ] = None,
     recipe: Annotated[
         Path | None,
@@ -304,6 +308,28 @@ def render(
             field="CAMERA" if camera is None else "SCENE",
             allowed="a camera and a scene; or --from a raw's JSON file",
         )
+    if scene.lower().endswith(".npz"):
+        from gpusim.cli.irradiance import capture
+
+        read = "exposure", "temperature", "gain", "iso", "ev", "seed", "frame", "noise", "sensor"
+        shown = "out", "as_json", "quiet", "adapter"
+        only(context, "an irradiance", "camera", "scene", *read, *shown)
+        capture(
+            camera,
+            Path(scene),
+            out,
+            exposure=exposure,
+            temperature_c=temperature,
+            gain=gain,
+            iso=iso,
+            ev=ev,
+            seed=seed,
+            frame=frame,
+            noise=noise,
+            sensor=sensor,
+            show=show,
+        )
+        return
     if code := run(
         camera,
         scene,
@@ -343,6 +369,58 @@ def render(
         show=show,
     ):
         raise typer.Exit(code)
+
+
+@app.command()
+def irradiance(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or a picture.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The file to write: .npz or .exr.")],
+    bands: Annotated[
+        str, typer.Option(metavar="NM", help="Bands: FIRST:LAST:STEP, or 450,550,650.")
+    ] = "400:700:10",
+    channels: Annotated[
+        bool,
+        typer.Option(
+            "--channels",
+            help="In place of bands an image of every pixel for each of the sensor's channels, as "
+            "without a filter array: electrons/s.",
+        ),
+    ] = False,
+    luminance: Annotated[
+        float | None,
+        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+    ] = None,
+    illuminant: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Light on a chart: D50, A, ..., 5100K.")
+    ] = None,
+    tolerance: Annotated[
+        str, typer.Option(metavar="E", help="Relative error of the mean signal.")
+    ] = "1e-3",
+    tile: Annotated[
+        str | None, typer.Option(metavar="X,Y,W,H", help="Only this rectangle of lit pixels.")
+    ] = None,
+    quiet: Annotated[
+        bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")
+    ] = False,
+    adapter: Adapter = None,
+) -> None:
+    """Write the spectral irradiance on the sensor, W m^-2 nm^-1, with a picture beside it."""
+    from gpusim.cli.irradiance import run
+
+    choose_adapter(adapter)
+    run(
+        camera,
+        scene,
+        out,
+        bands=bands,
+        channels=channels,
+        luminance_cd_m2=luminance,
+        illuminant=illuminant,
+        tolerance=tolerance,
+        tile=tile,
+        quiet=quiet,
+    )
 
 
 @app.command()

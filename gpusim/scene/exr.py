@@ -341,6 +341,7 @@ def write_exr(
     path: str | Path,
     channels: dict[str, np.ndarray],
     white_luminance_cd_m2: float | None = None,
+    units: str | None = None,
 ) -> None:
     """Write planes to an EXR file, which appears whole or not at all.
 
@@ -352,6 +353,9 @@ def write_exr(
         Written as float32. RGB is linear Rec.709.
     white_luminance_cd_m2 : float, optional
         Luminance of RGB (1, 1, 1), kept as the attribute ``whiteLuminance`` that `read_exr` obeys.
+
+    units : str, optional
+        Kept as the attribute ``units``.
 
     Raises
     ------
@@ -368,6 +372,8 @@ def write_exr(
     }
     if white_luminance_cd_m2 is not None:
         header["whiteLuminance"] = float(white_luminance_cd_m2)
+    if units is not None:
+        header["units"] = units
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     partial = path.with_name(f".{path.name}.part")
     try:
