@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from gpusim.sensor.load import load_sensor
 from gpusim.web.bundle import STEPS, bundle, write_page
 
 BROWSER = "chromium-headless-shell"
-SWIFTSHADER = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--no-sandbox"]
+SWIFTSHADER = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"]
 SEED = 7
 ROWS, COLS = 44, 60
 
@@ -38,23 +38,42 @@ def light() -> Light:
 
 
 @pytest.fixture(scope="module")
-def page(light: Light, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Return the page of the light, open in a browser."""
+def folder(light: Light, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the light's page."""
+    made = tmp_path_factory.mktemp("page")
+    write_page(light, made, SEED)
+    return made
+
+
+@pytest.fixture(scope="module")
+def opened(folder: Path) -> Iterator[Callable[[list[str]], Any]]:
+    """Return what opens the page in a browser; it is ready then, or says why it cannot be."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if (path := shutil.which(BROWSER)) is None:
         pytest.skip(f"{BROWSER} is not installed (Debian: apt-get install {BROWSER})")
-    folder = tmp_path_factory.mktemp("page")
-    write_page(light, folder, SEED)
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=SWIFTSHADER)
-        opened = browser.new_page(viewport={"width": 900, "height": 600})
-        opened.said = []
-        opened.on("console", lambda message: opened.said.append(message.text))
-        opened.on("pageerror", lambda error: opened.said.append(str(error)))
-        opened.goto((folder / "index.html").as_uri())
-        opened.wait_for_function("document.body.dataset.ready", timeout=60_000)
-        yield opened
-        browser.close()
+        browsers = []
+
+        def open_with(arguments: list[str]) -> Any:
+            given = {"executable_path": path, "args": [*arguments, "--no-sandbox"]}
+            browsers.append(playwright.chromium.launch(**given))
+            page = browsers[-1].new_page(viewport={"width": 900, "height": 600})
+            page.said = []
+            page.on("console", lambda message: page.said.append(message.text))
+            page.on("pageerror", lambda error: page.said.append(str(error)))
+            page.goto((folder / "index.html").as_uri())
+            page.wait_for_function("document.body.dataset.ready", timeout=60_000)
+            return page
+
+        yield open_with
+        for browser in browsers:
+            browser.close()
+
+
+@pytest.fixture(scope="module")
+def page(opened: Callable[[list[str]], Any]) -> Any:
+    """Return the page of the light, open in a browser."""
+    return opened(SWIFTSHADER)
 
 
 def raw_of(page: Any, noise: int, iso: int, exposure: int, frame: int) -> np.ndarray:
@@ -115,6 +134,12 @@ def test_knobs_mouse_and_wheel_change_what_is_shown(page: Any):
         assert first != before
     assert page.inner_text("#seconds").startswith("1/")
     assert page.inner_text("#said") == "" and page.said == []
+
+
+def test_a_browser_without_an_adapter_is_told(opened: Callable[[list[str]], Any]):
+    page = opened(["--disable-gpu"])
+    assert page.evaluate("document.body.dataset.ready") == "no"
+    assert "WebGPU" in page.inner_text("#said")
 
 
 def test_settings_share_programs_and_the_light_is_kept_once(light: Light):
