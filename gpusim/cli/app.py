@@ -424,6 +424,23 @@ def irradiance(
 
 
 @app.command()
+def labels(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
+    path: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Depth, albedo, classes: a .npy or a .png.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The file to write: .npy or .png.")],
+    beyond: Annotated[
+        float, typer.Option(metavar="VALUE", help="Label of what the map does not reach.")
+    ] = 0.0,
+) -> None:
+    """Bring a scene's labels onto the sensor through the lens's distortion, without blur."""
+    from gpusim.cli.labels import run
+
+    run(camera, path, out, beyond)
+
+
+@app.command()
 def burst(
     camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")],
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="A chart name or an EXR file.")],

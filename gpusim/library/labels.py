@@ -1,0 +1,70 @@
+"""Labels of a scene (depth, albedo, classes) on the pixels of a sensor, through the distortion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gpusim.errors import UserError
+from gpusim.optics.chief_ray import chief_ray_map
+from gpusim.scene.raster import Raster
+
+if TYPE_CHECKING:
+    from gpusim.camera import Camera
+
+
+def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> np.ndarray:
+    """Return what label each pixel of a sensor sees, without blur.
+
+    Each pixel has the label at the point that its middle's chief ray comes from, at the reference
+    wavelength: none is mixed of two. The map lies as a photograph does, over the whole sensor.
+
+    Parameters
+    ----------
+    camera : Camera
+    labels : ndarray (rows, cols) or (rows, cols, n)
+        Of any type.
+    beyond : number
+        Label of what no ray of the lens or no part of the map reaches.
+
+    Returns
+    -------
+    ndarray (sensor rows, sensor cols) or (sensor rows, sensor cols, n)
+        Of the type of the labels.
+
+    Raises
+    ------
+    UserError
+        No map of labels, or ``beyond`` is none of their type.
+    """
+    labels = np.asarray(labels)
+    if labels.ndim not in (2, 3) or not labels.size or labels.dtype.kind not in "biuf":
+        raise UserError(
+            "no map of labels",
+            field="labels",
+            value=f"{labels.dtype} {labels.shape}",
+            allowed="numbers (rows, cols) or (rows, cols, n)",
+        )
+    fill = np.asarray(beyond).astype(labels.dtype)
+    if not (fill == beyond or (np.isnan(beyond) and labels.dtype.kind == "f")):
+        raise UserError(
+            "no label of this type", field="beyond", value=beyond, allowed=str(labels.dtype)
+        )
+    sensor, bank = camera.sensor, camera.bank()
+    half_um = [side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows)]
+    high, wide = labels.shape[:2]
+    pitch_um = Raster(np.zeros((1, high, wide), np.float32)).pitch_um(*half_um)
+    y, x = (
+        (np.arange(count) + 0.5) * sensor.pixel_pitch_um - half
+        for count, half in zip((sensor.rows, sensor.cols), half_um[::-1], strict=True)
+    )
+    real_um = np.stack(np.meshgrid(x, y), axis=-1)
+    ideal_um = chief_ray_map(bank.levels[0]).ideal_um(real_um)
+    col = np.floor(ideal_um[..., 0] / pitch_um + wide / 2).astype(int)
+    row = np.floor(ideal_um[..., 1] / pitch_um + high / 2).astype(int)
+    seen = (row >= 0) & (row < high) & (col >= 0) & (col < wide)
+    seen &= np.hypot(*np.moveaxis(real_um, -1, 0)) <= bank.image_circle_um
+    found = np.full((sensor.rows, sensor.cols, *labels.shape[2:]), fill, labels.dtype)
+    found[seen] = labels[row[seen], col[seen]]
+    return found

@@ -1,0 +1,102 @@
+"""Labels of a scene on the pixels that see them: where the light goes, and unmixed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import assert_refused, gpusim
+from optics.made import bank, monochrome
+from PIL import Image
+
+import gpusim as gs
+from gpusim.camera import Camera
+from gpusim.errors import UserError
+from gpusim.library.labels import labels_on_sensor
+
+SENSOR = monochrome(96, 128)
+BEND = -0.12
+
+
+@dataclass(frozen=True)
+class Bent:
+    """A lens that distorts much."""
+
+    title: str = "bent"
+
+    def bank(self, progress: object = None, **sampling: object):
+        """Return its Gaussians."""
+        return bank(coma_um=0.0, distortion=BEND, lateral=(0.0, 0.0, 0.0), falloff=0.0, fields=9)
+
+
+CAMERA = Camera(Bent(), SENSOR, "a camera")
+
+
+def test_a_label_is_that_of_the_point_the_chief_ray_comes_from():
+    """Planted: the map of the distortion the other way round, which is 4 pixels off at the rim."""
+    side = 960, 1280  # ten samples a pixel
+    row, col = np.mgrid[: side[0], : side[1]]
+    found = labels_on_sensor(CAMERA, np.stack([row, col], axis=-1), -1).astype(float)
+    pitch = SENSOR.pixel_pitch_um
+    y, x = np.mgrid[:96, :128]
+    y, x = (y + 0.5 - 48) * pitch, (x + 0.5 - 64) * pitch
+    ideal = np.linspace(0, 165, 20001)
+    away = np.interp(np.hypot(x, y), ideal * (1 + BEND * (ideal / 165) ** 2), ideal)
+    scale = away / np.hypot(x, y)
+    expected = np.stack([y * scale, x * scale], axis=-1) / (pitch / 10) + (480, 640) - 0.5
+    inside = (found[..., 0] >= 0) & (found[..., 1] >= 0)
+    assert 0.5 < inside.mean() < 1  # barrel: the corners see beyond the map
+    # To the middle of a sample, and what a lens of nine fields has between these.
+    assert np.abs(found - expected)[inside].max() < 0.5 + 0.5
+
+
+def test_labels_lie_where_the_light_does():
+    step = np.zeros((96, 128), np.uint8)
+    step[:, 40:] = 1
+    step[70:] = 0
+    scene = gs.Scene.from_rgb(np.repeat(step[..., None].astype(float), 3, axis=2))
+    light = gs.expose(CAMERA, scene, 1e-2, probes=0).rates[0]
+    lit = light > light.max() / 2
+    seen = labels_on_sensor(CAMERA, step, 2)
+    apart = (lit != (seen == 1)) & (seen < 2)  # beyond the map the light is that of its rim
+    # A pixel on an edge may be either.
+    assert apart.mean() < 0.01
+    assert not apart[:, 60:70][20:50].any()
+    assert set(np.unique(seen)) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int32, np.float64, bool])
+def test_labels_keep_their_type(kind: type):
+    found = labels_on_sensor(CAMERA, np.ones((12, 16), kind), 0)
+    assert found.dtype == kind
+    assert set(np.unique(found)) <= {0, 1}
+
+
+def test_what_is_no_map_of_labels_is_refused():
+    for labels in (np.zeros(3), np.zeros((0, 4)), np.array([["a"]])):
+        with pytest.raises(UserError, match="no map of labels"):
+            labels_on_sensor(CAMERA, labels)
+    with pytest.raises(UserError, match="no label of this type"):
+        labels_on_sensor(CAMERA, np.zeros((4, 4), np.uint8), -1)
+    assert np.isnan(labels_on_sensor(CAMERA, np.ones((4, 4)), np.nan)).any()
+
+
+def test_the_command_takes_arrays_and_pictures(tmp_path: Path):
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(
+        "title: a camera\nlens: {mtf: diffraction-limited}\n"
+        "sensor: {preset: imx477, rows: 18, cols: 24}\n"
+    )
+    classes = np.repeat(np.arange(4, dtype=np.uint8), 6)[None].repeat(18, axis=0)
+    np.save(tmp_path / "a.npy", classes)
+    Image.fromarray(classes).save(tmp_path / "a.png")
+    for given, out in (("a.npy", "b.npy"), ("a.png", "b.png")):
+        ran = gpusim("labels", camera, tmp_path / given, "--out", tmp_path / out)
+        assert ran.code == 0, ran.err
+    found = np.load(tmp_path / "b.npy")
+    np.testing.assert_array_equal(found, classes)  # this lens does not distort
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "b.png")), found)
+    assert_refused(gpusim("labels", camera, "none.npy", "--out", tmp_path / "c.npy"), "none.npy")
+    assert_refused(gpusim("labels", camera, tmp_path / "a.npy", "--out", "c.txt"), ".npy")
