@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from gpusim.library.lens import Lens
     from gpusim.library.light import Light, expose
     from gpusim.library.session import Session
+    from gpusim.preview.window import widget
     from gpusim.scene.scene import Scene
     from gpusim.sensor.sensor import Sensor
 
@@ -40,6 +41,7 @@ _HOMES = {
     "Sweep": "gpusim.batch.sweep",
     "UserError": "gpusim.errors",
     "expose": "gpusim.library.light",
+    "widget": "gpusim.preview.window",
 }
 __all__ = [
     "Burst",
@@ -54,6 +56,7 @@ __all__ = [
     "Sweep",
     "UserError",
     "expose",
+    "widget",
 ]
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from gpusim.preview.state import Knobs
-
 
 def run(
     camera: str,
@@ -17,12 +15,10 @@ def run(
     script: Path | None,
 ) -> None:
     """Open the preview; or, without a window, play a script and save the screen."""
-    from gpusim.preview.window import Offscreen, check_packages, show
+    from gpusim.preview.window import Offscreen, check_packages, show, turned
 
     check_packages()
-    chosen = Knobs(camera, scene).turned(**knobs)
-    chosen.made_camera()
-    chosen.made_scene()
+    chosen = turned(camera, scene, knobs)
     if screenshot is None and script is None:
         show(chosen, out)
         return

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,15 +23,15 @@ ANSWERED = 4  # frames: ImGui takes in a move, a press and a release in frames o
 MISSING = "pip install 'gpusim[preview]'"
 
 
-def check_packages() -> None:
-    """Say what is missing.
+def check_packages(*more: str) -> None:
+    """Say what is missing of what a window needs, and of `more`.
 
     Raises
     ------
     UserError
         A package of the extra is not installed.
     """
-    for name in ("imgui_bundle", "rendercanvas", "glfw"):
+    for name in ("imgui_bundle", "rendercanvas", "glfw", *more):
         try:
             __import__(name)
         except ImportError as error:
@@ -50,6 +52,47 @@ def app_on(canvas: Any, knobs: Knobs, out: Path, *, refine: bool) -> tuple[App, 
     return app, drawing
 
 
+def attached(canvas: Any, knobs: Knobs, out: Path, tell: Callable[[Callable], None]) -> Attached:
+    """Put the screen on a canvas with a loop; `tell` runs a function in the loop's thread."""
+    app, drawing = app_on(canvas, knobs, out, refine=True)
+    made = Attached(app)
+    due = 0  # frames still to draw for the last event
+
+    def draw() -> None:
+        nonlocal due
+        try:
+            drawing.render()
+        except Exception as error:  # raised again by who opened it: the loop would log it and go on
+            made.failure = error
+            canvas.close()
+            return
+        due = max(due - 1, 0)
+        if due:
+            canvas.request_draw()
+
+    def answer(event: dict[str, Any]) -> None:
+        nonlocal due
+        due = ANSWERED
+        canvas.request_draw()
+        if event["event_type"] == "key_down" and _leaves(event["key"], event["modifiers"]):
+            canvas.close()
+
+    app.changed = lambda: tell(canvas.request_draw)
+    canvas.add_event_handler(
+        answer, "pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char", "resize"
+    )
+    canvas.request_draw(draw)
+    return made
+
+
+@dataclass
+class Attached:
+    """A screen on a canvas, and what ended it, if it was no person."""
+
+    app: App
+    failure: BaseException | None = None
+
+
 def show(knobs: Knobs, out: Path) -> None:
     """Open a window and stay until it is closed.
 
@@ -59,12 +102,9 @@ def show(knobs: Knobs, out: Path) -> None:
         There is no display, or no window can be opened on it.
     """
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    allowed = "a desktop, or --screenshot FILE.png, which needs none"
     if sys.platform.startswith("linux") and not display:
-        raise UserError(
-            "there is no display to open a window on",
-            field="DISPLAY",
-            allowed="a desktop, or --screenshot FILE.png, which needs none",
-        )
+        raise UserError("there is no display to open a window on", field="DISPLAY", allowed=allowed)
     import glfw
 
     if not glfw.init():
@@ -72,49 +112,63 @@ def show(knobs: Knobs, out: Path) -> None:
             "no window can be opened on this display",
             field="DISPLAY",
             value=display,
-            allowed="a desktop, or --screenshot FILE.png, which needs none",
+            allowed=allowed,
         )
     from rendercanvas.glfw import GlfwRenderCanvas, loop
 
     canvas = GlfwRenderCanvas(
         size=SIZE, title=f"{knobs.camera}, {knobs.scene}", update_mode="ondemand", max_fps=60
     )
-    app, drawing = app_on(canvas, knobs, out, refine=True)
-    failure: list[BaseException] = []
-    due = 0  # frames still to draw for the last event
-
-    def draw() -> None:
-        try:
-            drawing.render()
-        except Exception as error:  # raised again below: the loop would log it and go on
-            failure.append(error)
-            canvas.close()
-            return
-        nonlocal due
-        due = max(due - 1, 0)
-        if due:
-            canvas.request_draw()
-
-    def answer(_: object) -> None:
-        nonlocal due
-        due = ANSWERED
-        canvas.request_draw()
-
-    app.changed = lambda: loop.call_soon_threadsafe(canvas.request_draw)
-    canvas.add_event_handler(
-        answer, "pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char", "resize"
-    )
-    canvas.add_event_handler(
-        lambda event: canvas.close() if _leaves(event["key"], event["modifiers"]) else None,
-        "key_down",
-    )
-    canvas.request_draw(draw)
+    made = attached(canvas, knobs, out, loop.call_soon_threadsafe)
     try:
         loop.run()
     finally:
-        app.close()
-    if failure:
-        raise failure[0]
+        made.app.close()
+    if made.failure is not None:
+        raise made.failure
+
+
+def widget(camera: str, scene: str, out: str | Path = "out/preview", **knobs: Any) -> Any:
+    """Return the preview as a widget for notebooks: Jupyter, marimo, VS Code.
+
+    Parameters
+    ----------
+    camera, scene : str
+        As for ``gpusim render``.
+    out : path
+        Folder that "save" writes to.
+    **knobs
+        Turned at first: ``exposure_s``, ``f_number`` ...: see `gpusim.preview.state.Knobs`.
+
+    Raises
+    ------
+    UserError
+        The camera, the scene or a knob cannot be had, or a package of the extra is missing.
+    """
+    check_packages("anywidget")
+    from rendercanvas.anywidget import AnywidgetRenderCanvas, loop
+
+    chosen = turned(camera, scene, knobs)
+    canvas = AnywidgetRenderCanvas(size=SIZE, update_mode="ondemand")
+    made = attached(canvas, chosen, Path(out), loop.call_soon_threadsafe)
+    canvas.add_event_handler(lambda _: made.app.close(), "close")
+    return canvas
+
+
+def turned(camera: str, scene: str, knobs: Mapping[str, Any]) -> Knobs:
+    """Return the knobs of a preview, once it is clear that they can be had.
+
+    Raises
+    ------
+    UserError
+        Something of them cannot.
+    """
+    from gpusim.preview.state import Knobs
+
+    chosen = Knobs(camera, scene).turned(**knobs)
+    chosen.made_camera()
+    chosen.made_scene()
+    return chosen
 
 
 def _leaves(key: str, modifiers: tuple[str, ...]) -> bool:

@@ -8,6 +8,7 @@ import random
 import shutil
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -151,6 +152,26 @@ def test_unknown_parts_and_no_display_are_refused(tmp_path, monkeypatch):
     assert_refused(gpusim("preview", "mtf-only", "colorcheker"), "colorchecker")
     monkeypatch.setitem(sys.modules, "imgui_bundle", None)
     assert_refused(gpusim("preview", "mtf-only", "colorchecker"), "gpusim[preview]")
+
+
+def threads():
+    return set(threading.enumerate())
+
+
+def test_a_notebook_gets_a_widget():
+    pytest.importorskip("anywidget")
+    import gpusim as gs
+
+    before = threads()
+    canvas = gs.widget("mtf-only", "colorchecker", exposure_s=0.02)
+    shown, _ = canvas._repr_mimebundle_()
+    assert "application/vnd.jupyter.widget-view+json" in shown
+    # The widget's own close calls itself without end (rendercanvas 2.7.2): its event is what counts.
+    canvas.submit_event({"event_type": "close"})
+    canvas._events.flush()
+    assert not any(one.name == "preview" and one.is_alive() for one in threads() - before)
+    with pytest.raises(gs.UserError, match="no such knob"):
+        gs.widget("mtf-only", "colorchecker", exposure=0.02)
 
 
 @pytest.mark.slow
