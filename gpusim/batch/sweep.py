@@ -22,6 +22,7 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
+from gpusim.lens.surface import Surface
 from gpusim.library.light import OPTICAL
 from gpusim.library.session import LENS_SETTINGS
 from gpusim.plan import Accuracy
@@ -415,5 +416,8 @@ def _moved(lens: Any, name: str, value: float) -> Any:
             )
         update = {what: old + value}
     surfaces = list(lens.surfaces)
-    surfaces[int(number) - 1] = surface.model_copy(update=update)
+    try:
+        surfaces[int(number) - 1] = Surface.model_validate(surface.model_dump() | update)
+    except ValidationError as error:
+        raise user_error(error, Surface) from error
     return lens.derived(f"surface {number}: {what} {value:+g}", surfaces=tuple(surfaces))

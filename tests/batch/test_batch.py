@@ -123,6 +123,9 @@ def test_lens_axes_change_the_lens(folder: Path):
     with pytest.raises(UserError) as error:
         Sweep.load(plane)
     assert error.value.field == "axes.lens.2.radius" and "curvature" in error.value.allowed
+    with pytest.raises(UserError) as error:  # a glass of index -1.3
+        Sweep.load(written(folder, axes={"lens.1.nd": [-3.0]}))
+    assert (error.value.field, error.value.allowed) == ("nd", "greater than 1")
     bent = Sweep.load(written(folder, axes={"lens.2.curvature": [0.001]})).frames[0]
     assert bent.camera().lens.surfaces[1].vertex_curvature == pytest.approx(0.001)
 
