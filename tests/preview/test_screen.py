@@ -166,7 +166,7 @@ def test_a_notebook_gets_a_widget():
     canvas = gs.widget("mtf-only", "colorchecker", exposure_s=0.02)
     shown, _ = canvas._repr_mimebundle_()
     assert "application/vnd.jupyter.widget-view+json" in shown
-    # The widget's own close calls itself without end (rendercanvas 2.7.2): its event is what counts.
+    # Its own close calls itself without end (rendercanvas 2.7.2): the event is what counts.
     canvas.submit_event({"event_type": "close"})
     canvas._events.flush()
     assert not any(one.name == "preview" and one.is_alive() for one in threads() - before)
