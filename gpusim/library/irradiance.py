@@ -230,7 +230,7 @@ class Irradiance:
         curves = [
             np.interp(fine, own.wavelengths_nm, own.channels[name]) for name in sensor.channels
         ]
-        return np.trapezoid(np.stack(curves)[:, None] * photons * tents, fine, axis=2)
+        return np.asarray(np.trapezoid(np.stack(curves)[:, None] * photons * tents, fine, axis=2))
 
     def save(self, path: str | Path) -> None:
         """Write it to an ``.npz``, or an ``.exr`` with a channel for each band.
