@@ -1,6 +1,6 @@
 """Defects that no mechanical mutator makes, each of which once passed the suite: a test for each.
 
-Every docstring names the defect. `tools/mutate.py --planted` plants those of `tools/planted.py`.
+Every docstring names the defect. `tools/mutate.py --planted` plants those of `tools/planted.toml`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from gpusim.gpu import Device, Recording
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import write_dng
 from gpusim.isp.rawfile import read_raw
+from gpusim.isp.source import Source
 from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.ccd import record_columns
@@ -122,6 +123,30 @@ def test_a_region_keeps_the_phase_of_its_pattern(name: str, smaller: int):
     middle = (region.first_row + region.rows / 2, region.first_col + region.cols / 2)
     assert abs(middle[0] - whole.rows / 2) < len(pattern)
     assert abs(middle[1] - whole.cols / 2) < len(pattern[0])
+
+
+@pytest.mark.parametrize("name", ["RGGB", "quad Bayer", "X-Trans"])
+@pytest.mark.parametrize("place", [(0, 1), (1, 0), (3, 2), (5, 10)])
+def test_a_part_begins_with_the_filters_of_its_first_pixel(name: str, place: tuple[int, int]):
+    """Planted: a part's columns have the phase of its row."""
+    pattern = np.array([list(row) for row in PATTERNS[name]])
+    cfa = ColourFilterArray(pattern=pattern.tolist())
+    part = load_sensor("imx477").model_copy(update={"cfa": cfa}).cut(*place)
+    assert part.cfa.pattern == np.roll(pattern, [-one for one in place], (0, 1)).tolist()
+
+
+@pytest.mark.parametrize("name", ["RGGB", "quad Bayer", "X-Trans"])
+@pytest.mark.parametrize("rect", [(0, 0, 12, 12), (5, 2, 13, 9), (1, 7, 6, 11)])
+def test_the_light_of_a_patch_is_that_of_its_own_sites(name: str, rect: tuple[int, ...]):
+    """Planted: the patch of a white begins with the wrong site; in a pattern of two, all do."""
+    shape, (row, col, rows, cols) = (24, 24), rect
+    codes = np.arange(shape[0] * shape[1], dtype=np.uint16).reshape(shape)
+    sites = np.tile([list(line) for line in PATTERNS[name]], (12, 12))[: shape[0], : shape[1]]
+    source = Source(codes, None, np.zeros((1, 1)), 1.0, tuple(PATTERNS[name]), None, {})
+    part = np.s_[row : row + rows, col : col + cols]
+    for colour in "RGB":
+        found = np.sort(source.light_of(colour, rect))
+        assert found.tolist() == codes[part][sites[part] == colour].tolist()
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(97, 131), (96, 131), (97, 130), (96, 130)])

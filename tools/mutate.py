@@ -377,7 +377,7 @@ def arguments() -> argparse.Namespace:
         nargs="?",
         const="",
         metavar="WORDS",
-        help="instead, the defects of tools/planted.py, those whose description has the words",
+        help="instead, the defects of tools/planted.toml, those whose description has the words",
     )
     return parser.parse_args()
 

@@ -45,6 +45,20 @@ def test_a_bayer_pattern_gets_two_greens():
     assert as_dicts["B"] == pytest.approx({"B": 0.75, "G": 0.25})
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("shift", [0.25, -0.25])
+def test_longer_patterns_tell_which_way_they_are_shifted(axis: int, shift: float):
+    """Planted: a pattern of two is the same whichever neighbour's filter a pixel sees."""
+    line = ["R", "G", "B", "W"]
+    pattern = [[one] for one in line] if axis else [line]
+    names, mixtures = mixed_pattern(pattern, (0.0, shift) if axis else (shift, 0.0), 1.0)
+    assert names == pattern
+    for place, own in enumerate(line):
+        # To the right, or down: the filter over the border is that of the pixel before.
+        neighbour = line[(place - (1 if shift > 0 else -1)) % 4]
+        assert dict(mixtures[own]) == pytest.approx({own: 0.75, neighbour: 0.25})
+
+
 def test_both_ways_at_once_is_the_product_of_the_shares():
     _, mixtures = mixed_pattern(BAYER, (0.2, -0.1), 1.0)
     # The red pixel sees: 0.8 x 0.9 its own, 0.2 x 0.1 blue, the rest green.
