@@ -1189,6 +1189,20 @@ def shading(
     run(path, channel, out, linear=linear, as_json=as_json)
 
 
+@measure.command()
+def glare(
+    path: Picture,
+    channel: Channels = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure veiling glare (ISO 9358) from black spots in a bright field."""
+    from gpusim.cli.glare import glare as run
+
+    run(path, channel, out, linear=linear, as_json=as_json)
+
+
 validate = typer.Typer(
     name="validate",
     help="Reproduce published validations of camera simulators with this engine.",
