@@ -32,6 +32,7 @@ TOP = (
     "validate",
     "report",
     "batch",
+    "tolerance",
     "preview",
     "web",
     "cli",

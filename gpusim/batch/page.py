@@ -54,7 +54,8 @@ def _pictures(outcome: Outcome) -> str:
     if not cells:
         return ""
     grid = "display:grid;gap:.6rem;grid-template-columns:repeat(auto-fill,minmax(150px,1fr))"
-    return f'<section><h2>Frames</h2><div style="{grid}">{"".join(cells)}</div></section>'
+    shown = "" if len(cells) == len(done) else f" ({len(cells)} of {len(done)}, evenly spread)"
+    return f'<section><h2>Frames{shown}</h2><div style="{grid}">{"".join(cells)}</div></section>'
 
 
 def _picture(outcome: Outcome, files: list[str]) -> Image.Image | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +21,7 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
-from gpusim.lens.surface import Surface
+from gpusim.lens.perturb import OF_ELEMENT, OF_SURFACE, names_part, perturbed
 from gpusim.library.light import OPTICAL
 from gpusim.library.session import LENS_SETTINGS
 from gpusim.plan import Accuracy
@@ -35,17 +34,6 @@ if TYPE_CHECKING:
 
 READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
 OF_SCENE = ("luminance_cd_m2", "illuminant")
-# Numbers that move or bend one surface of the lens: lens.NUMBER.WHAT
-OF_SURFACE = (
-    "radius",
-    "curvature",
-    "thickness",
-    "nd",
-    "decentre_x_mm",
-    "decentre_y_mm",
-    "tilt_x_deg",
-    "tilt_y_deg",
-)
 OUTPUTS = ("raw", "npz", "exr", "developed", "truth")
 
 
@@ -149,6 +137,8 @@ class Sweep(Strict):
             _check_axis(name)
             for value in axis.listed:
                 check_value(name, value)
+                if name.startswith(("lens.", "sensor.")) or name in LENS_SETTINGS:
+                    Frame(self, "", {name: value}).camera()
         first = self.frames[0]
         sensor = first.camera().sensor
         rectangle(self.tile, sensor)
@@ -339,7 +329,7 @@ class Frame:
                 lens = make(lens, self.settings[name])
         for name, value in self.settings.items():
             if name.startswith("lens."):
-                lens = _moved(lens, name, value)
+                lens = perturbed(lens, name.removeprefix("lens."), value, f"axes.{name}")
         return Camera(lens, self.sensor(), base.title)
 
     @property
@@ -374,50 +364,12 @@ def _check_axis(name: str) -> None:
     first, _, rest = name.partition(".")
     if first == "sensor" and rest in Sensor.model_fields:
         return
-    if first == "lens" and rest.partition(".")[2] in OF_SURFACE and rest.split(".")[0].isdecimal():
+    if first == "lens" and names_part(rest):
         return
     names = [*known, *(f"sensor.{field}" for field in Sensor.model_fields)]
     raise UserError(
         f"there is no such setting{perhaps(name, names)}",
         field=f"axes.{name}",
         allowed=f"{', '.join(known)}; sensor.FIELD of a sensor file; lens.NUMBER.WHAT with "
-        f"{', '.join(OF_SURFACE)}",
+        f"{', '.join(OF_SURFACE)}; lens.element.FIRST-LAST.WHAT with {', '.join(OF_ELEMENT)}",
     )
-
-
-def _moved(lens: Any, name: str, value: float) -> Any:
-    """Return a lens with one number of one surface changed by a value."""
-    _, number, what = name.split(".")
-    if not hasattr(lens, "surfaces"):
-        raise UserError("a ready-made lens has no surfaces", field=f"axes.{name}", allowed="none")
-    count = len(lens.surfaces)
-    if not 1 <= int(number) <= count:
-        raise UserError(
-            "no such surface", field=f"axes.{name}", value=number, allowed=f"1 to {count}"
-        )
-    surface = lens.surfaces[int(number) - 1]
-    if what.startswith(("decentre", "tilt")):
-        along = 0 if "_x_" in what else 1
-        field = "decentre_mm" if what.startswith("decentre") else "tilt_deg"
-        moved = list(getattr(surface, field))
-        moved[along] += value
-        update: dict[str, Any] = {field: tuple(moved)}
-    elif what == "curvature":
-        update = {"radius": None, "curvature": surface.vertex_curvature + value}
-    else:
-        old = getattr(surface, what)
-        if old is None or math.isinf(old):
-            raise UserError(
-                f"surface {number} has no {what}"
-                if old is None
-                else f"surface {number} is a plane",
-                field=f"axes.{name}",
-                allowed="a surface that has one; any has a curvature",
-            )
-        update = {what: old + value}
-    surfaces = list(lens.surfaces)
-    try:
-        surfaces[int(number) - 1] = Surface.model_validate(surface.model_dump() | update)
-    except ValidationError as error:
-        raise user_error(error, Surface) from error
-    return lens.derived(f"surface {number}: {what} {value:+g}", surfaces=tuple(surfaces))

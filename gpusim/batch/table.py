@@ -26,10 +26,14 @@ def rows_of(outcome: Outcome) -> list[dict[str, Any]]:
 
 def write_table(outcome: Outcome, path: Path) -> None:
     """Write the table to a Parquet file, its units in the columns' names."""
+    write_rows(rows_of(outcome), path, {"gpusim.sweep": outcome.sweep.model_dump_json()})
+
+
+def write_rows(rows: list[dict[str, Any]], path: Path, about: dict[str, str]) -> None:
+    """Write rows to a Parquet file; a column of unlike values becomes text."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    rows = rows_of(outcome)
     columns = list(dict.fromkeys(name for row in rows for name in row))
     arrays = {}
     for name in columns:
@@ -38,6 +42,4 @@ def write_table(outcome: Outcome, path: Path) -> None:
         if len(kinds - {int, float}) > 0 and len(kinds) > 1:
             values = [None if value is None else str(value) for value in values]
         arrays[name] = pa.array(values)
-    about = {"gpusim.sweep": outcome.sweep.model_dump_json()}
-    table = pa.table(arrays).replace_schema_metadata(about)
-    parquet.write_table(table, path)
+    parquet.write_table(pa.table(arrays).replace_schema_metadata(about), path)

@@ -6,6 +6,7 @@ import math
 from numbers import Real
 
 from gpusim.errors import UserError
+from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
 
 ABSOLUTE_ZERO_C = -273.15
 WHOLE = {"iso": 1, "seed": 0, "frame": 0}  # and the least of each
@@ -41,6 +42,14 @@ def check_value(name: str, value: object) -> None:
         allowed = "numbers above -273.15 (degrees Celsius)"
     elif name == "noise":
         valid, allowed = isinstance(value, bool), "true, false"
+    elif name == "illuminant" and value is not None:
+        try:
+            illuminant(str(value), WAVELENGTHS_NM[:1])
+        except UserError as error:
+            raise UserError(
+                error.problem, field=f"axes.{name}", value=value, allowed=error.allowed
+            ) from error
+        return
     else:
         return
     by_itself = value is None and name not in WHOLE  # the sensor's own, or the light's

@@ -679,6 +679,24 @@ def preview(
 
 
 @app.command()
+def tolerance(
+    camera: Annotated[str, typer.Argument(metavar="CAMERA", help="A camera's name or file.")],
+    budget: Annotated[
+        Path, typer.Option(metavar="FILE", help="What varies, a YAML file: docs/tolerance.md.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for page, figure and tables.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the study that is in the folder.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the account as JSON.")] = False,
+) -> None:
+    """Perturb a camera's lens: MTF50 of edges at nine places, yield and worst offenders."""
+    from gpusim.cli.tolerance import run_tolerance
+
+    run_tolerance(camera, budget, out, resume=resume, as_json=as_json)
+
+
+@app.command()
 def chart(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],

@@ -1,0 +1,149 @@
+"""What a study shows: yield curve, MTF50 by place, worst offenders, agreement."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from gpusim.report.drawing import STYLE, svg
+from gpusim.report.page import document
+from gpusim.tolerance.study import Found
+
+OFFENDERS_SHOWN = 15
+
+
+def facts_of(found: Found) -> dict[str, Any]:
+    """Return the study as plain data for JSON."""
+    study, worst = found.study, found.worst
+    percentiles = (0, 5, 25, 50, 75, 95, 100)
+    need = study.budget.required_cy_px
+    facts: dict[str, Any] = {
+        "camera": study.camera.title,
+        "digest": study.digest,
+        "budget": study.budget.model_dump(mode="json", exclude_none=True),
+        "channel": study.channel.name,
+        "places_px": [[one.x_px, -one.y_px] for one in study.places],
+        "design_mtf50_cy_px": found.design.round(5).tolist(),
+        "worst_edge_mtf50_cy_px": {
+            f"p{p}": round(float(np.percentile(worst, p)), 5) for p in percentiles
+        },
+        "focus_um": {
+            "mean": round(1e3 * float(found.focus_mm.mean()), 3),
+            "standard_deviation": round(1e3 * float(found.focus_mm.std()), 3),
+        },
+        "offenders": [
+            {"number": name, "worst_edge_loses_cy_px": round(lost, 6)}
+            for name, lost in found.offenders
+        ],
+        "agreement": found.agreement,
+        "fifth_percentile_sample": found.fifth,
+        "seconds": round(found.seconds, 1),
+    }
+    if need is not None:
+        facts["yield"] = {"required_cy_px": need, "share": round(float((worst >= need).mean()), 4)}
+    return facts
+
+
+def rows_of(found: Found) -> list[dict[str, Any]]:
+    """Return a row for each sample: changes, focus, MTF50 of each edge and of the worst."""
+    rows = []
+    for k, moves in enumerate(found.study.draws):
+        edges = {
+            f"mtf50_{place}_{way}_cy_px": float(found.mtf50[k, place, number])
+            for place in range(9)
+            for number, way in enumerate(("upright", "level"))
+        }
+        changed = {f"set.{name}": value for name, value in moves.items()}
+        own = {"sample": k, "worst_edge_cy_px": float(found.worst[k])}
+        rows.append({**own, "focus_um": 1e3 * float(found.focus_mm[k]), **edges, **changed})
+    return rows
+
+
+def figure_of(found: Found) -> Figure:
+    """Return yield curve, MTF50 by place and worst offenders as one figure."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        left.remove()
+        right.remove()
+        grid = figure.add_gridspec(2, 2, width_ratios=(1, 1))
+        _yield(figure.add_subplot(grid[0, 0]), found)
+        _places(figure.add_subplot(grid[1, 0]), found)
+        _offenders(figure.add_subplot(grid[:, 1]), found)
+    return figure
+
+
+def _yield(axes: Axes, found: Found) -> None:
+    worst = np.sort(found.worst)
+    share = 100 * (1 - np.arange(len(worst)) / len(worst))
+    axes.step(worst, share, where="pre", color="#1f6feb")
+    axes.axvline(found.design.min(), color="#5d6773", linewidth=0.8, linestyle=":")
+    axes.annotate("design", (found.design.min(), 3), fontsize=7.5, ha="right", rotation=90)
+    if (need := found.study.budget.required_cy_px) is not None:
+        axes.axvline(need, color="#d1242f", linewidth=0.9)
+    axes.set(
+        title="Yield",
+        xlabel="MTF50 of the worst edge, at least [cycles/px]",
+        ylabel="cameras [%]",
+        ylim=(0, 102),
+    )
+
+
+def _places(axes: Axes, found: Found) -> None:
+    names = ["upper left", "top", "upper right", "left", "middle", "right"]
+    names += ["lower left", "bottom", "lower right"]
+    for number, (way, colour) in enumerate((("upright", "#1f6feb"), ("level", "#e16f24"))):
+        at = np.arange(9) + (number - 0.5) * 0.3
+        values = found.mtf50[:, :, number]
+        low, middle, high = np.percentile(values, (5, 50, 95), axis=0)
+        bars = [middle - low, high - middle]
+        axes.errorbar(at, middle, bars, fmt="o", ms=3.5, color=colour, label=f"{way} edges")
+        axes.plot(at, found.design[:, number], "_", color="#1b1f24", ms=8)
+    axes.set_xticks(range(9), names, rotation=35, ha="right")
+    axes.set(
+        title="Places: median, 5 to 95 %, design (-)", ylabel="MTF50 [cycles/px]", ylim=(0, None)
+    )
+    axes.legend()
+
+
+def _offenders(axes: Axes, found: Found) -> None:
+    shown = found.offenders[:OFFENDERS_SHOWN][::-1]
+    axes.barh([name for name, _ in shown], [lost for _, lost in shown], color="#8250df")
+    axes.set(title="Worst offenders, one standard deviation", xlabel="worst edge loses [cycles/px]")
+
+
+def page_of(found: Found) -> str:
+    """Return the page as HTML."""
+    facts = facts_of(found)
+    budget = found.study.budget
+    passed = f"; yield {facts['yield']['share']:.1%}" if "yield" in facts else ""
+    summary = (
+        f"{escape(found.study.camera.title)}: {budget.samples} lenses, {len(found.study.names)} "
+        f"tolerances; MTF50 of the worst edge: design {found.design.min():.3f}, median "
+        f"{facts['worst_edge_mtf50_cy_px']['p50']:.3f}, 5th percentile "
+        f"{facts['worst_edge_mtf50_cy_px']['p5']:.3f} cycles/px{passed}"
+    )
+    return document(
+        "Tolerances",
+        summary,
+        f"<section><h2>Cameras</h2>{svg(figure_of(found))}</section>",
+        _agreement(facts),
+    )
+
+
+def _agreement(facts: dict[str, Any]) -> str:
+    rows = []
+    own = facts["agreement"]
+    if own["traced"]:
+        rows.append(
+            f"differentials against {own['traced']} traced lenses: MTF50 within "
+            f"{own['mtf50_most_cy_px']:.4f} cycles/px (RMS {own['mtf50_rms_cy_px']:.4f}), "
+            f"wavefront within {own['wavefront_rms_waves']:.3f} waves RMS"
+        )
+    items = "".join(f"<li>{escape(row)}</li>" for row in rows)
+    return f"<section><h2>Agreement</h2><ul>{items}</ul></section>" if rows else ""
