@@ -1258,6 +1258,23 @@ def kodak(
         raise typer.Exit(code)
 
 
+@validate.command()
+def ansys(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report and figures.")],
+    adapter: Adapter = None,
+) -> None:
+    """Ansys and Meta: distortion and spatial frequencies of an AR/VR camera against rays.
+
+    Writes ansys.html, ansys.json, the figures, and validation-ansys.md. Exit code 1 where a bar is
+    not held.
+    """
+    from gpusim.cli.validate import ansys as run
+
+    choose_adapter(adapter)
+    if code := run(out):
+        raise typer.Exit(code)
+
+
 @app.command()
 def stress(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, no table.")] = False,

@@ -41,6 +41,14 @@ def kodak(out: Path, *, own_tracer: bool) -> int:
     return _written(out, made)
 
 
+def ansys(out: Path) -> int:
+    """Reproduce the Ansys and Meta paper's validation; return the exit code."""
+    from gpusim.validate import ansys_page as page
+    from gpusim.validate.ansys import READINGS, read
+
+    return _written(out, lambda progress: page.report([read(one, progress) for one in READINGS]))
+
+
 def _written(out: Path, made: Callable[[Progress], Report]) -> int:
     """Make a report and write it into a folder; return the exit code."""
     started, device = time.perf_counter(), default_device()
