@@ -106,7 +106,9 @@ def _places(axes: Axes, found: Found) -> None:
         axes.plot(at, found.design[:, number], "_", color="#1b1f24", ms=8)
     axes.set_xticks(range(9), names, rotation=35, ha="right")
     axes.set(
-        title="Places: median, 5 to 95 %, design (-)", ylabel="MTF50 [cycles/px]", ylim=(0, None)
+        title="Places: median, 5 to 95 %, design (-)",
+        ylabel="MTF50 [cycles/px]",
+        ylim=(0, 1.1 * max(found.mtf50.max(), found.design.max())),
     )
     axes.legend()
 
