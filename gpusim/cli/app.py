@@ -1234,18 +1234,20 @@ def _validations() -> None:
     """Reproduce published validations of camera simulators with this engine."""
 
 
+ReportFolder = Annotated[
+    Path, typer.Option(metavar="DIR", help="Folder for the report and figures.")
+]
+OwnTracer = Annotated[
+    bool,
+    typer.Option(
+        "--own-tracer",
+        help="Predict by gpusim's float64 tracer, which is not independent, not by optiland.",
+    ),
+]
+
+
 @validate.command()
-def kodak(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report and figures.")],
-    own_tracer: Annotated[
-        bool,
-        typer.Option(
-            "--own-tracer",
-            help="Predict by gpusim's float64 tracer, which is not independent, not by optiland.",
-        ),
-    ] = False,
-    adapter: Adapter = None,
-) -> None:
+def kodak(out: ReportFolder, own_tracer: OwnTracer = False, adapter: Adapter = None) -> None:
     """Short, Williams & Jones 1999: edge positions, lateral colour and MTF against predictions.
 
     Writes kodak.html, kodak.json, the figures, and validation-kodak.md. Predictions are optiland's
@@ -1272,6 +1274,20 @@ def ansys(
 
     choose_adapter(adapter)
     if code := run(out):
+        raise typer.Exit(code)
+
+
+@validate.command()
+def samsung(out: ReportFolder, own_tracer: OwnTracer = False, adapter: Adapter = None) -> None:
+    """Shin et al. (Samsung, Ansys): edges, QE, colour and noise against predictions.
+
+    Writes samsung.html, samsung.json, the figures, and validation-samsung.md. Predictions are
+    optiland's (extra judges) and equations'. Exit code 1 where a bar is not held.
+    """
+    from gpusim.cli.validate import samsung as run
+
+    choose_adapter(adapter)
+    if code := run(out, own_tracer=own_tracer):
         raise typer.Exit(code)
 
 

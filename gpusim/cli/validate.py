@@ -49,6 +49,13 @@ def ansys(out: Path) -> int:
     return _written(out, lambda progress: page.report([read(one, progress) for one in READINGS]))
 
 
+def samsung(out: Path, *, own_tracer: bool) -> int:
+    """Reproduce the Samsung paper's validation; return the exit code, 1 where a bar fails."""
+    from gpusim.validate.samsung import validated
+
+    return _written(out, lambda progress: validated(progress, own=own_tracer))
+
+
 def _written(out: Path, made: Callable[[Progress], Report]) -> int:
     """Make a report and write it into a folder; return the exit code."""
     started, device = time.perf_counter(), default_device()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -71,7 +72,10 @@ class Report:
 
     def facts(self) -> dict[str, Any]:
         """Return every number of the report."""
-        bars = [dataclasses.asdict(bar) | {"held": bar.held} for bar in self.bars]
+        bars = [
+            dataclasses.asdict(bar) | {"value": known(bar.value), "held": bar.held}
+            for bar in self.bars
+        ]
         who = {"tracer": self.tracer, "independent": self.independent}
         return {"paper": self.paper, **who, "bars": bars, **self.numbers}
 
@@ -122,6 +126,11 @@ class Report:
                 lines += [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
                 lines += [f"| {' | '.join(row)} |" for row in body] + [""]
         return "\n".join(lines).rstrip() + "\n"
+
+
+def known(value: float) -> float | None:
+    """Return a number for JSON, which has none for what is no number."""
+    return None if math.isnan(value) else value
 
 
 def _cell(text: str) -> str:

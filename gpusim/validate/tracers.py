@@ -18,13 +18,15 @@ from typing import Protocol
 import numpy as np
 
 from gpusim.lens.system import System, first_order
-from gpusim.lens.wavefront import sample_rays
+from gpusim.lens.trace import aim
+from gpusim.lens.wavefront import AIM_TOLERANCE, field_launch, sample_rays
 
 # Rays reach so far beyond the stop's rim that polynomials interpolate at every rim; the paraxial
 # image of a wide pupil in the stop is some percent off the real one.
 OVERSIZE = 1.1
 # The ideal image plane is by definition this wavelength's focal length times tan(field) (README).
 PLANE_NM = 550.0
+WIDE_DEG = 45.0  # beyond, optiland's iterative aiming finds no ray of a fisheye
 RAYS_ACROSS = 45  # over half the pupil some 1000: nine for each coefficient of degree 14
 
 
@@ -44,6 +46,9 @@ class Bundle:
         Optical path to the reference sphere about the chief ray's point, less the chief ray's.
     margin : ndarray (S, R)
         (height / clear semi-diameter)^2 - 1 at each aperture: negative inside.
+    entered_mm : ndarray (2, R)
+        Where a ray enters, on a plane across the direction from which it comes: as much light
+        comes in there through each area.
     """
 
     chief_mm: float
@@ -52,6 +57,7 @@ class Bundle:
     beta: np.ndarray
     wave_mm: np.ndarray
     margin: np.ndarray
+    entered_mm: np.ndarray
 
 
 class Tracer(Protocol):
@@ -108,8 +114,12 @@ class OwnTracer:
         parts = np.abs(found.alpha[0]), found.beta[0], found.opd_mm[0]
         bounded = np.isfinite(found.margin[:, 0]).any(axis=1)
         margin = found.margin[bounded, 0][:, ok]
+        launch = field_launch(self.system, index, field_rad)
+        close = AIM_TOLERANCE * self.system.stop_radius_mm
+        aimed = aim(self.system.geometry, index, launch, radius * px, radius * py, close)
+        entered = np.stack([aimed[0][0], aimed[1][0]])[:, ok]
         chief = float(found.chief_y_mm[0]), float(found.chief_direction[0, 1])
-        return Bundle(*chief, *(part[ok] for part in parts), margin)
+        return Bundle(*chief, *(part[ok] for part in parts), margin, entered)
 
 
 class OptilandTracer:
@@ -156,8 +166,10 @@ class OptilandTracer:
         longer = radius - np.sqrt(radius**2 - x**2 - y**2 + along**2)
         wave = -np.ravel(found.opd) * wavelength_nm * 1e-6 - longer
         margin = self._margins(optic)
+        entered = self._entered(optic, field_rad)
         ok = np.isfinite(wave) & np.isfinite(margin).all(axis=0)
-        return Bundle(height, chief_beta, alpha[ok], beta[ok], wave[ok], margin[:, ok])
+        light = alpha[ok], beta[ok], wave[ok], margin[:, ok], entered[:, ok]
+        return Bundle(height, chief_beta, *light)
 
     def _traced(self, wavelength_nm: float, field_deg: np.ndarray, px: np.ndarray, py: np.ndarray):
         optic, zero = self._optic(wavelength_nm), np.zeros(len(px))
@@ -171,6 +183,13 @@ class OptilandTracer:
         bounded = np.flatnonzero(np.isfinite(clear))
         x, y = (np.asarray(of)[1:-1] for of in (optic.surfaces.x, optic.surfaces.y))
         return np.stack([(x[i] ** 2 + y[i] ** 2) / clear[i] ** 2 - 1 for i in bounded])
+
+    def _entered(self, optic, field_rad: float) -> np.ndarray:
+        """Return where the rays (2, R) that were traced last enter, across their direction."""
+        x, y, z = (
+            np.asarray(of)[1] for of in (optic.surfaces.x, optic.surfaces.y, optic.surfaces.z)
+        )
+        return np.stack([np.abs(x), y * np.cos(field_rad) - z * np.sin(field_rad)])
 
     def _optic(self, wavelength_nm: float):
         """Return the lens with its indices at a wavelength."""
@@ -205,7 +224,8 @@ class OptilandTracer:
         optic.fields.add(y=self.widest_deg)
         optic.wavelengths.add(value=1e-3 * wavelength_nm, is_primary=True)
         # 1e-8 of the stop's radius in the chief ray is 1e-7 mm at the image.
-        optic.ray_tracer.set_aiming("iterative", max_iter=30, tol=1e-10)
+        aiming = "robust" if self.widest_deg > WIDE_DEG else "iterative"
+        optic.ray_tracer.set_aiming(aiming, max_iter=30, tol=1e-10)
         self.optics[wavelength_nm] = optic
         return optic
 

@@ -16,8 +16,8 @@ class Perfect:
 
     name, independent, efl_mm = "perfect", True, EFL_MM
 
-    def __init__(self, path_um=lambda alpha, beta: 0 * alpha, colour=0.0):
-        self.path_um, self.colour = path_um, colour
+    def __init__(self, path_um=lambda alpha, beta: 0 * alpha, colour=0.0, denser=0.0):
+        self.path_um, self.colour, self.denser = path_um, colour, denser
 
     def chief_mm(self, field_rad, wavelength_nm):
         """Return where chief rays land."""
@@ -30,7 +30,8 @@ class Perfect:
         wave_mm = 1e-3 * self.path_um(alpha, beta)
         margin = ((alpha**2 + beta**2) / NA**2 - 1)[None]
         chief = float(self.chief_mm(np.array([field_rad]), wavelength_nm)[0])
-        return Bundle(chief, 0.0, alpha, beta, wave_mm, margin)
+        entered = EFL_MM * np.stack([alpha, beta + self.denser * beta**2 / 2])
+        return Bundle(chief, 0.0, alpha, beta, wave_mm, margin, entered)
 
 
 def predictor(**planted):
@@ -67,6 +68,19 @@ def test_coma_leans_to_the_side_of_its_rays():
     # Rays land at 40 (alpha^2 + 3 beta^2), whose mean over the disc is 40 NA^2; cut tails take less
     # than a tenth.
     assert np.average(at, weights=spread) == pytest.approx(40 * NA**2, rel=0.1)
+
+
+@pytest.mark.parametrize("entering", [False, True])
+def test_rays_count_by_the_light_that_enters_where_that_is_asked_for(entering):
+    # Light is 1 + beta, and defocus lands rays at 200 beta: their mean is 200 <beta^2> = 50 NA^2.
+    lens = Perfect(path_um=lambda alpha, beta: -100 * (alpha**2 + beta**2), denser=1.0)
+    how = {"diffracts": False, "entering": entering}
+    rays = Predictor(lens, 0.3, NODES_NM, np.ones(4), **how)
+    place, normal = np.array([0.0, 500.0]), np.array([0.0, 1.0])
+    found = rays.line_spread(place, normal, place, BAND)
+    # The phase of a line spread's transfer function near 0 is that of its mean.
+    mean_um = -np.angle(found.otf[1]) / (2 * np.pi * found.frequency_cy_um[1])
+    assert mean_um == pytest.approx(50 * NA**2 if entering else 0, abs=0.01)
 
 
 def test_lateral_colour_parts_the_bands():
