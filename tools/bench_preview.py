@@ -30,9 +30,13 @@ def preview_job(device: Device, frame: tuple[int, int], what: str, job: Callable
     screen.settle("draft", LONGEST_S)
     number, latency_s = count(1), []
 
+    def settled() -> None:
+        assert screen.app.worker.wait(screen.app.number, "draft", LONGEST_S)
+        screen.frame()
+
     def sensor() -> None:
         screen.app.turn(exposure_s=0.02 + 1e-4 * (next(number) % 100))
-        screen.settle("draft", LONGEST_S)
+        settled()
 
     def pan() -> None:
         view = screen.app.view
@@ -41,7 +45,7 @@ def preview_job(device: Device, frame: tuple[int, int], what: str, job: Callable
 
     def focus() -> None:
         screen.app.turn(focus_shift_um=0.5 * (1 + next(number) % 20))
-        screen.settle("draft", LONGEST_S)
+        settled()
 
     event = {"sensor": sensor, "pan": pan, "focus": focus}[what]
     events = 1 if what == "focus" else EVENTS
