@@ -37,6 +37,7 @@ def burst_job(device: Device, frame: tuple[int, int], job: Callable) -> object:
         transmission=np.ones(61),
         optics=Optics("bench", 8.0, 2.8, none, none, none),
         tolerance="none",
+        recipe={},
     )
 
     def run() -> object:

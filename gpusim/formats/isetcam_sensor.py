@@ -23,13 +23,12 @@ have no counterpart in a sensor; any other is refused.
 
 from __future__ import annotations
 
-import io
 import math
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
+from gpusim.config.matlab import read_matlab
 from gpusim.config.text import read_bytes, read_json
 from gpusim.errors import UserError
 from gpusim.sensor.conversion import Conversion
@@ -192,8 +191,7 @@ def _struct(file: Path) -> dict:
     try:
         if file.suffix.lower() == ".mat":
             content = read_bytes(file, "the sensor file", MOST_BYTES)
-            top = loadmat(io.BytesIO(content), simplify_cells=True)
-            top = {key: value for key, value in top.items() if not key.startswith("__")}
+            top = read_matlab(content)
         else:
             top = read_json(file, "the sensor file")
     except NotImplementedError as error:
@@ -204,7 +202,7 @@ def _struct(file: Path) -> dict:
         ) from error
     except UserError:
         raise
-    except Exception as error:  # SciPy raises whatever a damaged file leads it to
+    except Exception as error:  # readers raise whatever a damaged file leads them to
         reason = str(error) or type(error).__name__
         raise UserError(f"the sensor file cannot be read: {reason}", file=file) from error
     for name in ("sensor", "isa"):

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.config.matlab import read_matlab
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.scene.bands import MOST_SAMPLES, RADIANCE, Bands, checked_size
@@ -53,10 +54,8 @@ def _is_hdf5(content: bytes) -> bool:
 
 
 def _version_7(content: bytes) -> dict[str, Any]:
-    from scipy.io import loadmat
-
     _check_unpacked(content)
-    return loadmat(io.BytesIO(content), simplify_cells=True)
+    return read_matlab(content)
 
 
 def _check_unpacked(content: bytes) -> None:
