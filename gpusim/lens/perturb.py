@@ -24,7 +24,7 @@ OF_ELEMENT = ("decentre_x_mm", "decentre_y_mm", "tilt_x_deg", "tilt_y_deg")
 OF_SURFACE = ("radius", "curvature", "thickness", "nd", *OF_ELEMENT)
 _NAME = re.compile(r"(?:(\d+)|element\.(\d+)-(\d+)|(all|element\.all))\.(\w+)", re.ASCII)
 # A glass whose index is moved gets a formula through its own indices, which it meets within 3e-7
-# over the wavelengths of silicon (tests/lens/test_perturb.py).
+# from 400 to 700 nm (tests/lens/test_perturb.py).
 FITTED_NM = (380.0, 1100.0)
 EXTENDED_3, POWERS = 13, (0, 2, 4, -2, -4, -6, -8, -10, -12)
 

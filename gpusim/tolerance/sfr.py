@@ -158,8 +158,7 @@ def _line_otf(
 def _between(at: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return four whole lags, as indices into a circle of them, and their shares of a lag between.
 
-    The cubic through them. A straight line misses 3e-3 of a double Gauss at f/5.6, 60 um out of
-    focus (tests/tolerance/test_wave.py).
+    The cubic through them; tests/tolerance/test_wave.py holds it out to 60 um of defocus.
     """
     low = np.floor(at).astype(int)
     t = at - low

@@ -6,10 +6,9 @@ the slope of W is where the ray lands, so that at the directions of the unchange
 
     dW = W' + x' d alpha + y' d beta - W,
 
-short of (d alpha)^2 d x / d alpha / 2: 5e-5 waves for 1e-3 rad and rays that land within 50 um. dW
-is smooth; a polynomial of `DEGREE` follows it. The pupil's outline and transmission stay those of
-the unchanged lens. Image points count from the chief ray of the reference line: a shift of the
-whole image blurs nothing, lateral colour does.
+short of (d alpha)^2 d x / d alpha / 2. dW is smooth; a polynomial of `DEGREE` follows it. The
+pupil's outline and transmission stay those of the unchanged lens. Image points count from the chief
+ray of the reference line: a shift of the whole image blurs nothing, lateral colour does.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from gpusim.lens.wavefront import Pupil, Samples, pupils, sample_field, sample_r
 
 DEGREE = 8  # of dW: residual below 1e-3 waves for 0.02 mm and 0.05 deg (tests/tolerance)
 ACROSS = 23  # rays across the stop: 8 a coefficient
-# The PSF repeats beyond this: rays of a compact lens's corner land within 30 um.
+# The PSF repeats beyond this: lenses whose rays land farther out than half of it are not for it.
 WINDOW_UM, NODES = 80.0, 64
 
 

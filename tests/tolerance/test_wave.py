@@ -53,7 +53,7 @@ def test_a_changed_wavefront_gives_the_mtf_of_the_changed_lens(lens, wave, name,
     """The changed lens is traced with a pupil and a fit of its own, on its own grid.
 
     2e-3: a grid of 64 nodes is within 1e-3 of a finer one, of either. The pupil's outline stays the
-    design's: a radius that is 0.05 mm off widens the cone by half a percent, and MTF misses 2.9e-3.
+    design's: a radius that is 0.05 mm off widens the cone, and MTF misses 2.9e-3.
     """
     changed = perturbed(lens, name, value, name)
     coefficients, residual = wave.change(changed)
