@@ -39,8 +39,8 @@ SENSOR = "kodak-vga"
 BANDS = "RGB"
 REFERENCE = "G"  # the band whose predicted places table 1 lists
 # Of the renders. At 2e-3 PSFs between nodes move edges by up to 5e-3 px, the bar between bands; red
-# cannot be planned below 1.3e-3.
-TOLERANCE, PROBES = 1.3e-3, 8
+# cannot be planned below 1.1e-3.
+TOLERANCE, PROBES = 1.1e-3, 8
 EXPOSURE_S = 1 / 60
 NODES_NM = np.arange(400.0, 701.0, 25.0)  # 12.5 nm move no edge 5 or 9 by 1e-4 px
 BLACK, WHITE = 0.05, 0.80  # reflectances: 16:1, as in the library's charts without colour
