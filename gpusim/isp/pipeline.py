@@ -174,7 +174,7 @@ class Whole:
     Attributes
     ----------
     label : str
-        Of the picture that is downloaded: rows of codes of 32 bits, red lowest.
+        The picture that is downloaded: rows of codes of 32 bits, red lowest.
     rows, cols : ndarray of int
         Which row and column of the frame each row and column of the padded codes is.
     top, left : int

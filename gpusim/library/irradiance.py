@@ -122,7 +122,7 @@ class Irradiance:
         camera : Camera
         scene : Scene
         wavelengths_nm : sequence of float
-            Of the bands, rising; multiples of 5 nm, in which the chain counts.
+            Middles of the bands, rising; multiples of 5 nm, in which the chain counts.
         tolerance : float or str
             As of `gpusim.expose`.
         tile : (x, y, width, height), optional
@@ -307,7 +307,7 @@ def band_images(
     for first in range(0, len(curves), MAX_CHANNELS):
         part = curves[first : first + MAX_CHANNELS]
         names = [f"W{number:02d}" for number in range(len(part))]
-        # Of a period that no grid has, each channel is a plane of all pixels: see `planes_of`.
+        # A period that no grid has: each channel is a plane of all pixels: see `planes_of`.
         length = next(n for n in count(len(part)) if n not in PERIODS)
         pattern = [names + names[:1] * (length - len(names))]
         efficiency = QuantumEfficiency(

@@ -24,14 +24,14 @@ def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> n
     ----------
     camera : Camera
     labels : ndarray (rows, cols) or (rows, cols, n)
-        Of any type.
+        Values of any type.
     beyond : number
         Label of what no ray of the lens or no part of the map reaches.
 
     Returns
     -------
     ndarray (sensor rows, sensor cols) or (sensor rows, sensor cols, n)
-        Of the type of the labels.
+        Values of the type of the labels.
 
     Raises
     ------

@@ -22,6 +22,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.library.frame import Frame
 from gpusim.library.light import OPTICAL, Light
 from gpusim.library.session import Session
+from gpusim.plan.deadline import predicted_error
 from gpusim.plan.stages import Plan
 from gpusim.preview.draft import Draft, DraftLens, binned, step_for
 from gpusim.preview.picture import Developer, mosaic
@@ -72,9 +73,8 @@ class Shown:
 
     @property
     def predicted_error(self) -> float:
-        """Error that the plan predicts for its parts together, relative to the signal."""
-        errors = [one.predicted_error for one in self.plan.stages if one.predicted_error]
-        return float(np.sqrt(np.sum(np.square(errors))))
+        """RMS error that the plan predicts, relative to the signal."""
+        return predicted_error(self.plan)
 
     def photosites(self) -> np.ndarray:
         """Return the raw in the colours of its filters: see `mosaic`."""
@@ -183,7 +183,7 @@ class Engine:
         progress : callable, optional
             Called with (what, done, total).
         probes : int
-            Of a certificate; 0: none.
+            Pixels of a certificate; 0: none.
 
         Raises
         ------

@@ -55,13 +55,13 @@ class Knobs:
     luminance_cd_m2, illuminant : float, str, optional
         The scene's.
     exposure_s, iso, temperature_c, seed, noise
-        Of the read-out.
+        Settings of the read-out.
     off : frozenset of str
         Effects of `EFFECTS` that are switched off.
     ev : float
         Stops by which the picture is shown brighter.
     tolerance : str
-        Of the picture that is made at rest.
+        Error allowed in the picture that is made at rest.
     """
 
     camera: str
@@ -208,7 +208,7 @@ class View:
     scale : float
         Points of the screen to a photosite.
     width, height : int
-        Of the view, points.
+        Size of the view, points.
     """
 
     x: float

@@ -110,7 +110,7 @@ def otfs(
     wave : Wave
     weight : ndarray (L,)
     coefficients : ndarray (S, L, K)
-        Of dW, mm.
+        Coefficients of dW, mm.
     focus_mm : ndarray (S,)
         Way of the image plane away from the lens.
     frequency_cy_mm : ndarray (F,)

@@ -294,7 +294,7 @@ class Found:
         MTF50 of the unchanged camera, cycles/px.
     focus_mm : ndarray (S,)
     mtf50 : ndarray (S, 9, 2)
-        Of each sample, across upright and level edges.
+        MTF50 of each sample, across upright and level edges.
     alone : ndarray (P, 2)
         Worst edge's MTF50 with each number alone one step less and more.
     agreement : dict

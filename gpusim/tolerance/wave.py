@@ -58,7 +58,7 @@ class Wave:
     stop_x, stop_y : ndarray (R,)
         Points of the stop, mm, which rays are aimed at.
     samples : Samples
-        Of the unchanged lens.
+        Rays of the unchanged lens.
     lines : tuple of Line
     reference : int
         The line whose chief ray is the origin.
@@ -80,7 +80,7 @@ class Wave:
         Returns
         -------
         coefficients : ndarray (L, K)
-            Of dW, mm.
+            Coefficients of dW, mm.
         residual_mm : float
             RMS of what the polynomials miss.
 

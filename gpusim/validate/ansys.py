@@ -162,9 +162,9 @@ class Peak:
     Attributes
     ----------
     period_px : int
-        Of the target.
+        Period of the target.
     measured_cy_px, predicted_cy_px : float
-        Of the peak.
+        Frequencies of the peak.
     frequency_cy_px, spectrum, predicted : ndarray (F,)
         Over the largest.
     """
@@ -178,7 +178,7 @@ class Peak:
 
     @property
     def error(self) -> float:
-        """Of the peak's place, percent."""
+        """Error of the peak's place, percent."""
         return 100 * (self.measured_cy_px / self.predicted_cy_px - 1)
 
 

@@ -85,7 +85,7 @@ class Found:
 
     @property
     def error_px(self) -> float:
-        """Of the position: measured less predicted."""
+        """Error of the position: measured less predicted."""
         return self.measured_px - self.predicted_px
 
     @property
@@ -178,7 +178,7 @@ def predicted_lsf(
     ideal, pitch = target.ideal_um[place.number], sensor.pixel_pitch_um
     tilted = normal_of(target.axis)
     step = ASIDE_PX * pitch * np.array([-tilted[1], tilted[0]])
-    # Of all bands alike, for they are compared along one direction.
+    # The same for all bands, for they are compared along one direction.
     ends = (predictor.image_um(ideal + way * step, target.reference) for way in (1, -1))
     along = np.subtract(*ends)
     normal = np.array([along[1], -along[0]]) / np.hypot(*along)

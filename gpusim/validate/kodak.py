@@ -38,7 +38,7 @@ EFL_MM = 6.6  # Short, Williams & Jones 1999, section 4
 SENSOR = "kodak-vga"
 BANDS = "RGB"
 REFERENCE = "G"  # the band whose predicted places table 1 lists
-# Of the renders. At 2e-3 PSFs between nodes move edges by up to 5e-3 px, the bar between bands; red
+# The renders'. At 2e-3 PSFs between nodes move edges by up to 5e-3 px, the bar between bands; red
 # cannot be planned below 1.1e-3.
 TOLERANCE, PROBES = 1.1e-3, 8
 EXPOSURE_S = 1 / 60
@@ -258,7 +258,7 @@ def measure_edges(
     rendered : Prescription
         The lens of the renders.
     predictor : Predictor
-        Of the lens that is predicted.
+        Predicts the lens by rays.
     progress : callable
         Called with (what, done, total).
     """

@@ -14,7 +14,7 @@ class Place:
     ----------
     number : int
     x, y : float
-        Of the edge's green image, from the sensor's centre.
+        Place of the edge's green image, from the sensor's centre.
     position : tuple of float
         The paper's errors of R, G and B.
     red, blue : tuple of float

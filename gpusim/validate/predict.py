@@ -62,7 +62,7 @@ class LineSpread:
     otf : ndarray (F,) of complex
         1 at 0; the phase belongs to distances from the place.
     light : float
-        Of a point, relative: solid angle, surfaces, photons and efficiency.
+        Light of a point, relative: solid angle, surfaces, photons and efficiency.
     """
 
     frequency_cy_um: np.ndarray

@@ -47,7 +47,7 @@ class Report:
     Attributes
     ----------
     name : str
-        Of its files.
+        Stem of its files.
     title, paper, text : str
         Text says who predicted what, and how it is compared.
     bars : sequence of Bar

@@ -153,7 +153,7 @@ def _read(
     dark = sensor.system_gain_dn_per_e * sensor.dark_current_e_per_s * exposure_s
     variance = np.var(sites[1] - sites[0], ddof=1) / 2
     snr = float((signal - dark) / np.sqrt(variance))
-    # Of the mean of both frames, fixed pattern included.
+    # Standard uncertainty of the mean of both frames, fixed pattern included.
     u_signal = float(np.std(np.mean(sites, axis=0), ddof=1)) / np.sqrt(sites[0].size)
     given = float(signal), expected[0], float(u_signal), snr, float(expected[1])
     return Reading(name, iso, exposure_s, *given, sites[0].size)

@@ -74,7 +74,7 @@ def bundle(light: Light, seed: int = 0) -> dict[str, Any]:
     ----------
     light : Light
     seed : int
-        Of the noise: a raw of the page is that of `Light.capture` with it.
+        Seed of the noise: a raw of the page is that of `Light.capture` with it.
 
     Raises
     ------
