@@ -239,7 +239,7 @@ def cell(spot: Spot, pitch_um: float, scene_name: str, tolerance: float, judged:
     if judged:
         started = time.perf_counter()
         judge = Judge(spot.system, sensor, scene, WAVELENGTHS_NM)
-        errors, bounds, radiance = [], [], []
+        errors, bounds = [], []
         for number, offset in enumerate(PROBES_UM[:judged]):
             col, row = (at + round(off / pitch_um) for at, off in zip(middle, offset, strict=True))
             seen = spot.view(number)
@@ -247,13 +247,11 @@ def cell(spot: Spot, pitch_um: float, scene_name: str, tolerance: float, judged:
             found = float(capture.rate[row - tile[1], col - tile[0]])
             errors.append(found / truth.rate - 1)
             bounds.append(truth.bound / truth.rate)
-            radiance.append(float((seen.radiance_sr / seen.solid_angle_sr)[LINES // 2] - 1))
         rms = float(np.sqrt(np.mean(np.square(errors))))
         out |= {
             "errors": errors,
             "judge_rms": rms,
             "judge_bound": float(np.sqrt(np.mean(np.square(bounds)))),
-            "radiance": radiance[0],
             "beyond": max(float(spot.view(n).beyond.max()) for n in range(judged)),
             "judge_s": round(time.perf_counter() - started, 2),
         }

@@ -19,7 +19,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
@@ -184,15 +183,7 @@ def _traced_pairs(
         size=bank.psf.shape[-1],
         progress=progress,
     )
-
-    # How an even scene is shown follows from the fields around, which were not traced.
-    height = bank.real_height_um[:, bank.reference]
-    ratio = bank.scatter / bank.relative_illumination
-    at = [[0.0, *radii], lines]
-    ratio = RegularGridInterpolator((height, bank.wavelengths_nm), ratio)(
-        np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
-    )
-    theirs = traced.levels_of(traced.relative_illumination * ratio)
+    theirs = traced.levels
 
     def pair(number: int) -> Pair:
         def of_level(level: int):

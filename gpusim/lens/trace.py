@@ -354,6 +354,8 @@ def launch_field(
     theta: float,
     tolerance_mm: float,
     azimuth: float = 0.0,
+    *,
+    start: Launch | None = None,
 ) -> tuple[Launch, np.ndarray]:
     """Find the real chief rays of a field and the launch plane on them.
 
@@ -371,6 +373,8 @@ def launch_field(
         Accepted miss at the centre of the stop.
     azimuth : float
         Azimuth of the field, rad.
+    start : Launch, optional
+        A field's of the same azimuth, from which the walk begins in place of the axis.
 
     Returns
     -------
@@ -391,6 +395,8 @@ def launch_field(
     pivot = np.zeros((3, index.shape[1]))
     pivot[2] = entrance_pupil(geometry, index)[0]
     launch, found = chief(field(0.0))
+    if start is not None:
+        launch, pivot = start, start.base
     step = WALK_STEP
     while found.all() and launch.theta != theta:
         left = theta - launch.theta

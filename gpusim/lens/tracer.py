@@ -123,9 +123,11 @@ class Beams:
         powers = 2.0 * np.arange(1, self.terms + 1)
         aspheres = geometry.asphere[:, : self.terms] * unit_mm**powers
         pairs = np.zeros((len(angles), len(wavelengths_nm)), _PAIR)
+        # Of the chief rays where they are launched: sine, cosine, and 1 / distance from the object.
+        self._launch = np.zeros((3, *pairs.shape))
         self.chief_y_mm, self.chief_beta = np.empty((2, *pairs.shape))
         for field, theta in enumerate(angles):
-            chief = self._chief(pairs[field], index, float(theta))
+            chief = self._chief(pairs[field], self._launch[:, field], index, float(theta))
             self.chief_y_mm[field], self.chief_beta[field] = chief
         pairs["first_index"] = np.arange(len(wavelengths_nm)) * (count + 1)
         pairs["waves_per_mm"] = 1e6 / wavelengths_nm
@@ -137,7 +139,7 @@ class Beams:
         self.count = pairs.size
 
     def _chief(
-        self, pairs: np.ndarray, index: np.ndarray, theta: float
+        self, pairs: np.ndarray, launched: np.ndarray, index: np.ndarray, theta: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fill in what the chief rays of one field give, in float64; return height and beta."""
         system, geometry = self.system, self.system.geometry
@@ -155,16 +157,30 @@ class Beams:
         to_image = (system.image_z_mm - rays.point[2, :, 0]) / gamma
         height = rays.point[1, :, 0] + to_image * beta
         _, sine, cosine = launch.direction
+        launched[:2] = sine, cosine
         pairs["sine"], pairs["cosine"] = split(sine), split(cosine)
         if launch.source is not None:
             way = launch.base - launch.source[:, None]
-            pairs["vergence"] = split((way * way).sum(0) ** -0.5)
+            launched[2] = (way * way).sum(0) ** -0.5
+            pairs["vergence"] = split(launched[2])
         pairs["start_y"], pairs["start_z"] = split(launch.base[1]), split(launch.base[2])
         pairs["image_y"] = split(height)
         pairs["image_z"] = split(system.image_z_mm - geometry.vertex_z[-1])
         pairs["chief_path"] = split(rays.path[:, 0] + to_image)
         pairs["aim"] = inverse.transpose(0, 2, 1).reshape(-1, 4)
         return height, beta
+
+    def etendue(self, field: int, line: int, px_mm: np.ndarray, py_mm: np.ndarray) -> np.ndarray:
+        """Return the light of a point of the scene per area of the launch plane there.
+
+        1 from infinity. From a near point, direction cosines along the object plane: the cosine to
+        the axis times the solid angle, z s / r^3, s the distance to the plane and r to the place.
+        """
+        sine, cosine, vergence = self._launch[:, field, line]
+        if vergence == 0:
+            return np.ones_like(px_mm)
+        far2 = 1 + vergence**2 * (px_mm**2 + py_mm**2)  # (r / s)^2
+        return vergence**2 * (cosine - vergence * py_mm * sine) / far2**2
 
     def aim(self, wanted_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Aim rays of every beam at points of the stop.

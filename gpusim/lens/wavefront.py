@@ -8,7 +8,8 @@ on the image point (of infinite radius: Debye's form, so that no exit pupil ente
     U(x, y) = integral A exp(i k (W + alpha x + beta y)) d alpha d beta
 
 (Debye 1909; Stamnes, Waves in Focal Regions, 1986, ch. 15), and a ray lands at (x, y) =
--(dW/d alpha, dW/d beta): the PSF and the spot diagram share one sign convention.
+-(dW/d alpha, dW/d beta): the PSF and the spot diagram share one sign convention. A^2 d alpha d beta
+is the light that a point of the scene sends there: see `gpusim.lens.entering`.
 
 A centred lens is symmetric about the meridional plane, so only alpha >= 0 is kept of it.
 """
@@ -23,6 +24,7 @@ from numpy.polynomial import chebyshev
 from scipy.spatial import ConvexHull
 
 from gpusim.errors import UserError
+from gpusim.lens.entering import Entering
 from gpusim.lens.model import LensModel
 from gpusim.lens.throughput import Crossings, along_axis, goes_with_the_ray, throughput
 from gpusim.lens.trace import Launch, aim, launch_field, trace
@@ -95,6 +97,7 @@ class Samples:
         G: the diaphragm passes the amplitude exp(-G (height / semi-diameter)^2).
     losses : Losses, or None
         Where losses go with the ray.
+    entering : Entering
     """
 
     chief_x_mm: np.ndarray
@@ -107,6 +110,7 @@ class Samples:
     landing_y_mm: np.ndarray
     margin: np.ndarray
     ok: np.ndarray
+    entering: Entering
     half: bool = True
     apodisation: float = 0.0
     losses: Losses | None = None
@@ -136,7 +140,12 @@ class Pupil:
         Whether the other half, alpha < 0, is the mirror image of this one.
     apodised : ndarray, shape (A, B), or 1
         Amplitude that the stop, and glass where losses go with the ray, pass: over that of the
-        axis. The field's A is coverage times this.
+        axis.
+    entering : ndarray, shape (A, B)
+        Amplitude of the light that enters, sqrt(E), over the chief ray's: see
+        `gpusim.lens.entering`. The field's A is coverage times apodised times this.
+    entering_at_chief : float
+        E of the chief ray.
     reach : ndarray, shape (A, B), or None
         (height / clear semi-diameter)^2 at the aperture that is nearest to clipping: 1 at the rim.
     """
@@ -146,6 +155,8 @@ class Pupil:
     coverage: np.ndarray
     opd_mm: np.ndarray
     fit_residual_mm: float
+    entering: np.ndarray
+    entering_at_chief: float
     half: bool = True
     apodised: np.ndarray | float = 1.0
     reach: np.ndarray | None = None
@@ -153,15 +164,20 @@ class Pupil:
     @property
     def amplitude(self) -> np.ndarray:
         """A of each cell, shape (A, B)."""
-        return self.coverage * self.apodised
+        return self.coverage * self.apodised * self.entering
 
     @property
     def light(self) -> np.ndarray:
-        """What each cell passes of the light that falls on it, shape (A, B).
+        """What each cell passes of a point's light, over that about the chief ray, shape (A, B).
 
         Not the square of A: of a cell on a rim, a share passes whole.
         """
-        return self.amplitude * self.apodised
+        return self.coverage * (self.apodised * self.entering) ** 2
+
+    @property
+    def arriving(self) -> np.ndarray:
+        """What each cell passes of light that comes evenly from all points, shape (A, B)."""
+        return self.coverage * self.apodised**2
 
     @property
     def cell(self) -> float:
@@ -169,9 +185,19 @@ class Pupil:
         return float((self.alpha[1] - self.alpha[0]) * (self.beta[1] - self.beta[0]))
 
     @property
-    def projected_solid_angle_sr(self) -> float:
-        """Integral of what passes, d alpha d beta, over the whole pupil (both halves)."""
+    def light_sr(self) -> float:
+        """Integral of `light`, d alpha d beta, over the whole pupil (both halves)."""
         return (2.0 if self.half else 1.0) * float(self.light.sum()) * self.cell
+
+    @property
+    def entered(self) -> float:
+        """What a point of the scene sends through: mm^2, or sr where it is near."""
+        return self.light_sr * self.entering_at_chief
+
+    @property
+    def projected_solid_angle_sr(self) -> float:
+        """Integral of `arriving`, d alpha d beta, over the whole pupil (both halves)."""
+        return (2.0 if self.half else 1.0) * float(self.arriving.sum()) * self.cell
 
 
 def sample_rays(
@@ -289,6 +315,7 @@ def _sample(
         landing_y_mm=land_y[:, 1:],
         margin=np.concatenate([margin, diaphragm[None]])[:, :, 1:],
         ok=ok[:, 1:],
+        entering=Entering(geometry, system.stop_radius_mm, index, launch, px, py),
         half=half,
         apodisation=system.prescription.gaussian_apodisation,
         losses=Losses(
@@ -402,6 +429,8 @@ def _pupil(
     # Far outside a rim the rays only spoil the fit: keep what is within RAY_OVERSIZE of every
     # rim.
     keep = samples.ok[line] & (margin <= RAY_OVERSIZE**2 - 1 + 1e-12).all(axis=0)
+    density, entering_at_chief = samples.entering.density(line, keep)
+    keep[keep] = np.isfinite(density)
     alpha, beta = samples.alpha[line][keep], samples.beta[line][keep]
     opd, margin, inside = samples.opd_mm[line][keep], margin[:, keep], inside[keep]
     # d_alpha <= lambda / (2 window): the next copy of the PSF is two windows away.
@@ -412,9 +441,10 @@ def _pupil(
     active = [m for m in range(len(margin)) if margin[m].max() > 0]
     if samples.apodisation and active[-1:] != [len(margin) - 1]:
         active.append(len(margin) - 1)  # the diaphragm, though it clips nothing
-    targets = np.column_stack([opd, *margin[active]])
+    exponents = [-0.5 * np.log(density[np.isfinite(density)])]
     if samples.losses is not None:
-        targets = np.column_stack([targets, samples.losses.exponent(line, wavelength_nm)[keep]])
+        exponents.append(samples.losses.exponent(line, wavelength_nm)[keep])
+    targets = np.column_stack([opd, *margin[active], *exponents])
     for degree in DEGREES:
         fitted, smooth = _fit(
             (alpha - centre_a) / half_a,
@@ -430,10 +460,9 @@ def _pupil(
             break
 
     within = within_hull(alpha, beta, grid_a, grid_b, samples.half)
-    apodised = 1.0
-    if samples.losses is not None:
-        *smooth, exponent = smooth
-        apodised = np.exp(-np.where(within, exponent, 0.0))
+    smooth, exponents = smooth[: -len(exponents)], smooth[-len(exponents) :]
+    entering, *lost = (np.exp(-np.where(within, one, 0.0)) for one in exponents)
+    apodised = lost[0] if lost else 1.0
     if samples.apodisation:
         apodised = apodised * np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
     coverage = within.astype(float)
@@ -447,6 +476,8 @@ def _pupil(
         coverage=coverage,
         opd_mm=smooth[0],
         fit_residual_mm=residual,
+        entering=entering,
+        entering_at_chief=entering_at_chief,
         half=samples.half,
         apodised=apodised,
         reach=np.where(within, 1 + np.max(smooth[1:], axis=0), BEYOND) if active else None,

@@ -331,9 +331,9 @@ class _Survey:
         self.few = cached_spreads(lens, lines, both, progress)
         self.axis = _Axis(
             lines,
-            self.few.solid_angle_sr[0],
+            self.few.light_sr[0],
             self.few.transmission,
-            self.few.solid_angle_sr / self.few.solid_angle_sr[0],
+            self.few.light_sr / self.few.light_sr[0],
         )
         self.size = self.few.spread.shape[-1]
         self.seen: dict[float, np.ndarray] = {}
@@ -352,11 +352,11 @@ class _Survey:
         few = replace(
             many,
             wavelengths_nm=many.wavelengths_nm[::2],
-            **{name: getattr(many, name)[:, ::2] for name in ("height_um", "solid_angle_sr")},
+            **{name: getattr(many, name)[:, ::2] for name in ("height_um", "light_sr")},
             transmission=many.transmission[::2],
             spread=many.spread[:, ::2],
         )
-        true, made = (self._transfer(one, many.solid_angle_sr[0].mean()) for one in (many, few))
+        true, made = (self._transfer(one, many.light_sr[0].mean()) for one in (many, few))
         errors = [self._error(a - b, b) for a, b in zip(made, true, strict=True)]
         return many.height_um[:, many.reference], np.array(errors)
 
@@ -365,7 +365,7 @@ class _Survey:
         found = self.few
         theta = found.field_deg[TRACED : TRACED + 1]
         exact = cached_spreads(self.lens, found.wavelengths_nm, theta, traced=True)
-        true = self._transfer(exact, self.few.solid_angle_sr[0].mean())[0]
+        true = self._transfer(exact, self.few.light_sr[0].mean())[0]
         return self._error(self.seen[float(theta[0])] - true, true)
 
     def refined(self, allowed: float, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -412,7 +412,7 @@ class _Survey:
         for one, height, seen in zip(
             found.field_deg,
             found.height_um[:, found.reference],
-            self._transfer(found, self.few.solid_angle_sr[0].mean()),
+            self._transfer(found, self.few.light_sr[0].mean()),
             strict=True,
         ):
             self.heights[float(one)], self.seen[float(one)] = float(height), seen
@@ -425,7 +425,7 @@ class _Survey:
         n, lines = found.spread.shape[-1], found.wavelengths_nm
         frequency = np.fft.rfftfreq(n, found.pitch_um)
         ones = np.ones(len(lines))
-        axis = _Axis(lines, ones, found.transmission, found.solid_angle_sr / unit_sr)
+        axis = _Axis(lines, ones, found.transmission, found.light_sr / unit_sr)
         weights = spectral_weights(axis, self.sensor, self._efficiency, self.wavelengths_nm)
         weights = weights * self.spectrum
         weights /= weights.sum(axis=(-2, -1), keepdims=True)

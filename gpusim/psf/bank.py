@@ -19,6 +19,7 @@ from scipy.interpolate import make_interp_spline
 
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
+from gpusim.lens.entering import image_area
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.system import System, build, conjugates, first_order, transmission
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 WAVELENGTHS_NM = tuple(range(400, 701, 25))
 REFERENCE_NM = 550.0
 FIELDS = 15
-# Steps to the light whose spread is the relative illumination: each is a hundred times nearer.
+# Steps to the light whose spread is a ready-made bank's relative illumination: each is a hundred
+# times nearer.
 SCATTER_STEPS = 3
 RAYS_SHARE = 0.02  # of the light: a level that holds more holds rays, not diffracted light alone
 # Variable: dimensions, units, meaning. The order is that of the file.
@@ -63,13 +65,13 @@ _VARIABLES = {
     "relative_illumination": (
         ("field", "wavelength"),
         "1",
-        "what the vignetted pupil passes, over that on axis: see projected_solid_angle_sr",
+        "what an even scene shows, over that on axis",
     ),
     "projected_solid_angle_sr": (
         ("wavelength",),
         "sr",
-        "integral of d alpha d beta over the pupil on axis (pi sin^2 theta'), times what an "
-        "apodised stop passes",
+        "what an even scene of unit radiance shows on axis: integral of d alpha d beta over the "
+        "light that arrives there (pi sin^2 theta'), times what an apodised stop passes",
     ),
     "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "outside_energy": (
@@ -105,6 +107,15 @@ _RAYS = {
         "1",
         "rays that arrive: direction cosines, radial and tangential, and share of the projected "
         "solid angle",
+    ),
+}
+# Where the light that enters is known: a ready-made bank has none.
+_ENTERING = {
+    "field_light": (
+        ("field", "wavelength"),
+        "1",
+        "what an even scene sends through the lens about a field, per area of its image, over "
+        "projected_solid_angle_sr",
     ),
 }
 # Where chief rays are known between the fields: else those of the fields are all.
@@ -172,7 +183,7 @@ class Bank:
         sample j at (j - n / 2) pitch. Centred on the chief ray of its own wavelength; 0 outside
         the circle in the window.
     relative_illumination : ndarray, shape (F, L)
-        Projected solid angle over that on axis.
+        What an even scene shows, over that on axis.
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
         On axis.
     outside_energy, folded_energy, fit_residual_waves, failed_rays : ndarray, shape (F, L)
@@ -190,6 +201,9 @@ class Bank:
         Levels of coarser samples that hold what lands farther out: see ``gpusim.psf.halo``. They
         take over where the window's light is let out softly: see ``levels``.
     beyond_energy, halo_misfit : ndarray, shape (F, L), or None
+    field_light : ndarray, shape (F, L), or None
+        What an even scene sends through the lens about a field, per area of its image, over
+        `projected_solid_angle_sr`: see ``gpusim.lens.entering``.
     spectral_degree : int
         Degree of the spline for what lies between the wavelengths: see ``gpusim.psf.lines``.
     ray_deg, ray_um : ndarray, shape (M,), and ndarray, shape (M, L), or None
@@ -223,6 +237,7 @@ class Bank:
     halo_pitch_um: np.ndarray | None = None
     beyond_energy: np.ndarray | None = None
     halo_misfit: np.ndarray | None = None
+    field_light: np.ndarray | None = None
     spectral_degree: int = CUBIC
     ray_deg: np.ndarray | None = None
     ray_um: np.ndarray | None = None
@@ -236,22 +251,18 @@ class Bank:
 
     @functools.cached_property
     def scatter(self) -> np.ndarray:
-        """Light (F, L) that a point of each field spreads for an even scene to look as it should.
+        """Light (F, L) that a point of each field spreads, K, over that which is shown on axis.
 
         PSFs lie beside their chief rays and change with the field, so what they spread of a light K
         adds up to K - div(K c) + div div(K S) / 2 where the scene is even: c and S are their first
-        and second moments about the chief ray of the reference wavelength. The relative
-        illumination is what such a scene shows; this is the K that makes it so.
+        and second moments about the chief ray of the reference wavelength. Of a ready-made bank
+        only what such a scene shows is known, and this is the K that makes it so.
         """
-        height = self.real_height_um[:, self.reference]
-        if len(height) < 4:
-            return self.relative_illumination
-        radial, along, across = _moments(self)
-        radial += self.real_height_um - height[:, None]
-        shown = self.relative_illumination
-        light = shown
+        if self.field_light is not None:
+            return self.field_light
+        shown = light = self.relative_illumination
         for _ in range(SCATTER_STEPS):
-            light = shown + _divergence(height, light, radial, along, across)
+            light = shown + light - shown_by(self, light)
         return light
 
     @functools.cached_property
@@ -261,11 +272,7 @@ class Bank:
         Their light is `scatter`. The core's PSFs fall to 0 towards the window's rim, where the
         first level takes over.
         """
-        return self.levels_of(self.scatter)
-
-    def levels_of(self, light: np.ndarray) -> tuple[Bank, ...]:
-        """Return the levels with another light (F, L) in place of the relative illumination."""
-        return split(replace(self, relative_illumination=light))
+        return split(replace(self, relative_illumination=self.scatter))
 
     @property
     def reference(self) -> int:
@@ -507,7 +514,7 @@ class Bank:
             name: mixed(getattr(self, name), near_fields, near_lines)
             for name, (dims, *_) in self._variables().items()
             if dims[:2] == ("field", "wavelength")
-            and name not in ("psf", "real_height_um", "relative_illumination")
+            and name not in ("psf", "real_height_um", "relative_illumination", "field_light")
         }
 
         def blended(psf: np.ndarray) -> np.ndarray:
@@ -517,7 +524,8 @@ class Bank:
         if self.halo is not None:
             both["halo"] = np.stack([blended(level) for level in self.halo])
         both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
-        light = own.even(self.relative_illumination, heights) @ over_lines
+        if self.field_light is not None:
+            both["field_light"] = own.even(self.field_light, heights) @ over_lines
         if self.ray_deg is not None:
             inner = self.ray_deg < angles[-1]
             edge = [self.height_from_angle(angles[-1:], w)[0] for w in lines]
@@ -533,7 +541,7 @@ class Bank:
             ideal_height_um=ideal_height_um(self.principal_distance_mm, angles),
             real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
             psf=blended(self.psf),
-            relative_illumination=light,
+            relative_illumination=own.even(self.relative_illumination, heights) @ over_lines,
             projected_solid_angle_sr=self.projected_solid_angle_sr @ over_lines,
             transmission=self.transmission @ over_lines,
             provenance=provenance,
@@ -544,6 +552,7 @@ class Bank:
         rays = {} if self.cone is None else _RAYS
         rays = rays | ({} if self.ray_deg is None else _BETWEEN_FIELDS)
         rays = rays | ({} if self.principal_mm is None else _FINITE)
+        rays = rays | ({} if self.field_light is None else _ENTERING)
         return _VARIABLES | _BETWEEN | rays | ({} if self.halo is None else _HALO)
 
     def to_xarray(self) -> xarray.Dataset:
@@ -579,8 +588,21 @@ class Bank:
         OSError, ValueError, KeyError
             Where the file is not a whole bank.
         """
-        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS | _FINITE
+        optional = _RAYS | _HALO | _BETWEEN | _BETWEEN_FIELDS | _FINITE | _ENTERING
         return cls(**load_dataset(path, _VARIABLES, _SCALARS, optional, sealed))
+
+
+def shown_by(bank: Bank, light: np.ndarray) -> np.ndarray:
+    """Return what an even scene shows (F, L) where points of the fields spread a light (F, L).
+
+    See `Bank.scatter`. With fewer than four fields nobody knows how PSFs change: the light itself.
+    """
+    height = bank.real_height_um[:, bank.reference]
+    if len(height) < 4:
+        return light
+    radial, along, across = _moments(bank)
+    radial += bank.real_height_um - height[:, None]
+    return light - _divergence(height, light, radial, along, across)
 
 
 def _moments(bank: Bank) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -789,14 +811,14 @@ def bank_of(
     inside = distance_um < radius_um
     within = fall(distance_um, radius_um)
     psfs = np.empty((len(generator.field_deg), len(wavelengths), size, size), np.float32)
-    outside, folded, solid_angle, core = np.zeros((4, *psfs.shape[:2]))
+    outside, folded, entered, core = np.zeros((4, *psfs.shape[:2]))
     for field in range(len(psfs)):
         spread = generator.spread(field, 1e-3 * focus_um)
         psf = np.multiply(spread.psf, inside, out=psfs[field])
         outside[field] = 1.0 - psf.sum(axis=(1, 2), dtype=float)
         core[field] = np.einsum("lyx,yx->l", psf, within, dtype=float)
         folded[field] = spread.folded_energy
-        solid_angle[field] = spread.projected_solid_angle_sr
+        entered[field] = spread.entered
     radial = generator.chief_beta
     angles = generator.field_deg
     slope = radial / np.sqrt(1 - radial**2)
@@ -830,15 +852,20 @@ def bank_of(
     provenance = provenance_of(system)
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
-    return Bank(
+    index = system.index(wavelengths)
+    light_sr = entered / [
+        image_area(system, index, float(one), focus_mm=1e-3 * focus_um)
+        for one in np.radians(angles)
+    ]
+    made = Bank(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),
         field_deg=angles,
         ideal_height_um=ideal_height_um(scale_mm, angles),
         real_height_um=real,
         psf=psfs,
-        relative_illumination=solid_angle / solid_angle[0],
-        projected_solid_angle_sr=solid_angle[0],
+        relative_illumination=light_sr,
+        projected_solid_angle_sr=np.ones(len(wavelengths)),
         transmission=transmission(system.prescription, wavelengths),
         outside_energy=outside,
         folded_energy=folded,
@@ -854,6 +881,13 @@ def bank_of(
         ray_um=rays_um,
         principal_mm=principal,
         **halo,
+    )
+    shown_sr = shown_by(made, light_sr)
+    return replace(
+        made,
+        relative_illumination=shown_sr / shown_sr[0],
+        projected_solid_angle_sr=shown_sr[0],
+        field_light=light_sr / shown_sr[0],
     )
 
 
@@ -962,11 +996,12 @@ def losses(prescription: Prescription) -> str:
 
 def pupil_amplitude(prescription: Prescription) -> str:
     """Say in words how the light is spread over the pupil."""
-    even = "amplitude uniform in direction cosines (radiance theorem)"
+    entering = "amplitude of the light as it enters, carried along rays"
     if not prescription.gaussian_apodisation:
-        return even
+        return entering
     return (
-        f"{even}, times exp(-{prescription.gaussian_apodisation:g} rho^2) of the stop's apodisation"
+        f"{entering}, times exp(-{prescription.gaussian_apodisation:g} rho^2) of the stop's "
+        "apodisation"
     )
 
 

@@ -2,9 +2,9 @@
 
 A direction is that in which the light travels, by its cosines along the image plane: (sin theta cos
 phi, sin theta sin phi). From an even scene light arrives evenly over the vignetted pupil in
-direction cosines (radiance theorem), times what an apodised stop passes: the same weights as make
-the PSF and the projected solid angle. So the mean of any response over the cone is the sum over its
-rays of share times response; the share is one of projected solid angle, and sums to 1.
+direction cosines (radiance theorem), times what an apodised stop passes. So the mean of any
+response over the cone is the sum over its rays of share times response; the share is one of
+projected solid angle, and sums to 1.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.lens.entering import image_area
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.psf import transfer
@@ -19,12 +20,12 @@ class FieldContrast:
     ----------
     mtf : ndarray, shape (2, K)
         Along each of ``transfer.DIRECTIONS``.
-    solid_angle_sr : ndarray, shape (L,)
-        Projected, of the light that arrives: the illumination of an even scene is in proportion.
+    light_sr : ndarray, shape (L,)
+        What an even scene of unit radiance sends through, per area of its image.
     """
 
     mtf: np.ndarray
-    solid_angle_sr: np.ndarray
+    light_sr: np.ndarray
 
 
 def field_contrast(
@@ -45,10 +46,11 @@ def field_contrast(
         Spectrum: light before the pupil.
     frequency_cy_mm : ndarray, shape (K,)
     """
-    samples = sample_field(system, system.index(wavelengths_nm), theta)
+    index = system.index(wavelengths_nm)
+    samples = sample_field(system, index, theta)
     found = pupils(samples, wavelengths_nm, 1.0, transfer.COARSE_NODES)
-    solid_angle = np.array([pupil.projected_solid_angle_sr for pupil in found])
-    weight = spectrum * solid_angle
+    entered = np.array([pupil.entered for pupil in found])
+    weight = spectrum * entered
     shift_um = dict(
         zip(transfer.DIRECTIONS, (1e3 * samples.chief_y_mm, 1e3 * samples.chief_x_mm), strict=True)
     )
@@ -66,4 +68,4 @@ def field_contrast(
         return float(np.abs(together[0]))
 
     mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in transfer.DIRECTIONS]
-    return FieldContrast(np.array(mtf), solid_angle)
+    return FieldContrast(np.array(mtf), entered / image_area(system, index, theta))

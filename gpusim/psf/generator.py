@@ -24,6 +24,7 @@ from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import Wave
+from gpusim.psf.psf import undrooped
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -40,6 +41,7 @@ NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
 # the nearest node that has a ray may be one more away.
 CONTINUED = 5
 NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
+LEAST = 1e-3  # of the chief ray's light: what a pupil's own rays fall to is a tenth and more
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
 
 _GRID = np.dtype(
@@ -62,14 +64,15 @@ class Spread:
     ----------
     psf : ndarray of float32, shape (L, N, N)
         Share of the light per sample; rows eta, columns xi; sample j at (j - N / 2) pitch.
-    projected_solid_angle_sr : ndarray, shape (L,)
-        Integral of what passes, d alpha d beta, over the vignetted pupil.
+    entered : ndarray, shape (L,)
+        What a point of the scene sends through the vignetted pupil: mm^2 across the beam, or sr
+        along the object plane where that is near. See `gpusim.lens.entering`.
     folded_energy : ndarray, shape (L,)
         Share of rays so far out that the transform folds them back into the window.
     """
 
     psf: np.ndarray
-    projected_solid_angle_sr: np.ndarray
+    entered: np.ndarray
     folded_energy: np.ndarray
 
 
@@ -121,10 +124,7 @@ class Generator:
         self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
         self.pitch_um, self.size = pitch_um, size
         self._lossy = goes_with_the_ray(system.prescription)
-        # The factor of what the nodes keep: rho^2, or -ln of the amplitude where losses go with the
-        # ray. That logarithm may be less than 0: edges of glass may be thinner than its middle.
-        self._apodisation = 1.0 if self._lossy else system.prescription.gaussian_apodisation
-        self._least = -1.0 if self._lossy else 0.0
+        self._filtered = self._lossy or system.prescription.gaussian_apodisation > 0
         self._na, self._nb = rays // 2, rays
         self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
@@ -134,8 +134,17 @@ class Generator:
         self._grids = np.zeros(shape, _GRID)
         self.failed_rays = np.zeros(shape, np.int32)
         self.residual_waves = np.zeros(shape)
+        self._entering_at_chief = np.zeros(shape)
+        # How far rays land, and how much farther with a shift of the image plane, um and um per mm.
+        self._landed_um, self._steep = np.zeros((2, *shape))
+        at_um = (np.arange(size) - size // 2) * float(pitch_um)
+        period_um = TRANSFORM * float(pitch_um)
+        self._undrooped = undrooped(at_um, (period_um, period_um), 0.0).astype(np.float32)
+        self._away_um = np.maximum(np.abs(at_um[:, None]), np.abs(at_um))
         self._nodes: list[Resident] = []
-        self._stop: list[Resident] = []  # rho^2 at the nodes, where the stop is apodised
+        # -ln of the amplitude at the nodes, and how much of it stop, surfaces and glass take.
+        self._exponents: list[Resident] = []
+        self._lost: list[np.ndarray | float] = []
         try:
             self._trace_fields(progress)
         except BaseException:
@@ -150,11 +159,11 @@ class Generator:
             # OpenBLAS's own threads wait by spinning, which costs more than they save here.
             with threadpool_limits(1):
                 led = [self._lead(field, line, *one) for line, one in enumerate(aimed)]
-            rays_to_nodes = np.concatenate([rays for rays, _ in led])
-            self._nodes.append(self._wavefront(field, rays_to_nodes))
-            if self._apodisation:
-                rho2 = np.stack([rho2 for _, rho2 in led])
-                self._stop.append(self.device.resident("stop", rho2.astype(np.float32)))
+            rays, entering, lost = zip(*led, strict=True)
+            self._nodes.append(self._wavefront(field, np.concatenate(rays)))
+            self._lost.append(np.stack(lost) if self._filtered else 0.0)
+            exponent = np.stack(entering) + self._lost[-1]
+            self._exponents.append(self.device.resident("exponent", exponent.astype(np.float32)))
             self._check(field, aimed)
             if progress is not None:
                 progress(field + 1, len(self.field_deg))
@@ -207,11 +216,11 @@ class Generator:
         _: np.ndarray,
         rho2: np.ndarray,
         apart: tuple[float, float],
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Lay out the grids of one beam; return the rays that lead to its nodes, and their rho^2.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Lay out the grids of one beam; return the rays that lead to its nodes, and their light.
 
-        ``apart``: from one aimed ray to the next, of half their extent each way. rho^2, shape
-        (A, B), only where the stop is apodised.
+        ``apart``: from one aimed ray to the next, of half their extent each way. The light, shape
+        (A, B), as -ln of the amplitude: that which enters, and what is lost of it where it is.
         """
         # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
         side = np.where(cosines[:, 0] < 0, -1.0, 1.0)
@@ -244,37 +253,64 @@ class Generator:
         node_b = grid["first"][1] + np.arange(self._nb) * step_b
         on_a = chebyshev.chebvander(node_a / half, degree)
         on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
-        if self._lossy:
-            rho2 = self._exponent(field, line, p_mm, rho2)
         targets = [(1, side * p_mm[:, 0]), (0, p_mm[:, 1])]
-        if self._apodisation:
-            targets.append((0, rho2))
-        entering = []
+        if self._filtered:
+            targets.append((0, self._filter(field, line, p_mm, rho2)))
+        found = []
         for odd, target in targets:
             used = (i % 2 == odd) & (i + j <= degree)
             design = in_a[:, i[used]] * in_b[:, j[used]]
             coefficients = np.zeros(i.shape)
             coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
-            entering.append(on_a @ coefficients @ on_b.T)
+            found.append(coefficients)
+        p_nodes = [on_a @ one @ on_b.T for one in found]
+        place = node_a / half, (node_b - centre) / half_height
+        middle = np.zeros(1), (self.chief_beta[field, [line]] - centre) / half_height
+        cell = half * half_height
+        chief = self._entering(field, line, found[:2], *middle)[0, 0] / cell
+        # Where the polynomials lead nowhere the light is none: no ray of the pupil is near.
+        light = np.maximum(self._entering(field, line, found[:2], *place) / cell / chief, LEAST)
+        self._entering_at_chief[field, line] = chief
         # Far beyond the aimed rays the polynomials lead nowhere.
         near = within_hull(NEAR * alpha, centre + NEAR * (beta - centre), node_a, node_b)
         nodes = np.flatnonzero(near)
         rays = starts(
-            np.stack([one.ravel()[nodes] for one in entering[:2]], axis=-1),
+            np.stack([one.ravel()[nodes] for one in p_nodes[:2]], axis=-1),
             np.full(len(nodes), field * len(self.wavelengths_nm) + line),
             line * near.size + nodes,
         )
-        return rays, entering[2] if self._apodisation else None
+        return rays, -0.5 * np.log(light), p_nodes[2] if self._filtered else None
 
-    def _exponent(self, field: int, line: int, p_mm: np.ndarray, rho2: np.ndarray) -> np.ndarray:
+    def _entering(
+        self, field: int, line: int, led: list[np.ndarray], a: np.ndarray, b: np.ndarray
+    ) -> np.ndarray:
+        """Return E (A, B) by the polynomials' own variables a, b: see `gpusim.lens.entering`.
+
+        ``led``: coefficients of the polynomials that lead from (a, b) to the launch plane.
+        """
+        value, by_a, by_b = (
+            [chebyshev.chebgrid2d(a, b, one) for one in of]
+            for of in (
+                led,
+                [chebyshev.chebder(one, axis=0) for one in led],
+                [chebyshev.chebder(one, axis=1) for one in led],
+            )
+        )
+        area = np.abs(by_a[0] * by_b[1] - by_a[1] * by_b[0])
+        return area * self._beams.etendue(field, line, *value)
+
+    def _filter(self, field: int, line: int, p_mm: np.ndarray, rho2: np.ndarray) -> np.ndarray:
         """Return -ln of the amplitude that stop, surfaces and glass pass of aimed rays, (R,)."""
+        gaussian = self.system.prescription.gaussian_apodisation * rho2
+        if not self._lossy:
+            return gaussian
         system, wavelength_nm = self.system, self.wavelengths_nm[line]
         index = system.index(np.array([wavelength_nm]))
         launch = field_launch(system, index, float(np.radians(self.field_deg[field])))
         px, py = p_mm.astype(float).T[:, None]
         rays = trace(system.geometry, index, launch, px, py, crossings=True)
         lost = Losses(system.prescription, index, rays.crossings).exponent(0, wavelength_nm)
-        return system.prescription.gaussian_apodisation * rho2 + lost
+        return gaussian + lost
 
     def _check_pitch(self, line: int, width: float) -> None:
         """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
@@ -325,6 +361,7 @@ class Generator:
             self.device.write(self._nodes[field], nodes)
         for line, (cosines, _, reach, opd, *_) in enumerate(aimed):
             grid = self._grids[field, line]
+            self._note_landing(field, line, nodes[line])
             at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
             inside = reach < 1
             place = (at[inside] - grid["first"]) / grid["step"]
@@ -347,6 +384,28 @@ class Generator:
             found = np.einsum("ra,rb,rab->r", weights[:, 0], weights[:, 1], stencil[..., 0])
             self.residual_waves[field, line] = np.std(found - opd[inside])
 
+    def _note_landing(self, field: int, line: int, nodes: np.ndarray) -> None:
+        """Keep how far the rays of one beam land from the chief ray, along a side at most."""
+        grid = self._grids[field, line]
+        inside = (nodes[..., 1] > 0) & (nodes[..., 1] < 1)
+        waves = np.where(nodes[..., 1] > 0, nodes[..., 0], np.nan).astype(float)
+        for axis, step in enumerate(grid["step"]):
+            slope = np.abs(np.gradient(waves, float(step), axis=axis))[inside]
+            landed = 1e3 * np.nanmax(slope, initial=0.0) / grid["waves_per_mm"]
+            self._landed_um[field, line] = max(self._landed_um[field, line], landed)
+        alpha, beta = self._directions(field, line)
+        gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
+        chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
+        steep = np.maximum(np.abs(alpha[:, None] / gamma), np.abs(beta / gamma - chief))
+        self._steep[field, line] = 1e3 * steep[inside].max(initial=0.0)
+
+    def _directions(self, field: int, line: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return alpha (A,) and beta (B,) of the nodes of one beam."""
+        grid = self._grids[field, line]
+        alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0].astype(float)
+        beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1].astype(float)
+        return alpha, beta
+
     def spread(self, field: int, focus_mm: float = 0.0) -> Spread:
         """Return the PSFs of one field.
 
@@ -362,7 +421,7 @@ class Generator:
         sums = rec.buffer("sums", (lines, rows, 2), "f4")
         half = rec.buffer("lines", (lines, size, rows, 2), "f4")
         intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
-        Kernel("psf/pupil", T=TRANSFORM, APODISED=self._apodisation > 0).record(
+        Kernel("psf/pupil", T=TRANSFORM).record(
             rec,
             (rows, lines, 1),
             {
@@ -370,12 +429,10 @@ class Generator:
                 "nb": self._nb,
                 "fold_um": (TRANSFORM - size / 2) * self.pitch_um,
                 "focus_mm": focus_mm,
-                "apodisation": self._apodisation,
-                "least": self._least,
             },
             grids=self._uploaded_grids(rec, field),
             nodes=self._nodes[field],
-            stop=(self._stop if self._apodisation else self._nodes)[field],  # unread where even
+            exponent=self._exponents[field],
             field=filled,
             sums=sums,
         )
@@ -410,9 +467,15 @@ class Generator:
         psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
         # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
         psf /= (2 * light * TRANSFORM**2).astype(np.float32)[:, None, None]
+        landed_um = self._landed_um[field] + abs(focus_mm) * self._steep[field]
+        for line, landed in enumerate(landed_um):
+            psf[line] *= np.where(self._away_um > landed, self._undrooped, 1)
         return Spread(
             psf=psf,
-            projected_solid_angle_sr=2 * light * self._grids[field]["cell"].astype(float) ** 2,
+            entered=2
+            * light
+            * self._grids[field]["cell"].astype(float) ** 2
+            * self._entering_at_chief[field],
             folded_energy=folded / light,
         )
 
@@ -420,15 +483,10 @@ class Generator:
         """Return the wavefront of one field and wavelength in an image plane, both halves."""
         nodes = self.device.read(self._nodes[field])[line].astype(float)
         grid = self._grids[field, line]
-        alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0].astype(float)
-        beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1].astype(float)
+        alpha, beta = self._directions(field, line)
         reach = nodes[..., 1]
-        light = rim_share(reach[None])[0]
-        passed = 1.0
-        if self._apodisation:
-            stop = self.device.read(self._stop[field])[line]
-            passed = np.exp(-2 * self._apodisation * np.maximum(stop, self._least))
-            light = light * passed
+        passed = np.exp(-2.0 * self.device.read(self._exponents[field])[line])
+        light = rim_share(reach[None])[0] * passed
         opd_um = 1e-3 * self.wavelengths_nm[line] * nodes[..., 0]
         chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
         gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
@@ -444,7 +502,7 @@ class Generator:
             # No ray came where it is 0: as good as beyond the rim.
             reach=both(np.where(reach > 0, reach, NO_RAY)),
             light=both(light),
-            passed=both(passed) if self._apodisation else 1.0,
+            passed=both(passed),
         )
 
     def cones(self, field: int) -> np.ndarray:
@@ -456,20 +514,16 @@ class Generator:
             See ``gpusim.psf.cone``. A node on a rim counts with the share of its square inside.
         """
         reach = self.device.read(self._nodes[field])[..., 1].astype(float)
-        light = rim_share(reach)
-        if self._apodisation:
-            light *= np.exp(-2 * self._apodisation * self.device.read(self._stop[field]))
+        light = rim_share(reach) * np.exp(-2.0 * self._lost[field])
         rays = []
-        for grid, of_line in zip(self._grids[field], light, strict=True):
-            alpha = grid["first"][0] + np.arange(self._na) * grid["step"][0]
-            beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1]
-            rays.append(cone_of(alpha, beta, of_line, True)[:, [1, 0, 2]])
+        for line, of_line in enumerate(light):
+            rays.append(cone_of(*self._directions(field, line), of_line, True)[:, [1, 0, 2]])
         return np.stack(rays)
 
     def release(self) -> None:
         """Give the device memory back."""
         self._beams.release()
-        for one in (self._twiddle, *self._nodes, *self._stop):
+        for one in (self._twiddle, *self._nodes, *self._exponents):
             one.destroy()
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
+from gpusim.lens.entering import image_area
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.system import System, build, first_order, transmission
@@ -72,13 +73,13 @@ _VARIABLES = {
     "relative_illumination": (
         _LINES,
         "1",
-        "what the vignetted pupil passes, over that of field 0, 0: see projected_solid_angle_sr",
+        "what an even scene sends through the lens about a field, per area of its image, over that "
+        "of field 0, 0",
     ),
     "projected_solid_angle_sr": (
         ("wavelength",),
         "sr",
-        "integral of d alpha d beta over the pupil of field 0, 0, times what an apodised stop "
-        "passes",
+        "what an even scene of unit radiance sends through about field 0, 0, per area of its image",
     ),
     "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "outside_energy": (_LINES, "1", "share of the light outside the PSF window"),
@@ -164,7 +165,8 @@ class PlaneBank:
         Sum 1 less ``outside_energy``; rows y, columns x, sample j at (j - n / 2) pitch from its own
         chief ray; 0 outside the circle in the window.
     relative_illumination : ndarray, shape (Y, X, L)
-        Projected solid angle over that of field (0, 0).
+        What an even scene sends through the lens about a field, per area of its image, over that
+        of field (0, 0): see ``gpusim.lens.entering``.
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
         At field (0, 0), and on the axis.
     outside_energy, folded_energy, fit_residual_waves, failed_rays : ndarray, shape (Y, X, L)
@@ -539,8 +541,8 @@ def bank_of(
     of_halo = {name: one.reshape(*shape, -1) for name, one in of_halo.items()}
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     stacked = {name: array.reshape(*shape, *array.shape[1:]) for name, array in stacked.items()}
-    solid_angle = stacked.pop("solid_angle")
-    centre = solid_angle[np.abs(y_deg).argmin(), np.abs(x_deg).argmin()]
+    light_sr = stacked.pop("light_sr")
+    centre = light_sr[np.abs(y_deg).argmin(), np.abs(x_deg).argmin()]
     order = first_order(system.prescription, reference_nm)
     provenance = provenance_of(system)
     provenance["focus"] += ", found with every surface on the axis"
@@ -548,7 +550,7 @@ def bank_of(
         wavelengths_nm=wavelengths,
         field_x_deg=x_deg,
         field_y_deg=y_deg,
-        relative_illumination=solid_angle / centre,
+        relative_illumination=light_sr / centre,
         projected_solid_angle_sr=centre,
         transmission=transmission(system.prescription, wavelengths),
         reference_nm=float(reference_nm),
@@ -649,7 +651,8 @@ def field_of(
     """
     largest_deg = system.prescription.max_field_deg
     theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
-    samples = sample_field(system, system.index(wavelengths), theta, azimuth)
+    index = system.index(wavelengths)
+    samples = sample_field(system, index, theta, azimuth)
     grids = pupils(samples, wavelengths, size * pitch_um, nodes)
     psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
     outside, folded, core = np.zeros((3, len(wavelengths)))
@@ -683,9 +686,10 @@ def field_of(
         "chief_x_um": 1e3 * samples.chief_x_mm,
         "chief_y_um": 1e3 * samples.chief_y_mm,
         "chief": samples.chief_direction,
-        "cone": np.stack([cone_of(g.alpha, g.beta, g.light, g.half) for g in grids]),
+        "cone": np.stack([cone_of(g.alpha, g.beta, g.arriving, g.half) for g in grids]),
         "psf": psf,
-        "solid_angle": np.array([g.projected_solid_angle_sr for g in grids]),
+        "light_sr": np.array([g.entered for g in grids])
+        / image_area(system, index, theta, azimuth),
         "outside_energy": outside,
         "folded_energy": folded,
         "fit_residual_waves": np.array([g.fit_residual_mm for g in grids]) / (wavelengths * 1e-6),

@@ -6,6 +6,8 @@ import numpy as np
 
 from gpusim.lens.wavefront import Pupil
 
+COPIES = 2  # periods to each side whose light folds in: the next ones hold 1e-2 of the nearest's
+
 
 def intensity(
     pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float
@@ -34,7 +36,7 @@ def intensity(
         rows are x and columns y.
     outside : float
         Share of the light that falls outside the window: 1 - psf.sum(). The total is known from
-        the pupil (Parseval): lambda^2 times its projected solid angle.
+        the pupil (Parseval): lambda^2 times the integral of A^2.
     """
     wavelength_um = wavelength_nm * 1e-3
     k = 2 * np.pi / wavelength_um
@@ -51,9 +53,47 @@ def intensity(
         whole = np.concatenate([upper, upper[size // 2 - 1 : 0 : -1]])
     else:
         whole = np.square(np.abs(np.exp(1j * k * np.outer(at, pupil.alpha)) @ field @ along))
-    total = wavelength_um**2 * pupil.projected_solid_angle_sr / pupil.cell**2
-    psf = whole * pitch_um**2 / total
+    total = wavelength_um**2 * pupil.light_sr / pupil.cell**2
+    period = [wavelength_um / (side[1] - side[0]) for side in (pupil.alpha, pupil.beta)]
+    psf = whole * pitch_um**2 / total * undrooped(at, period, landed_um(pupil))
     return psf, 1.0 - float(psf.sum())
+
+
+def undrooped(at_um: np.ndarray, period_um: tuple[float, float], landed_um: float) -> np.ndarray:
+    """Return factors (n, n) of a PSF that undo what averaging the pupil's rim over its cells does.
+
+    The rim throws light about where its rays land. A cell on it counts with its share, a mean over
+    the cell, so that at a place x from there the light is multiplied by sinc^2(x / period); then
+    the copies from beyond the period fold in. In the mean the rim's light falls as 1 / r^3
+    (`gpusim.psf.halo`). As far as rays land, most of the light is not the rim's, and stays.
+
+    Parameters
+    ----------
+    at_um : ndarray (n,)
+        Places of the samples, along both sides.
+    period_um : (float, float)
+        After which the sampled pupil's image repeats, down the rows and along them.
+    landed_um : float
+        How far rays land from the chief ray.
+    """
+    x, y = at_um[:, None], at_um[None]
+    down, along = period_um
+
+    def tail(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.maximum(u * u + v * v, 1e-12) ** -1.5
+
+    copies = sum(
+        tail(x + a * down, y + b * along) * np.sinc(x / down + a) ** 2 * np.sinc(y / along + b) ** 2
+        for a in range(-COPIES, COPIES + 1)
+        for b in range(-COPIES, COPIES + 1)
+    )
+    return np.where(np.maximum(np.abs(x), np.abs(y)) > landed_um, tail(x, y) / copies, 1.0)
+
+
+def landed_um(pupil: Pupil) -> float:
+    """Return how far from the chief ray the rays of a pupil land, along a side at most."""
+    slopes = np.gradient(1e3 * pupil.opd_mm, pupil.alpha, pupil.beta)
+    return float(np.max(np.abs(slopes), where=pupil.coverage > 0, initial=0.0))
 
 
 def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.gpu import default_device
+from gpusim.lens.entering import image_area
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.psf.bank import REFERENCE_NM
@@ -34,7 +35,11 @@ _VARIABLES = {
     "field_deg": (("field",), "degree", "field angle in object space"),
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
     "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
-    "solid_angle_sr": (("field", "wavelength"), "sr", "projected solid angle of what passes"),
+    "light_sr": (
+        ("field", "wavelength"),
+        "sr",
+        "what an even scene of unit radiance sends through, per area of the image",
+    ),
     "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
     "spread": (
         ("field", "wavelength", "along", "at"),
@@ -91,7 +96,7 @@ class Spreads:
     ----------
     field_deg, wavelengths_nm : ndarray (F,), (L,)
         Rising; the reference wavelength is among these.
-    height_um, solid_angle_sr : ndarray (F, L)
+    height_um, light_sr : ndarray (F, L)
     transmission : ndarray (L,)
     spread : ndarray of float32 (F, L, 2, n)
         The PSF, as far as a bank's first level holds it, summed along eta and along xi; the chief
@@ -103,7 +108,7 @@ class Spreads:
     field_deg: np.ndarray
     wavelengths_nm: np.ndarray
     height_um: np.ndarray
-    solid_angle_sr: np.ndarray
+    light_sr: np.ndarray
     transmission: np.ndarray
     spread: np.ndarray
     pitch_um: float
@@ -162,6 +167,11 @@ def spreads(
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
+    index = system.index(lines)
+
+    def areas(theta_deg: float) -> np.ndarray:
+        return image_area(system, index, float(np.radians(theta_deg)))
+
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
         found = [generator.spread(field) for field in range(len(angles))]
@@ -172,7 +182,7 @@ def spreads(
             pitch_um,
             1e3 * generator.chief_y_mm,
             [_sums(one.psf, pitch_um) for one in found],
-            [one.projected_solid_angle_sr for one in found],
+            np.array([one.entered for one in found]) / [areas(theta) for theta in angles],
         )
     finally:
         generator.release()
@@ -197,7 +207,7 @@ def traced_spreads(
         pitch_um,
         [one["real_height_um"] for one in found],
         [_sums(one["psf"], pitch_um) for one in found],
-        [one["solid_angle"] for one in found],
+        [one["light_sr"] for one in found],
     )
 
 
@@ -215,14 +225,14 @@ def _of(
     pitch_um: float,
     height_um: ArrayLike,
     spread: ArrayLike,
-    solid_angle_sr: ArrayLike,
+    light_sr: ArrayLike,
 ) -> Spreads:
     """Return what was found, fields first."""
     return Spreads(
         field_deg=angles,
         wavelengths_nm=lines,
         height_um=np.array(height_um),
-        solid_angle_sr=np.array(solid_angle_sr),
+        light_sr=np.array(light_sr),
         transmission=transmission(prescription, lines),
         spread=np.array(spread, np.float32),
         pitch_um=float(pitch_um),

@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gpusim.lens.entering import image_area
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import pupils, sample_field
@@ -73,7 +74,7 @@ def traced_bank(
             if progress is not None:
                 progress(len(rows), len(field_deg))
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0] if name != "waves"}
-    solid_angle = stacked.pop("solid_angle")
+    light_sr = stacked.pop("light_sr")
     radius_um = size / 2 * pitch_um
     within = fall(distances_um(size, pitch_um), radius_um)
     core = np.einsum("flyx,yx->fl", stacked["psf"], within, dtype=float)
@@ -86,8 +87,10 @@ def traced_bank(
         ideal_height_um=ideal_height_um(
             order.efl_mm if principal is None else principal, np.asarray(field_deg, float)
         ),
-        relative_illumination=solid_angle / solid_angle[0],
-        projected_solid_angle_sr=solid_angle[0],
+        # What fields send: what they show follows from those around, which were not traced.
+        relative_illumination=light_sr / light_sr[0],
+        projected_solid_angle_sr=light_sr[0],
+        field_light=light_sr / light_sr[0],
         transmission=transmission(prescription, lines),
         efl_mm=order.efl_mm,
         f_number=order.f_number,
@@ -157,7 +160,8 @@ def field_of(
     system: System, lines: np.ndarray, theta_deg: float, size: int, pitch_um: float
 ) -> dict[str, object]:
     """Return all wavelengths of one field, by the names of the bank's variables."""
-    samples = sample_field(system, system.index(lines), np.radians(theta_deg))
+    index, theta = system.index(lines), float(np.radians(theta_deg))
+    samples = sample_field(system, index, theta)
     grids = pupils(samples, lines, size * pitch_um, NODES)
     inside = distances_um(size, pitch_um) < size / 2 * pitch_um
     psf = np.empty((len(lines), size, size), np.float32)
@@ -169,12 +173,14 @@ def field_of(
     return {
         "psf": psf,
         "real_height_um": 1e3 * samples.chief_y_mm,
-        "solid_angle": np.array([pupil.projected_solid_angle_sr for pupil in grids]),
+        "light_sr": np.array([one.entered for one in grids]) / image_area(system, index, theta),
         "outside_energy": 1 - psf.sum(axis=(1, 2), dtype=float),
         "folded_energy": folded,
         "fit_residual_waves": np.array([p.fit_residual_mm for p in grids]) / (lines * 1e-6),
         "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
         "chief": samples.chief_direction[:, ::-1],
-        "cone": np.stack([cone_of(p.alpha, p.beta, p.light, p.half)[:, [1, 0, 2]] for p in grids]),
+        "cone": np.stack(
+            [cone_of(p.alpha, p.beta, p.arriving, p.half)[:, [1, 0, 2]] for p in grids]
+        ),
         "waves": [wave_of(pupil, 2) for pupil in grids],
     }

@@ -313,7 +313,7 @@ def field_pupils(
         Field angle, rad.
     wavelengths_nm : ndarray, shape (L,)
     spectrum : ndarray, shape (L,)
-        Light before the pupil: source times transmission; the pupil's solid angle is found here.
+        Light before the pupil: source times transmission; what enters the pupil is found here.
     reference : int
         Index of the wavelength whose chief ray is the image's centre.
     depth_mm : float
@@ -331,11 +331,11 @@ def field_pupils(
     # The image repeats after twice the window: a little beyond where the farthest rays land.
     window_um = 1.1 * reach_um(samples, slope, depth_mm)
     fine = pupils(samples, wavelengths_nm, window_um, PUPIL_NODES)
-    solid_angle = np.array([pupil.projected_solid_angle_sr for pupil in fine])
+    entered = np.array([pupil.entered for pupil in fine])
     chief_um = 1e3 * np.stack([samples.chief_y_mm, samples.chief_x_mm])
     return FieldPupils(
         wavelengths_nm=np.asarray(wavelengths_nm, dtype=float),
-        weight=np.asarray(spectrum, dtype=float) * solid_angle,
+        weight=np.asarray(spectrum, dtype=float) * entered,
         shift_um=chief_um - chief_um[:, [reference]],
         fine=fine,
         coarse=pupils(samples, wavelengths_nm, 1.0, COARSE_NODES),

@@ -31,7 +31,6 @@ from gpusim.reference.backward import (
     aperture_of,
     chief_back,
     core_of,
-    field_rays,
     frame_of,
     rays_of,
     wide_of,
@@ -50,7 +49,6 @@ SPARE = 1.25
 # Nodes across the pupil, at least: of a round pupil the light beyond the period is 0.45 / nodes
 # (2 lambda N / (pi^2 R) beyond a radius R; Born & Wolf, sec. 8.5.2).
 NODES = 768
-FIELD_NODES = 384  # of a field's pupil, for its solid angle alone: within 1e-5 of 1536's
 # An outline sees the core's samples and not what lies between them: so much finer, an edge of a
 # perfect lens is right to 4e-4, and to 6e-3 without.
 FINER = 4
@@ -67,12 +65,7 @@ class View:
     frame : Frame
     wavelengths_nm : ndarray (L,)
     solid_angle_sr : ndarray (L,)
-        Solid angle of the pupil of the field whose chief ray lands here, as direction cosines. The
-        chain calls it the solid angle on the axis times the relative illumination.
-    radiance_sr : ndarray (L,)
-        Solid angle of the light that arrives at this very point, which the radiance theorem asks
-        for. The two differ where rays of one field land apart. The difference is of the order of
-        that distance over the distance to the exit pupil, over the aperture.
+        Solid angle of the light that arrives at this very point, as direction cosines.
     core : ndarray (L, n, n)
         Share of the light per sample at places `at_um`; rows X1, columns X2.
     at_um : ndarray (n,)
@@ -88,7 +81,6 @@ class View:
     frame: Frame
     wavelengths_nm: np.ndarray
     solid_angle_sr: np.ndarray
-    radiance_sr: np.ndarray
     core: np.ndarray
     at_um: np.ndarray
     wide: np.ndarray
@@ -159,10 +151,10 @@ def view(
     count = int(np.ceil(2 * core_um * 2 * 1.1 * finer * extent / shortest / 2)) * 2
     pitch = 2 * core_um / count
     at = pitch * (np.arange(count) + 0.5 - count / 2)
-    cores, wides, solid, arriving, residual = [], [], [], [], []
+    cores, wides, solid, residual = [], [], [], []
     apodised = system.prescription.gaussian_apodisation or 0.0
     hole = slice(cells - inner, cells + inner)
-    for rays, line, wavelength in zip(bundles, lines, wavelengths_nm, strict=True):
+    for rays, wavelength in zip(bundles, wavelengths_nm, strict=True):
         aperture = aperture_of(rays, wavelength, half, apodised)
         core = core_of(aperture, wavelength, at, at) * pitch**2
         wide = wide_of(aperture, edges)
@@ -171,18 +163,13 @@ def view(
         wide[hole, hole] = 0.0
         cores.append(core)
         wides.append(wide)
-        arriving.append(aperture.solid_angle_sr)
-        field = field_rays(*line)
-        spread = float(np.ptp(field.p, axis=1).max())
-        narrow = FIELD_NODES * wavelength * 1e-3 / (2 * spread)
-        solid.append(aperture_of(field, wavelength, narrow, apodised).solid_angle_sr)
+        solid.append(aperture.solid_angle_sr)
         residual.append(aperture.residual_waves)
     core, wide = np.stack(cores), np.stack(wides)
     return View(
         frame,
         np.asarray(wavelengths_nm, float),
         np.array(solid),
-        np.array(arriving),
         core,
         at,
         wide,

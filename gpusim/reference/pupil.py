@@ -51,8 +51,7 @@ def pupil(
     rows: int,
     fold_um: float,
     focus_mm: float,
-    stop: np.ndarray | None = None,
-    apodisation: float = 0.0,
+    exponent: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate W and reach, and fill the cells of half the pupil, alpha > 0.
 
@@ -71,10 +70,8 @@ def pupil(
         T, and the rows that are wanted.
     fold_um, focus_mm : float
         Rays that land farther out than this in x or y fold; shift of the image plane.
-    stop : ndarray (A, B), optional
-        rho^2 at the nodes: where their rays cross the stop, over its radius.
-    apodisation : float
-        G: the stop passes the amplitude exp(-G rho^2).
+    exponent : ndarray (A, B)
+        -ln of the amplitude at the nodes: of what enters there, and of what passes of it.
 
     Returns
     -------
@@ -107,13 +104,12 @@ def pupil(
             d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
             d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
     filtered = np.zeros(len(x))
-    if stop is not None:
-        mirrored = np.concatenate([stop[::-1], stop]).astype(np.float64)
-        for m, node_a in enumerate(_NODES):
-            for n, node_b in enumerate(_NODES):
-                in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
-                filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
-    passed = np.exp(-apodisation * np.maximum(filtered, 0))
+    mirrored = np.concatenate([exponent[::-1], exponent]).astype(np.float64)
+    for m, node_a in enumerate(_NODES):
+        for n, node_b in enumerate(_NODES):
+            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
+            filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
+    passed = np.exp(-filtered)
     share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)
 
     # The plane moves by focus_mm and the chief ray's point in it by focus_mm times its slope; the

@@ -105,8 +105,6 @@ class Predictor:
         Fields at which pupils are traced.
     diffracts : bool
         Whether light is a wave; else line spreads are those of the rays.
-    entering : bool
-        Whether a pupil counts by the light that enters; else E is 1, as in the engine's PSFs.
     """
 
     def __init__(
@@ -118,7 +116,6 @@ class Predictor:
         *,
         pupils: int = FIELDS,
         diffracts: bool = True,
-        entering: bool = False,
     ) -> None:
         self.tracer, self.nodes_nm, self._widest = tracer, nodes_nm, widest_rad
         fields = np.linspace(0, widest_rad, CHIEF_FIELDS)
@@ -126,7 +123,7 @@ class Predictor:
         over_field = make_interp_spline(fields, heights.T, k=5)
         self._knots, self._heights = over_field.t, CubicSpline(nodes_nm, over_field.c.T)
         at = np.linspace(0, widest_rad, pupils)
-        self._pupils = [_Pupils(tracer, at, float(nm), entering) for nm in nodes_nm]
+        self._pupils = [_Pupils(tracer, at, float(nm)) for nm in nodes_nm]
         self.diffracts = diffracts
         angles = [[pupils.solid_angle(field) for field in fields] for pupils in self._pupils]
         self._light = CubicSpline(fields, np.transpose(angles) * passed)
@@ -238,10 +235,7 @@ class _Pupils:
     cubic splines over the field.
     """
 
-    def __init__(
-        self, tracer: Tracer, fields: np.ndarray, wavelength_nm: float, entering: bool
-    ) -> None:
-        self.entering = entering
+    def __init__(self, tracer: Tracer, fields: np.ndarray, wavelength_nm: float) -> None:
         bundles = [tracer.rays(float(field), wavelength_nm) for field in fields]
         self.wave_um = 1e-3 * wavelength_nm
         inside = [(one.margin < 0).all(axis=0) for one in bundles]
@@ -294,8 +288,6 @@ class _Pupils:
         from_nodes = np.linalg.inv(chebyshev.chebvander(node / reach, DEGREE))
         found = at_nodes @ (chebyshev.chebvander(u / reach, DEGREE) @ from_nodes).T  # (V, k, U)
         share = (np.hypot(u, v) <= reach) * _covered(found[:, 2:-1])
-        if not self.entering:
-            return share, np.ones_like(share), found[:, 0], step
         entered = found[:, 1], found[:, -1] * (u * normal[0] - v * normal[1])
         (y_v, y_u), (x_v, x_u) = (np.gradient(one, 2 * reach / ROWS, step) for one in entered)
         light = np.abs(x_u * y_v - x_v * y_u)

@@ -88,12 +88,10 @@ def predictor_of(
     *,
     own: bool = False,
     pupils: int = 7,
-    entering: bool = True,
 ) -> Predictor:
     """Return what predicts pictures before a lens: by optiland, or by our tracer."""
     losses = refracted_losses(system, nodes_nm)
-    how = {"pupils": pupils, "entering": entering}
-    return Predictor(tracer_of(system, own=own), widest_rad, nodes_nm, losses, **how)
+    return Predictor(tracer_of(system, own=own), widest_rad, nodes_nm, losses, pupils=pupils)
 
 
 def lines_sensor(pattern: list[list[str]], lines_nm: dict[str, float]) -> Sensor:

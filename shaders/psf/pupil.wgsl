@@ -1,34 +1,31 @@
 // The field in the pupil on the grid of the transform: A exp(2 pi i W), and what it holds.
 //
 // W and reach come from the nodes by cubic interpolation (Lagrange, four nodes each way). A is the share of the cell
-// inside every aperture, reach < 1, whose edge is taken as straight within the cell; times exp(-G rho^2), as a filter
-// in the stop passes it, with rho^2 interpolated like W. Where losses go with the ray, all of them stand in its place.
+// inside every aperture, reach < 1, whose edge is taken as straight within the cell; times the amplitude that enters
+// there and that stop, surfaces and glass pass of it, exp(-exponent), interpolated like W.
 // A shift of the image plane moves the chief ray's point along the chief ray, (0, beta_c / gamma_c, 1) per mm:
 //   W += focus (gamma + beta beta_c / gamma_c - 1 / gamma_c) / lambda
-// nodes (P, NA, NB): see wavefront; stop (P, NA, NB), read where APODISED: rho^2 -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell,
-// beta = centre + (j - T/2 + 1/2) cell
-// -> sums (P, A, 2), over j: of the light, share exp(-2 G rho^2); of the light whose ray lands beyond `fold`, so that
+// nodes (P, NA, NB): see wavefront; exponent (P, NA, NB)
+// -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell, beta = centre + (j - T/2 + 1/2) cell
+// -> sums (P, A, 2), over j: of the light, share exp(-2 exponent); of the light whose ray lands beyond `fold`, so that
 // the transform folds it back.
 // Dispatch: (A, P, 1) workgroups of 64 invocations, each a row.
 #include "grid"
 #include "turn"
 
 override T: u32 = 1024u;      // transform length
-override APODISED: bool = false;
 
 struct Params {
     na: u32,
     nb: u32,
     fold_um: f32,
     focus_mm: f32,
-    apodisation: f32,         // G
-    least: f32,               // of rho^2, which interpolation may bring below 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grids: array<Grid>;
 @group(0) @binding(2) var<storage, read> nodes: array<vec2f>;
-@group(0) @binding(3) var<storage, read> stop: array<f32>;
+@group(0) @binding(3) var<storage, read> exponent: array<f32>;
 @group(0) @binding(4) var<storage, read_write> field: array<vec2f>;
 @group(0) @binding(5) var<storage, read_write> sums: array<vec2f>;
 
@@ -89,7 +86,7 @@ fn cell_at(pair: u32, i: u32, j: u32) -> Cell {
     var value = vec2f(0.0);
     var along_a = vec2f(0.0);
     var along_b = vec2f(0.0);
-    var rho2 = 0.0;
+    var lost = 0.0;
     var missing = false;
     for (var m = 0u; m < 4u; m++) {
         let column = i32(low.x) + i32(m) - 1;
@@ -102,10 +99,7 @@ fn cell_at(pair: u32, i: u32, j: u32) -> Cell {
         value += wa[m] * line;
         along_a += sa[m] * line;
         along_b += wa[m] * (sb.x * n0 + sb.y * n1 + sb.z * n2 + sb.w * n3);
-        if (APODISED) {
-            let rho2s = vec4f(stop[row], stop[row + 1u], stop[row + 2u], stop[row + 3u]);
-            rho2 += wa[m] * dot(wb, rho2s);
-        }
+        lost += wa[m] * dot(wb, vec4f(exponent[row], exponent[row + 1u], exponent[row + 2u], exponent[row + 3u]));
         missing = missing || any(vec4f(n0.y, n1.y, n2.y, n3.y) == vec4f(0.0));
     }
     if (missing) {
@@ -120,10 +114,7 @@ fn cell_at(pair: u32, i: u32, j: u32) -> Cell {
         + params.focus_mm * (vec2f(0.0, chief) - at / gamma);
     let folds = any(1e3 * abs(slope) > vec2f(params.fold_um));
     let w = value.x + params.focus_mm * farther * grid.waves_per_mm;
-    var passed = 1.0;
-    if (APODISED) {
-        passed = exp(-params.apodisation * max(rho2, params.least));
-    }
+    let passed = exp(-lost);
     let light = share * passed * passed;
     return Cell(share * passed * turn(w), vec2f(light, select(0.0, light, folds)));
 }

@@ -24,7 +24,7 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 SENSOR = monochrome(1520, 2028)
 ORIGIN, SHAPE = (1300, 1700), (96, 128)
 EDGE = scene((Rect(0.0, 0.0, 3.0, 0.72, 0.08, 1),), np.stack([FLAT, 0.2 * FLAT]))
-LINES_NM = np.arange(400.0, 701.0, 50.0)
+LINES_NM = np.arange(400.0, 701.0, 25.0)
 RED_AT = Accuracy(tolerance=1e-3)
 EXPOSURE_S = 0.01
 
@@ -76,7 +76,7 @@ def judged(lens, placed, rate):
 
 def test_a_sound_bank_is_within_the_tolerance(sound, judged):
     found, met = judged(sound)
-    assert met and 0 < found.share.rms < 0.7 * RED_AT.tolerance
+    assert met and 0 < found.share.rms < 0.2 * RED_AT.tolerance
     assert found.window < 0.1 * RED_AT.tolerance
 
 

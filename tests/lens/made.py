@@ -45,6 +45,14 @@ def fisheye(**fields):
     return lens(rows, **{"stop": 5, "f_number": 8.0, "max_field_deg": 105.0} | fields)
 
 
+class EvenLight:
+    """Light that enters evenly in direction cosines, as before a lens that obeys the sine rule."""
+
+    def density(self, line, kept):
+        """Return ones, and 1 of the chief ray."""
+        return np.ones(int(kept.sum())), 1.0
+
+
 def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
     """Return rays of a synthetic pupil: a disc in direction cosines, W(alpha, beta) in mm."""
     u, v = np.meshgrid(np.linspace(0, 1.04, 41), np.linspace(-1.04, 1.04, 81))
@@ -63,4 +71,5 @@ def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
         landing_y_mm=nothing,
         margin=(u * u + v * v - 1)[None, None],
         ok=np.ones((1, alpha.size), dtype=bool),
+        entering=EvenLight(),
     )

@@ -295,6 +295,7 @@ def test_a_bank_survives_its_file(bank, tmp_path):
 
 def test_the_file_holds_every_field_of_the_bank():
     names = ("_VARIABLES", "_RAYS", "_HALO", "_SCALARS", "_BETWEEN", "_BETWEEN_FIELDS", "_FINITE")
+    names += ("_ENTERING",)
     kinds = (getattr(bank_module, name) for name in names)
     stored = {"provenance"}.union(*kinds)
     # The projection is the scene's.

@@ -66,7 +66,7 @@ def test_the_cone_is_the_vignetted_pupil(bank, demo_lens):
         samples = sample_field(system, index, np.radians(angle))
         for line, pupil in enumerate(pupils(samples, np.array(LINES), 128.0, 512)):
             cone = bank.cone[field, line].astype(float)
-            weight = pupil.light / pupil.light.sum()
+            weight = pupil.arriving / pupil.arriving.sum()
             expected = [(weight * pupil.beta).sum(), (weight * pupil.beta**2).sum()]
             found = [np.sum(cone[:, 2] * cone[:, 0] ** n) for n in (1, 2)]
             # A rim of nodes, 2 of 128 across, known to a tenth of its width.

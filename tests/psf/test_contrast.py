@@ -7,6 +7,7 @@ import pytest
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
+from gpusim.lens.entering import image_area
 from gpusim.lens.system import build
 from gpusim.psf.contrast import field_contrast
 from gpusim.psf.transfer import DIRECTIONS, field_pupils
@@ -22,8 +23,9 @@ def test_it_is_the_mtf_of_the_fields_own_transfer_function(field_deg: float):
     expected = [np.abs(exact.otf(frequency, way)) for way in DIRECTIONS]
     # `gpusim.psf.transfer.COARSE_NODES`: 1e-3 of the rim's rounding.
     np.testing.assert_allclose(found.mtf, expected, rtol=0, atol=2e-3)
-    whole = [pupil.projected_solid_angle_sr for pupil in exact.fine]
-    np.testing.assert_allclose(found.solid_angle_sr, whole, rtol=1e-3)
+    area = image_area(system, system.index(WHITE_NM), theta)
+    whole = [pupil.entered for pupil in exact.fine] / area
+    np.testing.assert_allclose(found.light_sr, whole, rtol=1e-3)
 
 
 def test_a_field_along_x_has_the_mtf_of_one_along_y_turned():

@@ -57,6 +57,7 @@ def test_a_whole_pupil_gives_the_same_psf_as_its_half(apodisation):
     (one,) = pupils(half, GREEN, 64.0, 512)
     (other,) = pupils(turned, GREEN, 64.0, 512)
     # The same rays, turned by 90 deg, on another grid: rims are cut to 3e-6 (test_wavefront).
+    assert other.entered == pytest.approx(one.entered, rel=1e-5)
     assert other.projected_solid_angle_sr == pytest.approx(one.projected_solid_angle_sr, rel=1e-5)
     radial, outside = intensity(one, 550.0, 128, 0.5)
     along_x, outside_x = intensity(other, 550.0, 128, 0.5)

@@ -7,7 +7,7 @@ from scipy.special import j0, j1
 
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field
-from gpusim.psf.psf import folded_share, intensity
+from gpusim.psf.psf import folded_share, intensity, undrooped
 
 WAVELENGTH_NM = 550.0
 WAVELENGTH_UM = 0.55
@@ -124,7 +124,7 @@ def test_psf_and_spot_diagram_agree_in_centroid_and_in_the_side_of_the_flare(sto
     (pupil,) = pupils(samples, wavelengths, 256, 512)
     psf, outside = intensity(pupil, WAVELENGTH_NM, 512, 0.5)
     slope = -np.gradient(1e3 * pupil.opd_mm, pupil.beta, axis=1)
-    mean_landing = np.average(slope, weights=pupil.coverage)
+    mean_landing = np.average(slope, weights=pupil.light)
     at = (np.arange(512) - 256) * 0.5
     column = psf.sum(axis=0) / psf.sum()
     centroid = float((column * at).sum())
@@ -160,3 +160,34 @@ def test_more_pupil_nodes_change_nothing(demo_lens):
         results.append(intensity(pupil, 400.0, 256, 0.5)[0])
     # The figure beside PUPIL_NODES.
     assert np.abs(results[0] - results[1]).max() < 4e-4 * results[1].max()
+
+
+@pytest.mark.parametrize("f_number", [2.0, 2.8])
+def test_light_that_the_rim_throws_is_not_dimmed_by_the_rims_cells(f_number):
+    """Airy's pattern far out, in the mean over rings: Born & Wolf, sec. 8.5.2."""
+    size, pitch, scale = 256, 0.5, WAVELENGTH_UM * f_number
+    pupil = perfect(f_number, size * pitch)
+    psf, _ = intensity(pupil, WAVELENGTH_NM, size, pitch)
+    at = (np.arange(size) - size // 2) * pitch
+    r = np.hypot(at[:, None], at)
+    v = np.pi * np.maximum(r, 1e-9) / scale
+    airy = (2 * j1(v) / v) ** 2 * np.pi * pitch**2 / (4 * scale**2)
+    period = 1e-3 * WAVELENGTH_NM / (pupil.beta[1] - pupil.beta[0])
+    dimmed = np.sinc(at[:, None] / period) ** 2 * np.sinc(at / period) ** 2
+    for low, high in ((20, 40), (40, 64)):
+        ring = (r >= low) & (r < high)
+        found, planted = (np.sum(one[ring]) / airy[ring].sum() - 1 for one in (psf, airy * dimmed))
+        # Copies interfere with the rim's light, and are taken to add up: 1.5e-3 at f/2.
+        assert abs(found) < 2e-3
+        # Without the factors the rim's light is dimmed by more.
+        assert planted < -4e-3
+
+
+def test_where_rays_land_light_stays_as_it_is():
+    at = np.arange(-8.0, 8.0)
+    factors = undrooped(at, (40.0, 60.0), 3.0)
+    near = np.maximum(np.abs(at[:, None]), np.abs(at)) <= 3
+    assert (factors[near] == 1).all()
+    assert (factors[~near] != 1).all()
+    # Down the rows the period is shorter, and more is lost.
+    assert factors[0, 8] > factors[8, 0] > 1

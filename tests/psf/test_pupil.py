@@ -45,12 +45,10 @@ def packed(grids: list[dict]) -> np.ndarray:
     return np.array(rows, np.float32)
 
 
-def on_device(
-    nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0, stop=None, apodisation=0.0
-):
-    """Return field and sums of P beams."""
+def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0, exponent=None):
+    """Return field and sums of P beams; of an even amplitude without ``exponent``."""
     count = len(grids)
-    filtered = stop is not None
+    exponent = np.zeros(nodes.shape[:3]) if exponent is None else exponent
     found = run_stage(
         "psf/pupil",
         (rows, count if pairs is None else pairs, 1),
@@ -59,27 +57,32 @@ def on_device(
             "nb": nodes.shape[2],
             "fold_um": fold_um,
             "focus_mm": focus_mm,
-            "apodisation": apodisation,
-            "least": 0.0,
         },
         {
             "grids": packed(grids),
             "nodes": nodes.astype(np.float32),
-            "stop": stop.astype(np.float32) if filtered else np.full(1, 7, np.float32),
+            "exponent": exponent.astype(np.float32),
         },
         {
             "field": ((count, rows, T), np.complex64),
             "sums": ((count, rows, 2), np.float32),
         },
         T=T,
-        APODISED=filtered,
     )
     return found["field"], found["sums"].astype(float)
 
 
 def twin(nodes, grids, *, rows=ROWS, fold_um=FAR, focus_mm=0.0):
     results = [
-        pupil(one, **place, length=T, rows=rows, fold_um=fold_um, focus_mm=focus_mm)
+        pupil(
+            one,
+            **place,
+            length=T,
+            rows=rows,
+            fold_um=fold_um,
+            focus_mm=focus_mm,
+            exponent=np.zeros(one.shape[:2]),
+        )
         for one, place in zip(nodes.astype(np.float32), grids, strict=True)
     ]
     return tuple(np.array(part) for part in zip(*results, strict=True))
@@ -247,22 +250,22 @@ def test_rims_of_two_apertures():
     assert 0.3 < sums[..., 0].sum() * 2 * place["cell"] ** 2 / (np.pi * 0.06**2) < 0.9
 
 
-def filtered_bound(apodisation: float, rho2: float) -> float:
-    """Return what exp adds to a share: G times the error of rho^2, and (3 + 2 |x|) u of itself."""
-    return apodisation * 30 * ULP * 1.6 * rho2 + (4 + 2 * apodisation * rho2) * ULP
+def filtered_bound(exponent: float) -> float:
+    """Return what exp adds to a share: the error of the exponent, and (3 + 2 |x|) u of itself."""
+    return 30 * ULP * 1.6 * exponent + (4 + 2 * exponent) * ULP
 
 
-def test_an_apodised_stop_darkens_the_rim():
+def test_an_exponent_darkens_the_rim():
     place = grid()
     a, b = np.moveaxis(at_nodes(place) - [0, 1 / 32], -1, 0)
     nodes = np.stack([0 * a + 0.25, (a * a + b * b) / 0.05**2], axis=-1)[None]
-    rho2 = (a * a + (b - 0.01) ** 2)[None] / 0.05**2  # not where the rim is: the stop is not all
-    found, sums = on_device(nodes, [place], stop=rho2, apodisation=1.5)
+    exponent = 1.5 * (a * a + (b - 0.01) ** 2)[None] / 0.05**2  # not about the rim's middle
+    found, sums = on_device(nodes, [place], exponent=exponent)
     field, light = pupil(
         nodes[0].astype(np.float32), **place, length=T, rows=ROWS, fold_um=FAR, focus_mm=0.0,
-        stop=rho2[0].astype(np.float32), apodisation=1.5,
+        exponent=exponent[0].astype(np.float32),
     )  # fmt: skip
-    bound = rim_bound(place["cell"] / 0.05, 4.0) + amplitude_bound(0.25) + filtered_bound(1.5, 2)
+    bound = rim_bound(place["cell"] / 0.05, 4.0) + amplitude_bound(0.25) + filtered_bound(3.0)
     assert_close(found[0], field, atol=bound)
     assert_close(sums[0], light, atol=2 * T * bound)
     # Amplitude at the cells within, from the equation; the light is its square.
@@ -279,22 +282,23 @@ def test_an_apodised_stop_darkens_the_rim():
 def test_light_that_a_filter_stops_does_not_fold_either():
     place = grid()
     nodes = tilted(place, (0, 200.0))
-    rho2 = np.full((1, NA, NB), 0.5)
-    _, sums = on_device(nodes, [place], fold_um=100.0, stop=rho2, apodisation=1.0)
+    exponent = np.full((1, NA, NB), 0.5)
+    _, sums = on_device(nodes, [place], fold_um=100.0, exponent=exponent)
     assert_close(sums[..., 1], sums[..., 0].copy(), atol=0)
     _, even = on_device(nodes, [place], fold_um=100.0)
-    # The filter leaves exp(-2 G rho^2) of the light, in T sums of it.
+    # The filter leaves exp(-2 x 0.5) of the light, in T sums of it.
     expected = np.exp(-1.0) * even
-    assert_close(sums, expected, atol=T * filtered_bound(2.0, 0.5) + T * ULP * even.max())
+    assert_close(sums, expected, atol=T * filtered_bound(1.0) + T * ULP * even.max())
 
 
-def test_a_factor_of_nothing_is_the_pupil_without_a_filter():
-    nodes = noise(10)
-    rho2 = np.random.default_rng(11).uniform(0, 1, (2, NA, NB))
-    for one, other in zip(
-        on_device(nodes, TWO), on_device(nodes, TWO, stop=rho2, apodisation=0.0), strict=True
-    ):
-        np.testing.assert_array_equal(one, other)
+def test_more_light_than_about_the_chief_ray_is_a_negative_exponent():
+    place = grid()
+    nodes = np.stack([np.zeros((NA, NB)), np.full((NA, NB), 0.5)], axis=-1)[None]
+    found, _ = on_device(nodes, [place], exponent=np.full((1, NA, NB), -0.25))
+    lit = found[0] != 0
+    assert lit.any()
+    exact = np.full(lit.sum(), np.exp(0.25))
+    assert_close(np.abs(found[0][lit]).astype(float), exact, atol=1.3 * filtered_bound(0.25))
 
 
 def tilted(place: dict, landing_um: tuple[float, float]) -> np.ndarray:
@@ -400,5 +404,5 @@ def test_weights_and_slopes_are_those_of_four_nodes():
 
 def test_the_defaults_are_of_one_grid():
     made = Kernel("psf/pupil")
-    assert made.overrides == {"T": 1024, "APODISED": False}
+    assert made.overrides == {"T": 1024}
     assert made.workgroup_size == (64, 1, 1)

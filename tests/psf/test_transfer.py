@@ -111,6 +111,7 @@ def test_a_whole_pupil_is_as_its_half(direction):
         alpha=np.concatenate([-half.alpha[::-1], half.alpha]),
         coverage=np.concatenate([half.coverage[::-1], half.coverage]),
         opd_mm=np.concatenate([half.opd_mm[::-1], half.opd_mm]),
+        entering=np.concatenate([half.entering[::-1], half.entering]),
         half=False,
     )
     frequency = np.array([0.0, 40.0, 120.0])

@@ -121,7 +121,7 @@ def test_a_perfect_lens_has_the_mtf_of_diffraction(perfect):
     """Goodman, Fourier Optics, sec. 6.4; coma leaves 2e-4."""
     # A core of 32 lambda N: in the cells beyond it, all but the lowest frequencies even out.
     seen = view(perfect, (0.0, 0.0), np.array([550.0]), core_um=32 * 0.55 * 40)
-    aperture = np.sqrt(seen.radiance_sr[0] / np.pi)  # sin theta'
+    aperture = np.sqrt(seen.solid_angle_sr[0] / np.pi)  # sin theta'
     cut_cy_um = 2 * aperture / 0.55
     share = np.array([0.05, 0.2, 0.5, 0.8])
     middles = (seen.edges_um[1:] + seen.edges_um[:-1]) / 2
@@ -144,7 +144,7 @@ def test_an_edge_through_a_perfect_lens(perfect, seen_through_it, off_um):
     judge = Judge(perfect, sensor(550.0), scene(Rect(1600 + off_um, 0, 1600, 3000, 0, 1)), TABLE)
     seen = seen_through_it
     found = judge.pixel(seen, 200, 200)
-    aperture = np.sqrt(seen.radiance_sr[1] / np.pi)
+    aperture = np.sqrt(seen.solid_angle_sr[1] / np.pi)
     f = np.linspace(0, 2 * aperture / 0.55, 20001)[1:]
     mtf = diffraction_mtf(1e3 * f, 550.0, 1 / (2 * aperture)) * np.sinc(f * PITCH_UM)
     # On the ideal plane the edge lies at off_um; the lens is free of distortion there.

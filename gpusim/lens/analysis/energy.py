@@ -81,7 +81,7 @@ def _of_one(
     size = [next_fast_len(2 * n) for n in field.shape]
     image = np.square(np.abs(fft2(field, size)))
     # The image is real: frequencies to one side of it say all.
-    otf = rfft2(image).conj() * (pupil.cell / pupil.projected_solid_angle_sr / image.size)
+    otf = rfft2(image).conj() * (pupil.cell / pupil.light_sr / image.size)
     otf[0, 0] = 1.0  # a cell on the rim passes its share of the light, not that share's square
     step = np.array([np.diff(pupil.alpha[:2])[0], np.diff(pupil.beta[:2])[0]]) / wave_um
     nu_x = fftfreq(size[0], 1 / size[0]) * step[0]

@@ -306,7 +306,7 @@ class Study:
     @cached_property
     def illumination(self) -> np.ndarray:
         """Light over the field at 550 nm, of the middle's."""
-        sr = np.array([one.solid_angle_sr[WHITE_REFERENCE] for one in self.across])
+        sr = np.array([one.light_sr[WHITE_REFERENCE] for one in self.across])
         return sr / sr[np.abs(self.contrast_theta).argmin()]
 
     @cached_property

@@ -48,6 +48,7 @@ def test_a_whole_pupil_is_that_of_its_half():
         alpha=np.concatenate([-half.alpha[::-1], half.alpha]),
         coverage=np.concatenate([half.coverage[::-1], half.coverage]),
         opd_mm=np.concatenate([half.opd_mm[::-1], half.opd_mm]),
+        entering=np.concatenate([half.entering[::-1], half.entering]),
         half=False,
     )
     np.testing.assert_allclose(energy(whole, RADIUS), energy(half, RADIUS), atol=1e-9)
