@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gpusim.lens.trace import Geometry, Launch, launch_field, trace
+from gpusim.lens.trace import AIM_TOLERANCE, Geometry, Launch, launch_field, trace
 
 if TYPE_CHECKING:
     from gpusim.lens.system import System
@@ -31,7 +31,6 @@ STEP = 2e-5
 # Backward and central, of the field: with 3e-4 rad the curvature of distortion leaves 1e-6, and
 # what aiming leaves of a chief ray, 1e-9 f, 3e-6 at most.
 STEP_RAD = 3e-4
-AIM_TOLERANCE = 1e-9  # of the stop's radius: see gpusim.lens.wavefront
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Entering:
         density : ndarray, shape (kept,)
             NaN where a neighbour of the ray does not pass.
         of_chief : float
-            mm^2, or 1 where the object is near.
+            E itself: mm^2, or without unit where the object is near.
         """
         px, py = (np.append(0.0, one[line, kept]) for one in (self.px, self.py))
         step = STEP * self.stop_radius_mm

@@ -123,7 +123,7 @@ class Beams:
         powers = 2.0 * np.arange(1, self.terms + 1)
         aspheres = geometry.asphere[:, : self.terms] * unit_mm**powers
         pairs = np.zeros((len(angles), len(wavelengths_nm)), _PAIR)
-        # Of the chief rays where they are launched: sine, cosine, and 1 / distance from the object.
+        # Sine and cosine of the chief rays at their launch, and 1 / distance from the object.
         self._launch = np.zeros((3, *pairs.shape))
         self.chief_y_mm, self.chief_beta = np.empty((2, *pairs.shape))
         for field, theta in enumerate(angles):

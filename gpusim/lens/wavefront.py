@@ -27,7 +27,7 @@ from gpusim.errors import UserError
 from gpusim.lens.entering import Entering
 from gpusim.lens.model import LensModel
 from gpusim.lens.throughput import Crossings, along_axis, goes_with_the_ray, throughput
-from gpusim.lens.trace import Launch, aim, launch_field, trace
+from gpusim.lens.trace import AIM_TOLERANCE, Launch, aim, launch_field, trace
 
 if TYPE_CHECKING:
     from gpusim.lens.system import System
@@ -47,8 +47,6 @@ RAYS_ACROSS = 81
 # The grid is so much wider than the pupil.
 OVERSIZE = 1.12
 BEYOND = 2.0  # reach of nodes that no ray reaches
-# A miss of 1e-9 of the stop radius moves the chief ray by about 1e-9 f: 1e-5 um at f = 8 mm.
-AIM_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)

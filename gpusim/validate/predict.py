@@ -19,6 +19,13 @@ is, to first order in both slopes,
     h(x; 0) (1 - (x - centroid) d ln K / ds) + integral to x of dh/ds dx:
 
 where PSFs widen outwards, edges lie farther inwards by half of the slope of their variance.
+
+K is what enters about a field, per area of its image: A sin(theta) d theta / (h dh), A the integral
+of E du dv. An even scene shows, at the height h, to second order,
+
+    K - div (K c) + div div (K S) / 2,
+
+c and S the mean and the second moments of where the rays of a field land about its chief ray.
 """
 
 from __future__ import annotations
@@ -125,8 +132,19 @@ class Predictor:
         at = np.linspace(0, widest_rad, pupils)
         self._pupils = [_Pupils(tracer, at, float(nm)) for nm in nodes_nm]
         self.diffracts = diffracts
-        angles = [[pupils.solid_angle(field) for field in fields] for pupils in self._pupils]
-        self._light = CubicSpline(fields, np.transpose(angles) * passed)
+        self._passed = passed
+        sent = np.array([[one.sent(field) for field in fields] for one in self._pupils])
+        heights_mm = over_field(fields)  # (F, L)
+        slope = over_field.derivative()(fields)
+        on_axis = fields[:, None] == 0
+        sine = np.where(on_axis, 1.0, np.sin(fields)[:, None])
+        entered, *moments = np.moveaxis(sent, -1, 0).swapaxes(1, 2)  # each (F, L)
+        light = entered / (slope * np.where(on_axis, slope, heights_mm / sine))
+        self._light = CubicSpline(fields, light * passed)
+        self._shown = [
+            _shown_at(*(1e3 * heights_mm[:, line], light[:, line]), *(m[:, line] for m in moments))
+            for line in range(len(nodes_nm))
+        ]
         self.found: dict[tuple[float, ...], np.ndarray] = {}
 
     def chief_um(self, field_rad: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -135,14 +153,18 @@ class Predictor:
         return 1e3 * BSpline(self._knots, coefficients, 5)(field_rad).T
 
     def light(self, field_rad: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
-        """Return the light (K, F) of fields per photon: solid angle and what surfaces pass."""
+        """Return the light (K, F) that fields send per photon, sr: what surfaces pass of it."""
         return CubicSpline(self.nodes_nm, self._light(field_rad), axis=-1)(wavelengths_nm).T
+
+    def shown(self, radius_um: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
+        """Return the light (K, R) per photon of an even scene at distances from the axis, sr."""
+        found = [one(radius_um) * p for one, p in zip(self._shown, self._passed, strict=True)]
+        return CubicSpline(self.nodes_nm, found)(wavelengths_nm)
 
     def flat_field(self, radius_um: np.ndarray, band: Band) -> np.ndarray:
         """Return the light of an even scene at distances from the axis, over that on it."""
-        fields = np.linspace(0, self._widest, CHIEF_FIELDS)
-        light = band.weight @ self.light(fields, band.wavelengths_nm)
-        heights = band.weight @ self.chief_um(fields, band.wavelengths_nm) / band.weight.sum()
+        heights = np.linspace(0, np.max(radius_um), 4 * CHIEF_FIELDS)
+        light = band.weight @ self.shown(heights, band.wavelengths_nm)
         return CubicSpline(heights, light / light[0])(radius_um)
 
     def ideal_um(self, place_um: np.ndarray, band: Band) -> np.ndarray:
@@ -268,10 +290,17 @@ class _Pupils:
         scale = WIDER * self.reach
         return chebyshev.chebvander2d(alpha / scale, beta / scale, [DEGREE, DEGREE])[..., self.used]
 
-    def solid_angle(self, field: float) -> float:
-        """Return the projected solid angle of a field."""
-        share, _, _, step = self.seen(field, np.array([0.0, 1.0]))
-        return float(share.sum() * step * 2 * self.reach / ROWS)
+    def sent(self, field: float) -> tuple[float, float, float, float]:
+        """Return what a field sends through, mm^2, and moments of where its rays land.
+
+        Their mean along the radius, um, and second moments along it and across, um^2.
+        """
+        share, light, path_mm, step = self.seen(field, np.array([0.0, 1.0]))
+        weight, row = share * light, 2 * self.reach / ROWS
+        across, along = (-1e3 * one for one in np.gradient(path_mm, row, step))
+        total = weight.sum()
+        means = ((weight * one).sum() / total for one in (along, along**2, across**2))
+        return float(total * step * row), *map(float, means)
 
     def seen(
         self, field: float, normal: np.ndarray
@@ -290,8 +319,7 @@ class _Pupils:
         share = (np.hypot(u, v) <= reach) * _covered(found[:, 2:-1])
         entered = found[:, 1], found[:, -1] * (u * normal[0] - v * normal[1])
         (y_v, y_u), (x_v, x_u) = (np.gradient(one, 2 * reach / ROWS, step) for one in entered)
-        light = np.abs(x_u * y_v - x_v * y_u)
-        return share, light / np.average(light, weights=share), found[:, 0], step
+        return share, np.abs(x_u * y_v - x_v * y_u), found[:, 0], step
 
     def transfer(self, field: float, normal: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Return the transfer function (F,) along a normal."""
@@ -320,6 +348,30 @@ class _Pupils:
         bins = np.bincount(np.rint((away_um - low) * 50).astype(int), weight / weight.sum())
         at = low + np.arange(bins.size) / 50
         return np.exp(2j * np.pi * np.outer(frequency, at)) @ bins
+
+
+def _shown_at(
+    height_um: np.ndarray,
+    light: np.ndarray,
+    mean: np.ndarray,
+    along: np.ndarray,
+    across: np.ndarray,
+) -> BSpline:
+    """Return what an even scene shows, over the height: see the head.
+
+    In polar coordinates (div K S)_r = (K S_rr)' + K (S_rr - S_tt) / r and div v = v' + v / r; what
+    is even about the axis continues as itself, and the radial part of a vector as its negative.
+    """
+    both = np.concatenate([-height_um[:0:-1], height_um])
+
+    def spline(values: np.ndarray, sign: float) -> BSpline:
+        return make_interp_spline(both, np.concatenate([sign * values[:0:-1], values]), k=5)
+
+    r = np.where(height_um > 0, height_um, 1.0)
+    tensor = spline(light * along, 1).derivative()(height_um) + light * (along - across) / r
+    vector = np.where(height_um > 0, light * mean - tensor / 2, 0.0)
+    rise = spline(vector, -1).derivative()(height_um)
+    return spline(light - rise - np.where(height_um > 0, vector / r, rise), 1)
 
 
 def _covered(margin: np.ndarray) -> np.ndarray:

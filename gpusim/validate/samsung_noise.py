@@ -94,7 +94,7 @@ class Noise:
 def electrons_per_s(sensor: Sensor, predictor: Predictor) -> dict[str, float]:
     """Return equation 2's electrons per second of a grey scene on the axis, by channel."""
     scene, nm = make_scene("grey"), WAVELENGTHS_NM
-    light = predictor.light(np.zeros(1), nm)[:, 0]  # solid angle times what surfaces pass
+    light = predictor.shown(np.zeros(1), nm)[:, 0]
     photons = scene.spectra[0] * light * nm * 1e-9 / (H_J_S * C_M_S)
     area = (sensor.pixel_pitch_um * 1e-6) ** 2 * sensor.fill_factor
     return {name: float(np.sum(sensor.qe[name] * photons) * 5.0 * area) for name in CHANNELS}

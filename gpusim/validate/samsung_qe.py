@@ -131,14 +131,8 @@ class Averaging:
 def photons_per_s(predictor: Predictor, sensor: Sensor, away_mm: float) -> np.ndarray:
     """Return photons (K,) that arrive at a pixel at a distance from the axis, per sample."""
     scene, nm = make_scene("grey"), WAVELENGTHS_NM
-    arrived = []
-    for node in predictor.nodes_nm:
-        band = Band("", np.array([node]), np.ones(1))
-        ideal = predictor.ideal_um(np.array([1e3 * away_mm, 0.0]), band)
-        field = np.arctan(1e-3 * np.hypot(*ideal) / predictor.tracer.efl_mm)
-        arrived.append(predictor.light(np.array([field]), np.array([node]))[0, 0])
-    # Over four nodes a cubic: solid angle and glass go smoothly with the wavelength.
-    light = np.polyval(np.polyfit(predictor.nodes_nm, arrived, len(arrived) - 1), nm)
+    # Through four nodes a cubic: solid angle and glass go smoothly with the wavelength.
+    light = predictor.shown(np.array([1e3 * away_mm]), nm)[:, 0]
     energy_j = H_J_S * C_M_S / (nm * 1e-9)
     area = (sensor.pixel_pitch_um * 1e-6) ** 2 * sensor.fill_factor
     return scene.spectra[0] * light * QUADRATURE_NM * area / energy_j

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.system import build, first_order
+from gpusim.reference.backward import aperture_of, chief_back, frame_of, rays_of
 from gpusim.validate.predict import Band, Predictor
-from gpusim.validate.tracers import Bundle
+from gpusim.validate.tracers import Bundle, OwnTracer
 
 NA, WAVE_UM, EFL_MM = 0.2, 0.5, 10.0
 BAND = Band("G", np.array([500.0]), np.array([1.0]))
@@ -100,3 +103,23 @@ def test_the_line_spread_holds_all_light_and_the_aperture_is_two_sincs():
     cos = 1 / np.hypot(1, slope)
     ratio = np.sinc(7 * f * cos) * np.sinc(7 * f * cos * slope)
     np.testing.assert_allclose(seen.otf, found.otf * ratio, rtol=0, atol=1e-12)
+
+
+def test_an_even_scene_shows_what_rays_traced_back_from_the_image_say():
+    """The radiance theorem, by a tracer of its own: the solid angle that arrives at a point."""
+    system = build(load_prescription("double-gauss").scaled(8.3).stopped(2.8))
+    index, focal = system.index(np.array([550.0])), first_order(system.prescription, 550.0).efl_mm
+    widest = 0.8 * np.radians(system.prescription.max_field_deg)
+    found = Predictor(OwnTracer(system), widest, np.array([450.0, 550.0, 650.0]), np.ones(3))
+    sent = []
+    for field in (0.0, 0.8 * widest):
+        height = found.chief_um(np.array([field]), np.array([550.0]))[0]
+        image = np.array([1e-3 * height[0], 0.0])
+        frame = frame_of(system, index, image, focal)
+        rays = rays_of(system, index, image, chief_back(system, index, image), frame)
+        finest = 384 * 0.55 / (2 * float(np.ptp(rays.p, axis=1).max()))
+        arrives = aperture_of(rays, 550.0, finest).solid_angle_sr
+        # Rims on 96 rows: 5e-4 of the pupil.
+        assert found.shown(height, np.array([550.0]))[0, 0] == pytest.approx(arrives, rel=6e-4)
+        sent.append(found.light(np.array([field]), np.array([550.0]))[0, 0] / arrives - 1)
+    assert abs(sent[1]) > 1.2e-3  # what the field itself sends is another light
