@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 SIZE = (1528, 774)  # points: a view of 960 x 720 between the panels, over the status lines
 ANSWERED = 4  # frames: ImGui takes in a move, a press and a release in frames of their own
+# Before ImGui's handlers, of order -99: what they use they keep from later ones. Over a panel no
+# frame answered, and once a box had the keys Ctrl-Q did nothing.
+FIRST = -100
 MISSING = "pip install 'gpusim[preview]'"
 
 
@@ -79,7 +82,9 @@ def attached(canvas: Any, knobs: Knobs, out: Path, tell: Callable[[Callable], No
 
     app.changed = lambda: tell(canvas.request_draw)
     canvas.add_event_handler(
-        answer, "pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char", "resize"
+        answer,
+        *("pointer_move", "pointer_down", "pointer_up", "wheel", "key_down", "char", "resize"),
+        order=FIRST,
     )
     canvas.request_draw(draw)
     return made
