@@ -97,18 +97,21 @@ def q_of(launch: Launch, px: np.ndarray, py: np.ndarray) -> np.ndarray:
 
 def image_area(
     system: System,
-    index: np.ndarray,
+    reference_nm: float,
     theta: float,
     azimuth: float = 0.0,
     *,
     focus_mm: float = 0.0,
-) -> np.ndarray:
+) -> float:
     """Return the image's area per area of the scene about a field, by its chief rays.
 
     Parameters
     ----------
     system : System
-    index : ndarray, shape (S + 1, L)
+    reference_nm : float
+        Wavelength of the chief rays. A bank's scene lies on the image plane by those of its
+        reference; PSFs of other wavelengths hold the way from there, and so their light is by this
+        area too.
     theta, azimuth : float
         Field, rad.
     focus_mm : float
@@ -116,10 +119,11 @@ def image_area(
 
     Returns
     -------
-    ndarray, shape (L,)
+    float
         mm^2 per sr; per mm^2 of the object plane where that is near. NaN where a chief ray beside
         the field does not pass.
     """
+    index = system.index(np.array([reference_nm]))
     # Inwards along the meridian, where chief rays surely pass.
     start = _chief(system, index, theta, azimuth)
     nearer = [_chief(system, index, theta - n * STEP_RAD, azimuth, start) for n in (1, 2)]
@@ -137,12 +141,12 @@ def image_area(
         ends = [_chief(system, index, float(beside), azimuth + sign * off) for sign in (1, -1)]
         one, two = (_landed(system, index, launch, focus_mm) for launch in ends)
         across = (one - two) / 2
-    area = np.abs(along[0] * across[1] - along[1] * across[0]) / STEP_RAD**2
+    area = float(np.abs(along[0] * across[1] - along[1] * across[0])[0]) / STEP_RAD**2
     if np.isinf(system.geometry.object_z):
         return area
     # A point of the object plane lies at z tan(theta) from the axis.
     near_mm = system.geometry.object_z - system.geometry.field_z
-    return area * np.cos(theta) ** 3 / near_mm**2
+    return area * float(np.cos(theta)) ** 3 / near_mm**2
 
 
 def _chief(

@@ -852,11 +852,11 @@ def bank_of(
     provenance = provenance_of(system)
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
-    index = system.index(wavelengths)
-    light_sr = entered / [
-        image_area(system, index, float(one), focus_mm=1e-3 * focus_um)
+    areas = [
+        image_area(system, reference_nm, float(one), focus_mm=1e-3 * focus_um)
         for one in np.radians(angles)
     ]
+    light_sr = entered / np.array(areas)[:, None]
     made = Bank(
         wavelengths_nm=wavelengths,
         reference_nm=float(reference_nm),

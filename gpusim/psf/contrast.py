@@ -10,6 +10,7 @@ from gpusim.lens.entering import image_area
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.psf import transfer
+from gpusim.psf.bank import REFERENCE_NM
 
 
 @dataclass(frozen=True)
@@ -68,4 +69,4 @@ def field_contrast(
         return float(np.abs(together[0]))
 
     mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in transfer.DIRECTIONS]
-    return FieldContrast(np.array(mtf), entered / image_area(system, index, theta))
+    return FieldContrast(np.array(mtf), entered / image_area(system, REFERENCE_NM, theta))

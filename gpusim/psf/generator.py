@@ -41,7 +41,9 @@ NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
 # the nearest node that has a ray may be one more away.
 CONTINUED = 5
 NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
-LEAST = 1e-3  # of the chief ray's light: what a pupil's own rays fall to is a tenth and more
+# Light of a node over the chief ray's, at least. Within their rims the library's pupils have 0.8 to
+# 1.4 of it; beyond them the polynomials may say 0, which has no logarithm.
+LEAST = 1e-3
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
 
 _GRID = np.dtype(
@@ -268,7 +270,6 @@ class Generator:
         middle = np.zeros(1), (self.chief_beta[field, [line]] - centre) / half_height
         cell = half * half_height
         chief = self._entering(field, line, found[:2], *middle)[0, 0] / cell
-        # Where the polynomials lead nowhere the light is none: no ray of the pupil is near.
         light = np.maximum(self._entering(field, line, found[:2], *place) / cell / chief, LEAST)
         self._entering_at_chief[field, line] = chief
         # Far beyond the aimed rays the polynomials lead nowhere.

@@ -72,7 +72,7 @@ class Wave:
     light : ndarray, shape (A, B)
         What each cell passes: its share within the rim, times `passed`.
     passed : ndarray, shape (A, B), or float
-        Share of the light that the stop passes there: 1 without apodisation.
+        Light that enters and passes there, over that about the chief ray; 1 where it is even.
     """
 
     alpha: np.ndarray
@@ -108,7 +108,7 @@ def wave_of(pupil: Pupil, step: int = 1) -> Wave:
         opd_um=whole(1e3 * pupil.opd_mm),
         reach=whole(pupil.reach),
         light=whole(pupil.light),
-        passed=whole(pupil.apodised**2) if np.ndim(pupil.apodised) else 1.0,
+        passed=whole((pupil.apodised * pupil.entering) ** 2),
     )
 
 

@@ -498,7 +498,9 @@ def compute_plane_bank(
     rows = []
     # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for row in pool.map(lambda f: field_of(system, wavelengths, f, size, pitch_um), fields):
+        for row in pool.map(
+            lambda f: field_of(system, wavelengths, f, size, pitch_um, reference_nm), fields
+        ):
             rows.append(row)
             if progress is not None:
                 progress(len(rows), len(fields))
@@ -643,6 +645,7 @@ def field_of(
     field_deg: tuple[float, float],
     size: int,
     pitch_um: float,
+    reference_nm: float,
     nodes: int = PUPIL_NODES,
 ) -> dict[str, np.ndarray]:
     """Return all wavelengths of one field, by the names of the bank's variables.
@@ -689,7 +692,7 @@ def field_of(
         "cone": np.stack([cone_of(g.alpha, g.beta, g.arriving, g.half) for g in grids]),
         "psf": psf,
         "light_sr": np.array([g.entered for g in grids])
-        / image_area(system, index, theta, azimuth),
+        / image_area(system, reference_nm, theta, azimuth),
         "outside_energy": outside,
         "folded_energy": folded,
         "fit_residual_waves": np.array([g.fit_residual_mm for g in grids]) / (wavelengths * 1e-6),

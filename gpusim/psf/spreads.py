@@ -167,11 +167,7 @@ def spreads(
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
-    index = system.index(lines)
-
-    def areas(theta_deg: float) -> np.ndarray:
-        return image_area(system, index, float(np.radians(theta_deg)))
-
+    areas = [image_area(system, REFERENCE_NM, float(theta)) for theta in np.radians(angles)]
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
         found = [generator.spread(field) for field in range(len(angles))]
@@ -182,7 +178,7 @@ def spreads(
             pitch_um,
             1e3 * generator.chief_y_mm,
             [_sums(one.psf, pitch_um) for one in found],
-            np.array([one.entered for one in found]) / [areas(theta) for theta in angles],
+            np.array([one.entered for one in found]) / np.array(areas)[:, None],
         )
     finally:
         generator.release()
@@ -199,7 +195,7 @@ def traced_spreads(
     system = build(prescription)
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
-    found = [traced_field(system, lines, theta, size, pitch_um) for theta in angles]
+    found = [traced_field(system, lines, theta, size, pitch_um, REFERENCE_NM) for theta in angles]
     return _of(
         prescription,
         lines,

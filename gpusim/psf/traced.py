@@ -68,7 +68,9 @@ def traced_bank(
     # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
     rows = []
     with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(lambda theta: field_of(system, lines, theta, size, pitch_um), field_deg)
+        found = pool.map(
+            lambda theta: field_of(system, lines, theta, size, pitch_um, reference_nm), field_deg
+        )
         for row in found:
             rows.append(row)
             if progress is not None:
@@ -142,7 +144,9 @@ def traced_plane_field(
     lines = np.asarray(wavelengths_nm, float)
     x_deg, y_deg = (np.array([angle], float) for angle in field_deg)
     with threadpool_limits(1):
-        row = plane_field_of(system, lines, (x_deg[0], y_deg[0]), size, pitch_um, NODES)
+        row = plane_field_of(
+            system, lines, (x_deg[0], y_deg[0]), size, pitch_um, reference_nm, NODES
+        )
     at = int(np.flatnonzero(lines == reference_nm)[0])
     rays = {"ray_x_deg": x_deg, "ray_y_deg": y_deg}
     rays |= {f"ray_{axis}_um": row[f"chief_{axis}_um"][[at]] for axis in "xy"}
@@ -157,7 +161,12 @@ def cached_traced_plane_field(prescription: Prescription, **settings: object) ->
 
 
 def field_of(
-    system: System, lines: np.ndarray, theta_deg: float, size: int, pitch_um: float
+    system: System,
+    lines: np.ndarray,
+    theta_deg: float,
+    size: int,
+    pitch_um: float,
+    reference_nm: float,
 ) -> dict[str, object]:
     """Return all wavelengths of one field, by the names of the bank's variables."""
     index, theta = system.index(lines), float(np.radians(theta_deg))
@@ -173,7 +182,8 @@ def field_of(
     return {
         "psf": psf,
         "real_height_um": 1e3 * samples.chief_y_mm,
-        "light_sr": np.array([one.entered for one in grids]) / image_area(system, index, theta),
+        "light_sr": np.array([one.entered for one in grids])
+        / image_area(system, reference_nm, theta),
         "outside_energy": 1 - psf.sum(axis=(1, 2), dtype=float),
         "folded_energy": folded,
         "fit_residual_waves": np.array([p.fit_residual_mm for p in grids]) / (lines * 1e-6),

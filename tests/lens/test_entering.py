@@ -56,21 +56,20 @@ def test_the_images_area_is_the_slope_of_the_map(name):
         slope = chief.slope_um(one)
         across = slope if one == 0 else chief.height_um(one) / np.sin(one)
         exact = 1e-6 * across * slope
-        assert image_area(system, index, float(one))[0] == pytest.approx(exact, rel=2e-6)
+        assert image_area(system, 550.0, float(one)) == pytest.approx(exact, rel=2e-6)
 
 
 def test_a_turned_field_and_a_moved_element_have_their_own_area():
     gauss = load_prescription("double-gauss")
     system = build(gauss)
-    index = system.index(GREEN)
-    straight = image_area(system, index, 0.1)[0]
-    assert image_area(system, index, 0.1, 1.0)[0] == pytest.approx(straight, rel=1e-6)
+    straight = image_area(system, 550.0, 0.1)
+    assert image_area(system, 550.0, 0.1, 1.0) == pytest.approx(straight, rel=1e-6)
     # An element that is moved by next to nothing takes the other way to the same figure.
     surfaces = list(gauss.surfaces)
     surfaces[1] = surfaces[1].model_copy(update={"decentre_mm": (1e-7, 0.0)})
     moved = build(gauss.model_copy(update={"surfaces": tuple(surfaces)}))
     for theta in (0.0, 0.1, 0.2):
-        one, other = (image_area(each, index, theta, 0.5)[0] for each in (system, moved))
+        one, other = (image_area(each, 550.0, theta, 0.5) for each in (system, moved))
         assert other == pytest.approx(one, rel=2e-6)
 
 
@@ -82,7 +81,7 @@ def test_of_an_object_far_away_the_light_is_that_of_one_at_infinity():
         for system in (build(gauss), build(far)):
             index = system.index(GREEN)
             (pupil,) = pupils(sample_field(system, index, theta), GREEN, 64.0, 256)
-            light.append(pupil.entered / image_area(system, index, theta)[0])
+            light.append(pupil.entered / image_area(system, 550.0, theta))
         assert light[1] == pytest.approx(light[0], rel=1e-5)  # 25 mm of 10 km, twice
 
 
@@ -93,31 +92,38 @@ def test_of_a_near_object_the_light_on_axis_is_that_of_its_pupil():
     system = build(near.model_copy(update=settings))
     index = system.index(GREEN)
     (pupil,) = pupils(sample_field(system, index, 0.0), GREEN, 64.0, 512)
-    light = pupil.entered / image_area(system, index, 0.0)[0]
+    light = pupil.entered / image_area(system, 550.0, 0.0)
     assert light == pytest.approx(pupil.projected_solid_angle_sr, rel=3e-4)
     assert pupil.entering_at_chief < 1.0  # sr: a wider cone behind the lens than before it
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("double-gauss", 5e-4), ("wide", 1e-4)])
+@pytest.mark.parametrize(("name", "tolerance"), [("double-gauss", 3e-4), ("wide", 1e-4)])
 def test_what_fields_send_adds_up_to_what_a_point_of_the_image_sees(name, tolerance):
     """Rays from the scene, spread by their PSFs, against rays traced back from the image.
 
     The radiance theorem gives the latter without any aberration: the solid angle there. Moments of
-    third order and more of the PSFs, 0.2 mm wide in an image of 40 mm, are left out.
+    third order and more of the PSFs are left out, and those within the window sampled. Lateral
+    colour, 10 um at 400 nm in the wide lens, belongs to the spread.
     """
     given = load_prescription(name)
-    bank = compute_bank(given, [500.0, 550.0, 600.0])
+    given = given.stopped(max(given.f_number, 2.8))
+    lines = np.array([400.0, 550.0, 700.0])
+    bank = compute_bank(given, lines)
     system, focal = build(given), first_order(given, 550.0).efl_mm
-    index = system.index(GREEN)
+    axis = bank.projected_solid_angle_sr
     sent = []
     for field in (0, 4, 8):
         image = np.array([1e-3 * bank.real_height_um[field, 1], 0.0])
-        frame = frame_of(system, index, image, focal)
-        rays = rays_of(system, index, image, chief_back(system, index, image), frame)
-        extent = float(np.ptp(rays.p, axis=1).max())
-        arrives = aperture_of(rays, 550.0, 384 * 0.55 / (2 * extent)).solid_angle_sr
-        axis = bank.projected_solid_angle_sr[1]
-        assert bank.relative_illumination[field, 1] * axis == pytest.approx(arrives, rel=tolerance)
-        sent.append(bank.field_light[field, 1] * axis / arrives - 1)
+        frame = frame_of(system, system.index(GREEN), image, focal)
+        arrives = []
+        for nm in lines:
+            index = system.index(np.array([nm]))
+            rays = rays_of(system, index, image, chief_back(system, index, image), frame)
+            extent = float(np.ptp(rays.p, axis=1).max())
+            half_um = 384 * 1e-3 * nm / (2 * extent)
+            arrives.append(aperture_of(rays, nm, half_um).solid_angle_sr)
+        shown = bank.relative_illumination[field] * axis
+        np.testing.assert_allclose(shown, arrives, rtol=tolerance, err_msg=str(field))
+        sent.append(bank.field_light[field, 1] * axis[1] / arrives[1] - 1)
     # Without their spread it is another figure.
     assert np.abs(sent).max() > 2 * tolerance
