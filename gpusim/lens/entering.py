@@ -95,15 +95,32 @@ def q_of(launch: Launch, px: np.ndarray, py: np.ndarray) -> np.ndarray:
     return launch.rays(px, py)[1][:2]
 
 
-def image_area(
-    system: System,
-    reference_nm: float,
-    theta: float,
-    azimuth: float = 0.0,
-    *,
-    focus_mm: float = 0.0,
-) -> float:
-    """Return the image's area per area of the scene about a field, by its chief rays.
+@dataclass(frozen=True)
+class Stretch:
+    """How the image of a lens is stretched about a field.
+
+    Attributes
+    ----------
+    along, across : ndarray, shape (2, 2)
+        How far the chief ray lands per radian along the meridian and across it, mm: in the image
+        plane, and more of it per mm by which the plane is moved away from the lens. NaN where a
+        chief ray beside the field does not pass.
+    scene : float
+        Solid angle of the field per area of the scene: 1, or sr per mm^2 of a near object plane.
+    """
+
+    along: np.ndarray
+    across: np.ndarray
+    scene: float
+
+    def area(self, focus_mm: float = 0.0) -> float:
+        """Return the image's area per area of the scene: mm^2 per sr, or mm^2 per mm^2."""
+        one, two = (way[0] + focus_mm * way[1] for way in (self.along, self.across))
+        return float(abs(one[0] * two[1] - one[1] * two[0])) * self.scene
+
+
+def stretch(system: System, reference_nm: float, theta: float, azimuth: float = 0.0) -> Stretch:
+    """Return how the image is stretched about a field, by chief rays.
 
     Parameters
     ----------
@@ -114,39 +131,29 @@ def image_area(
         area too.
     theta, azimuth : float
         Field, rad.
-    focus_mm : float
-        How far the image plane is moved away from the lens.
-
-    Returns
-    -------
-    float
-        mm^2 per sr; per mm^2 of the object plane where that is near. NaN where a chief ray beside
-        the field does not pass.
     """
     index = system.index(np.array([reference_nm]))
     # Inwards along the meridian, where chief rays surely pass.
     start = _chief(system, index, theta, azimuth)
     nearer = [_chief(system, index, theta - n * STEP_RAD, azimuth, start) for n in (1, 2)]
-    inwards = [start, *nearer]
-    image = [_landed(system, index, launch, focus_mm) for launch in inwards]
-    along = 1.5 * image[0] - 2 * image[1] + 0.5 * image[2]
+    image = [_landed(system, index, launch) for launch in (start, *nearer)]
+    along = (1.5 * image[0] - 2 * image[1] + 0.5 * image[2]) / STEP_RAD
     if not system.geometry.moved.any():
         # Across the meridian the image turns with the scene.
-        radius = along if theta == 0 else image[0] * STEP_RAD / np.sin(theta)
-        across = np.stack([-radius[1], radius[0]])
+        radius = along if theta == 0 else image[0] / np.sin(theta)
+        across = np.stack([-radius[:, 1], radius[:, 0]], axis=1)
     else:
         # Straight across by the tangent of a step: farther off by its square, half of it.
         off = np.arctan2(STEP_RAD, np.sin(theta))
         beside = np.arctan2(np.hypot(np.sin(theta), STEP_RAD), np.cos(theta))
         ends = [_chief(system, index, float(beside), azimuth + sign * off) for sign in (1, -1)]
-        one, two = (_landed(system, index, launch, focus_mm) for launch in ends)
-        across = (one - two) / 2
-    area = float(np.abs(along[0] * across[1] - along[1] * across[0])[0]) / STEP_RAD**2
+        one, two = (_landed(system, index, launch) for launch in ends)
+        across = (one - two) / (2 * STEP_RAD)
     if np.isinf(system.geometry.object_z):
-        return area
+        return Stretch(along, across, 1.0)
     # A point of the object plane lies at z tan(theta) from the axis.
     near_mm = system.geometry.object_z - system.geometry.field_z
-    return area * float(np.cos(theta)) ** 3 / near_mm**2
+    return Stretch(along, across, float(np.cos(theta)) ** 3 / near_mm**2)
 
 
 def _chief(
@@ -158,10 +165,12 @@ def _chief(
     return replace(launch, base=np.where(found, launch.base, np.nan))
 
 
-def _landed(system: System, index: np.ndarray, launch: Launch, focus_mm: float) -> np.ndarray:
-    """Return where the chief rays (2, L) of a field land, mm."""
-    zero = np.zeros((index.shape[1], 1))
+def _landed(system: System, index: np.ndarray, launch: Launch) -> np.ndarray:
+    """Return where the chief ray of a field lands, mm, and how much farther per mm: (2, 2)."""
+    zero = np.zeros((1, 1))
     rays = trace(system.geometry, index, launch, zero, zero)
-    point, direction = rays.point[..., 0], rays.direction[..., 0]
-    way = (system.image_z_mm + focus_mm - point[2]) / direction[2]
-    return np.where(rays.ok[:, 0], (point + way * direction)[:2], np.nan)
+    if not rays.ok[0, 0]:
+        return np.full((2, 2), np.nan)
+    point, direction = rays.point[:, 0, 0], rays.direction[:, 0, 0]
+    slope = direction[:2] / direction[2]
+    return np.stack([point[:2] + (system.image_z_mm - point[2]) * slope, slope])

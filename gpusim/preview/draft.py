@@ -28,6 +28,7 @@ from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 FIELDS, RAYS = 4, 64
+TRANSFORM = 512  # cells of a pupil each way: a quarter of the work of a bank's
 SIZE = 256  # samples of the PSFs at most: a window of 128 um at 0.5 um
 WAYS = 12  # to convolve, among which one takes whole PSFs
 TOLERANCE = 0.1  # the loosest that plans are made for
@@ -102,6 +103,7 @@ class DraftLens:
             pitch_um=pitch_um,
             size=min(size, SIZE),
             rays=RAYS,
+            transform=TRANSFORM,
         )
         self._banks: dict[float, Bank] = {}
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gpusim.errors import UserError
+from gpusim.gpu import wgsl
 from gpusim.preview.engine import REFINED, Engine, Shown, Stale
 from gpusim.preview.state import Knobs, View
 
@@ -99,8 +100,9 @@ class Worker:
 
     def _run(self) -> None:
         try:
-            while (job := self._next()) is not None:
-                self._make(*job)
+            with wgsl.held():
+                while (job := self._next()) is not None:
+                    self._make(*job)
         except BaseException as error:
             self.failure = error
             with self._changed:

@@ -19,7 +19,6 @@ from scipy.interpolate import make_interp_spline
 
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.lens.entering import image_area
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.system import System, build, conjugates, first_order, transmission
@@ -827,7 +826,7 @@ def bank_of(
     principal = principal_mm(system.prescription, reference_nm)
     scale_mm = order.efl_mm if principal is None else principal
     scale_um = 1e3 * scale_mm
-    rays_deg, rays_um = between_fields(system, wavelengths, angles, real, scale_um, focus_um)
+    rays_deg, rays_um = between_fields(generator.between, angles, real, scale_um, focus_um)
     theta = np.radians(rays_deg)
     folds = [f for h in rays_um.T if (f := FieldMap(theta, h, scale_um).folds_at) is not None]
     if folds:
@@ -853,7 +852,7 @@ def bank_of(
     if focus_um:
         provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
     areas = [
-        image_area(system, reference_nm, float(one), focus_mm=1e-3 * focus_um)
+        generator.stretch(float(reference_nm), float(one)).area(1e-3 * focus_um)
         for one in np.radians(angles)
     ]
     light_sr = entered / np.array(areas)[:, None]

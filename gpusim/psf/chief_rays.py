@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from gpusim.lens.system import System
@@ -15,9 +17,33 @@ HALVINGS = 4
 MIDDLE = np.zeros(1)  # of the stop: the chief ray goes with any point, and some are asked for
 
 
+class ChiefRays:
+    """Chief rays of a lens with an axis, each traced once.
+
+    Parameters
+    ----------
+    system : System
+    wavelengths_nm : ndarray (L,)
+    """
+
+    def __init__(self, system: System, wavelengths_nm: np.ndarray) -> None:
+        self._system = system
+        self._index = system.index(np.asarray(wavelengths_nm, float))
+        self._traced = cache(self._trace)
+
+    def _trace(self, theta: float) -> tuple[np.ndarray, np.ndarray]:
+        found = sample_rays(self._system, self._index, theta, MIDDLE, MIDDLE)
+        radial = found.chief_direction[:, 1]
+        return 1e3 * found.chief_y_mm, radial / np.sqrt(1 - radial**2)
+
+    def lands_um(self, theta: float, focus_um: float = 0.0) -> np.ndarray:
+        """Return where the rays (L,) of a field, rad, land in an image plane that is moved."""
+        height_um, slope = self._traced(theta)
+        return height_um + focus_um * slope
+
+
 def between_fields(
-    system: System,
-    wavelengths_nm: np.ndarray,
+    rays: ChiefRays,
     field_deg: np.ndarray,
     height_um: np.ndarray,
     scale_um: float,
@@ -29,9 +55,7 @@ def between_fields(
 
     Parameters
     ----------
-    system : System
-        With an axis.
-    wavelengths_nm : ndarray (L,)
+    rays : ChiefRays
     field_deg : ndarray (F,)
         Rising from 0.
     height_um : ndarray (F, L)
@@ -51,19 +75,13 @@ def between_fields(
     UserError
         Where a chief ray does not reach the image.
     """
-    index = system.index(np.asarray(wavelengths_nm, float))
     angles, heights = np.asarray(field_deg, float), np.asarray(height_um, float)
-
-    def lands(theta: float) -> np.ndarray:
-        found = sample_rays(system, index, theta, MIDDLE, MIDDLE)
-        radial = found.chief_direction[:, 1]
-        return 1e3 * found.chief_y_mm + focus_um * radial / np.sqrt(1 - radial**2)
 
     for _ in range(HALVINGS):
         theta = np.radians(angles)
         between = (theta[1:] + theta[:-1]) / 2
         maps = [FieldMap(theta, column, scale_um) for column in heights.T]
-        new = np.stack([lands(one) for one in between])
+        new = np.stack([rays.lands_um(float(one), focus_um) for one in between])
         miss_um = np.abs(np.stack([one.height_um(between) for one in maps], axis=1) - new).max()
         order = np.argsort(np.concatenate([theta, between]))
         angles = np.concatenate([angles, np.degrees(between)])[order]

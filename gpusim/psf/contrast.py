@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.psf import transfer
@@ -69,4 +69,4 @@ def field_contrast(
         return float(np.abs(together[0]))
 
     mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in transfer.DIRECTIONS]
-    return FieldContrast(np.array(mtf), entered / image_area(system, REFERENCE_NM, theta))
+    return FieldContrast(np.array(mtf), entered / stretch(system, REFERENCE_NM, theta).area())

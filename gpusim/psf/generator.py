@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -17,11 +18,13 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
+from gpusim.lens.entering import stretch
 from gpusim.lens.system import System
 from gpusim.lens.throughput import goes_with_the_ray
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
+from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import Wave
 from gpusim.psf.psf import undrooped
@@ -31,7 +34,7 @@ from gpusim.psf.psf import undrooped
 # at f/2.8). The pupil itself is sampled on the transform's grid.
 RAYS = 128
 TRANSFORM = 1024  # cells each way: with a pitch of 0.5 um the PSF repeats after 512 um
-FIRST_RADIX = 2  # 1024 = 2 8^3
+FIRST_RADIX = {512: 8, 1024: 2}  # for shaders/common/line_fft: length = FIRST_RADIX 8^k
 AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.04 stops
 # Degree of the polynomial from the directions in which rays leave to where they enter. It only has
 # to lead rays to within 1e-3 of a node's direction: see shaders/psf/wavefront.
@@ -89,9 +92,11 @@ class Generator:
     field_deg : ndarray, shape (F,)
         Field angles.
     pitch_um, size : float, int
-        Pitch and size of the PSFs; size at most half of TRANSFORM.
+        Pitch and size of the PSFs; size at most half of the transform.
     rays : int
         Nodes across the pupil each way; one half of them is traced, the other mirrors it.
+    transform : int
+        Cells of the pupil each way, 512 or 1024: the PSF repeats after so many samples.
     progress : callable, optional
         Called with (fields traced, fields in all).
 
@@ -99,6 +104,10 @@ class Generator:
     ----------
     chief_y_mm, chief_beta : ndarray, shape (F, L)
         Where the chief rays land, and their direction cosine there.
+    between : ChiefRays
+        Those of other fields.
+    stretch : callable
+        `gpusim.lens.entering.stretch` of the system, once for each field.
     failed_rays : ndarray of int, shape (F, L)
         Rays aimed within the stop that did not arrive, of AIMED_ACROSS across.
     residual_waves : ndarray, shape (F, L)
@@ -120,17 +129,20 @@ class Generator:
         pitch_um: float,
         size: int,
         rays: int = RAYS,
+        transform: int = TRANSFORM,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
         self.device, self.system = device, system
         self.wavelengths_nm, self.field_deg = wavelengths_nm, field_deg
-        self.pitch_um, self.size = pitch_um, size
+        self.pitch_um, self.size, self._transform = pitch_um, size, transform
         self._lossy = goes_with_the_ray(system.prescription)
         self._filtered = self._lossy or system.prescription.gaussian_apodisation > 0
         self._na, self._nb = rays // 2, rays
         self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
-        phase = -2j * np.pi * np.arange(TRANSFORM) / TRANSFORM
+        self.between = ChiefRays(system, wavelengths_nm)
+        self.stretch = cache(partial(stretch, system))
+        phase = -2j * np.pi * np.arange(transform) / transform
         self._twiddle = device.resident("twiddle", np.exp(phase).astype(np.complex64))
         shape = (len(field_deg), len(wavelengths_nm))
         self._grids = np.zeros(shape, _GRID)
@@ -140,7 +152,7 @@ class Generator:
         # How far rays land, and how much farther with a shift of the image plane, um and um per mm.
         self._landed_um, self._steep = np.zeros((2, *shape))
         at_um = (np.arange(size) - size // 2) * float(pitch_um)
-        period_um = TRANSFORM * float(pitch_um)
+        period_um = transform * float(pitch_um)
         self._undrooped = undrooped(at_um, (period_um, period_um), 0.0).astype(np.float32)
         self._away_um = np.maximum(np.abs(at_um[:, None]), np.abs(at_um))
         self._nodes: list[Resident] = []
@@ -242,7 +254,7 @@ class Generator:
         grid["first"] = step_a / 2, bottom - (SPARE - 0.5) * step_b
         grid["step"] = step_a, step_b
         grid["centre"] = (bottom + top) / 2
-        grid["cell"] = wavelength_um / (TRANSFORM * self.pitch_um)
+        grid["cell"] = wavelength_um / (self._transform * self.pitch_um)
         grid["chief_beta"] = self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
 
@@ -417,18 +429,19 @@ class Generator:
             How far the image plane is moved away from the lens.
         """
         lines, rows, size = len(self.wavelengths_nm), self._rows, self.size
+        transform = self._transform
         rec = Recording(self.device)
-        filled = rec.buffer("field", (lines, rows, TRANSFORM, 2), "f4")
+        filled = rec.buffer("field", (lines, rows, transform, 2), "f4")
         sums = rec.buffer("sums", (lines, rows, 2), "f4")
         half = rec.buffer("lines", (lines, size, rows, 2), "f4")
         intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
-        Kernel("psf/pupil", T=TRANSFORM).record(
+        Kernel("psf/pupil", T=transform).record(
             rec,
             (rows, lines, 1),
             {
                 "na": self._na,
                 "nb": self._nb,
-                "fold_um": (TRANSFORM - size / 2) * self.pitch_um,
+                "fold_um": (transform - size / 2) * self.pitch_um,
                 "focus_mm": focus_mm,
             },
             grids=self._uploaded_grids(rec, field),
@@ -438,9 +451,9 @@ class Generator:
             sums=sums,
         )
         overrides = {
-            "T": TRANSFORM,
-            "LANES": TRANSFORM // 8,
-            "FIRST_RADIX": FIRST_RADIX,
+            "T": transform,
+            "LANES": transform // 8,
+            "FIRST_RADIX": FIRST_RADIX[transform],
             "N": size,
         }
         Kernel("psf/along", **overrides).record(
@@ -467,7 +480,7 @@ class Generator:
         # Its first row is eta = 0; the halves mirror one another.
         psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
         # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
-        psf /= (2 * light * TRANSFORM**2).astype(np.float32)[:, None, None]
+        psf /= (2 * light * transform**2).astype(np.float32)[:, None, None]
         landed_um = self._landed_um[field] + abs(focus_mm) * self._steep[field]
         for line, landed in enumerate(landed_um):
             psf[line] *= np.where(self._away_um > landed, self._undrooped, 1)

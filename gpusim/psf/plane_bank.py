@@ -20,7 +20,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.lens.system import System, build, first_order, transmission
@@ -692,7 +692,7 @@ def field_of(
         "cone": np.stack([cone_of(g.alpha, g.beta, g.arriving, g.half) for g in grids]),
         "psf": psf,
         "light_sr": np.array([g.entered for g in grids])
-        / image_area(system, reference_nm, theta, azimuth),
+        / stretch(system, reference_nm, theta, azimuth).area(),
         "outside_energy": outside,
         "folded_energy": folded,
         "fit_residual_waves": np.array([g.fit_residual_mm for g in grids]) / (wavelengths * 1e-6),

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.gpu import default_device
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.psf.bank import REFERENCE_NM
@@ -167,7 +167,7 @@ def spreads(
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
-    areas = [image_area(system, REFERENCE_NM, float(theta)) for theta in np.radians(angles)]
+    areas = [stretch(system, REFERENCE_NM, float(theta)).area() for theta in np.radians(angles)]
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
         found = [generator.spread(field) for field in range(len(angles))]

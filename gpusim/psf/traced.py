@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import pupils, sample_field
@@ -183,7 +183,7 @@ def field_of(
         "psf": psf,
         "real_height_um": 1e3 * samples.chief_y_mm,
         "light_sr": np.array([one.entered for one in grids])
-        / image_area(system, reference_nm, theta),
+        / stretch(system, reference_nm, theta).area(),
         "outside_energy": 1 - psf.sum(axis=(1, 2), dtype=float),
         "folded_energy": folded,
         "fit_residual_waves": np.array([p.fit_residual_mm for p in grids]) / (lines * 1e-6),

@@ -5,7 +5,7 @@ import pytest
 from lens.made import lens, model
 
 from gpusim.formats.lens_file import load_prescription
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
 from gpusim.psf.bank import compute_bank
@@ -56,20 +56,20 @@ def test_the_images_area_is_the_slope_of_the_map(name):
         slope = chief.slope_um(one)
         across = slope if one == 0 else chief.height_um(one) / np.sin(one)
         exact = 1e-6 * across * slope
-        assert image_area(system, 550.0, float(one)) == pytest.approx(exact, rel=2e-6)
+        assert stretch(system, 550.0, float(one)).area() == pytest.approx(exact, rel=2e-6)
 
 
 def test_a_turned_field_and_a_moved_element_have_their_own_area():
     gauss = load_prescription("double-gauss")
     system = build(gauss)
-    straight = image_area(system, 550.0, 0.1)
-    assert image_area(system, 550.0, 0.1, 1.0) == pytest.approx(straight, rel=1e-6)
+    straight = stretch(system, 550.0, 0.1).area()
+    assert stretch(system, 550.0, 0.1, 1.0).area() == pytest.approx(straight, rel=1e-6)
     # An element that is moved by next to nothing takes the other way to the same figure.
     surfaces = list(gauss.surfaces)
     surfaces[1] = surfaces[1].model_copy(update={"decentre_mm": (1e-7, 0.0)})
     moved = build(gauss.model_copy(update={"surfaces": tuple(surfaces)}))
     for theta in (0.0, 0.1, 0.2):
-        one, other = (image_area(each, 550.0, theta, 0.5) for each in (system, moved))
+        one, other = (stretch(each, 550.0, theta, 0.5).area() for each in (system, moved))
         assert other == pytest.approx(one, rel=2e-6)
 
 
@@ -81,7 +81,7 @@ def test_of_an_object_far_away_the_light_is_that_of_one_at_infinity():
         for system in (build(gauss), build(far)):
             index = system.index(GREEN)
             (pupil,) = pupils(sample_field(system, index, theta), GREEN, 64.0, 256)
-            light.append(pupil.entered / image_area(system, 550.0, theta))
+            light.append(pupil.entered / stretch(system, 550.0, theta).area())
         assert light[1] == pytest.approx(light[0], rel=1e-5)  # 25 mm of 10 km, twice
 
 
@@ -92,7 +92,7 @@ def test_of_a_near_object_the_light_on_axis_is_that_of_its_pupil():
     system = build(near.model_copy(update=settings))
     index = system.index(GREEN)
     (pupil,) = pupils(sample_field(system, index, 0.0), GREEN, 64.0, 512)
-    light = pupil.entered / image_area(system, 550.0, 0.0)
+    light = pupil.entered / stretch(system, 550.0, 0.0).area()
     assert light == pytest.approx(pupil.projected_solid_angle_sr, rel=3e-4)
     assert pupil.entering_at_chief < 1.0  # sr: a wider cone behind the lens than before it
 

@@ -6,7 +6,7 @@ from lens.rays import exact
 
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
@@ -125,7 +125,7 @@ def test_every_lens_gives_a_bank_at_full_aperture_and_full_field(name):
     # The device places the rim between 128 rays: measured 1e-4, and 1.1e-3 on axis for the phone
     # lens, whose asphere lets no ray through beyond it.
     assert bank.relative_illumination[1, 1] * axis == pytest.approx(
-        pupil.entered / image_area(system, 550.0, theta), rel=2e-3
+        pupil.entered / stretch(system, 550.0, theta).area(), rel=2e-3
     )
 
 

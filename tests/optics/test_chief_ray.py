@@ -14,7 +14,7 @@ from gpusim.lens.system import System, build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.optics.chief_ray import FIT_ERROR_UM, black_share, chief_ray_map, radial_map
 from gpusim.psf.bank import WAVELENGTHS_NM, Bank, default_fields_deg, ideal_height_um
-from gpusim.psf.chief_rays import MIDDLE, MISS_UM, between_fields
+from gpusim.psf.chief_rays import MIDDLE, MISS_UM, ChiefRays, between_fields
 from gpusim.psf.field_bank import seen_as
 from gpusim.psf.field_map import FieldMap
 from gpusim.reference.chief_ray import chief_ray as twin
@@ -48,7 +48,7 @@ def lens_of(name: str) -> tuple[System, Bank]:
     efl_mm = first_order(prescription, 550.0).efl_mm
     angles = default_fields_deg(prescription)
     real = landed_um(system, lines, angles)
-    rays_deg, rays_um = between_fields(system, lines, angles, real, 1e3 * efl_mm)
+    rays_deg, rays_um = between_fields(ChiefRays(system, lines), angles, real, 1e3 * efl_mm)
     table = np.zeros(real.shape)
     made = replace(
         bank(),
@@ -139,8 +139,9 @@ def test_rays_are_added_until_their_map_meets_the_next():
         with pytest.MonkeyPatch.context() as patched:
             patched.setattr("gpusim.psf.chief_rays.sample_rays", lands)
             given = height(np.radians(angles))[:, None]
-            rays_deg, rays_um = between_fields(Traced, [550.0], angles, given, 1e3)
-            moved_deg, moved_um = between_fields(Traced, [550.0], angles, given, 1e3, 40.0)
+            rays = ChiefRays(Traced, [550.0])
+            rays_deg, rays_um = between_fields(rays, angles, given, 1e3)
+            moved_deg, moved_um = between_fields(rays, angles, given, 1e3, 40.0)
         assert len(rays_deg) == 5 * 2**halved + 1
         assert set(angles.round(9)) <= set(rays_deg.round(9))
         assert_close(rays_um[:, 0], height(np.radians(rays_deg)), atol=1e-9)

@@ -7,7 +7,7 @@ import pytest
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
-from gpusim.lens.entering import image_area
+from gpusim.lens.entering import stretch
 from gpusim.lens.system import build
 from gpusim.psf.bank import REFERENCE_NM
 from gpusim.psf.contrast import field_contrast
@@ -24,7 +24,7 @@ def test_it_is_the_mtf_of_the_fields_own_transfer_function(field_deg: float):
     expected = [np.abs(exact.otf(frequency, way)) for way in DIRECTIONS]
     # `gpusim.psf.transfer.COARSE_NODES`: 1e-3 of the rim's rounding.
     np.testing.assert_allclose(found.mtf, expected, rtol=0, atol=2e-3)
-    area = image_area(system, REFERENCE_NM, theta)
+    area = stretch(system, REFERENCE_NM, theta).area()
     whole = np.array([pupil.entered for pupil in exact.fine]) / area
     np.testing.assert_allclose(found.light_sr, whole, rtol=1e-3)
 
