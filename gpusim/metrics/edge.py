@@ -7,7 +7,8 @@ of one colour is a picture with a step of two pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import Polynomial, legendre
@@ -194,6 +195,45 @@ def find_line(samples: Samples) -> Line:
             raise _no_edge(samples)
         line = Polynomial.fit(y[seen], place[seen], 1)
     return _fitted(samples, y[seen], place[seen])
+
+
+def followed(
+    samples: Samples,
+    line: Line,
+    esf: Callable[[np.ndarray], np.ndarray],
+    slope: Callable[[np.ndarray], np.ndarray],
+    reach: float,
+) -> Line:
+    """Return the edge, its slope and bends by how far rows are shifted against all together.
+
+    A row's shift is that of least squares against the edge spread function. It hears all pixels of
+    the edge, where a centroid has a window, which cuts a wide edge otherwise in each row. Where the
+    edge lies as a whole, the centroids have said.
+
+    Parameters
+    ----------
+    samples : Samples
+    line : Line
+    esf, slope : callable
+        Edge spread function over the distance from the line, and its derivative.
+    reach : float
+        Distance to which it is known, px.
+    """
+    y, place = [], []
+    for at, x, value in samples.rows:
+        distance = line.distance(x, np.full_like(x, at))
+        own = np.abs(distance) <= reach
+        steep, rest = slope(distance[own]), value[own] - esf(distance[own])
+        weight = float(steep @ steep)
+        if weight > 0:
+            y.append(at)
+            # The distance falls by the shift along x times the cosine of the edge's angle.
+            shift = -float(rest @ steep) / weight
+            place.append(float(line.x_of_y(at)) + shift * np.hypot(1, line.x_of_y.deriv()(at)))
+    y, place = np.array(y), np.array(place)
+    found = _fitted(samples, y, place)
+    whole = float(np.mean(line.x_of_y(y) - found.x_of_y(y)))
+    return replace(found, x_of_y=found.x_of_y + whole, u_px=line.u_px)
 
 
 def _first_line(samples: Samples) -> tuple[Polynomial, float]:

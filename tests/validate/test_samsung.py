@@ -255,7 +255,6 @@ def test_the_report_has_a_figure_of_each_section_and_holds_what_is_as_predicted(
 
 # The bars that the command does not hold, and by how much.
 RED = {
-    "ESF of wide at 0.5 field, three wavelengths": "0.033 of 0.01, at 656 nm along the radius",
     "certificates of 6 renders, total": "of the wide lens 6.1e-3 of 3e-3",
 }
 
