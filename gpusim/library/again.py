@@ -198,7 +198,13 @@ def _renderer(
     return Renderer(
         Camera(lens, checked(Sensor, camera["sensor"], path), camera["title"]),
         made_again(light["scene"]),
-        Accuracy(light["tolerance"], 0, light["tolerance_unit"], light["best_effort"]),
+        Accuracy(
+            light["tolerance"],
+            0,
+            light["tolerance_unit"],
+            light["best_effort"],
+            aim=light.get("aim"),  # what gpusim wrote before it planned anew has none
+        ),
         progress=progress,
         exposure_s=light["longest_exposure_s"],
         costs=costs_of(light["costs"]),

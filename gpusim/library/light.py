@@ -19,6 +19,7 @@ from gpusim.library.store import read_light, save_light
 from gpusim.plan import Accuracy
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import Rect, aligned, strips, tiles_of
+from gpusim.render.anew import planned_anew
 from gpusim.render.reading import (
     Reader,
     Reading,
@@ -465,6 +466,8 @@ def expose(
 ) -> Light:
     """Bring the light of a scene through a camera's lens onto its photosites.
 
+    Where the certificate misses the tolerance, the light is made again by a plan for less error.
+
     Parameters
     ----------
     camera : Camera
@@ -505,13 +508,17 @@ def expose(
     rect = rectangle(tile, camera.sensor)
     # Only a tolerance in sigmas asks for the exposure.
     longest: dict[str, Any] = {} if exposure_s is None else {"exposure_s": exposure_s}
-    renderer = Renderer(
-        camera, scene, accuracy, progress=progress, memory_bytes=memory_bytes, **longest
-    )
-    try:
-        return lit(renderer, rect, progress)
-    finally:
-        renderer.release()
+
+    def attempt(asked: Accuracy) -> Light:
+        renderer = Renderer(
+            camera, scene, asked, progress=progress, memory_bytes=memory_bytes, **longest
+        )
+        try:
+            return lit(renderer, rect, progress)
+        finally:
+            renderer.release()
+
+    return planned_anew(accuracy, attempt)
 
 
 def _check_given(

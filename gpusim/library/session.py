@@ -16,6 +16,7 @@ from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.library.light import OPTICAL, Light, lit
 from gpusim.plan import Accuracy
+from gpusim.render.anew import planned_anew
 from gpusim.render.renderer import Renderer, rectangle
 
 if TYPE_CHECKING:
@@ -177,21 +178,26 @@ class Session:
 
     def light(self) -> Light:
         """Return the light of the settings of now, made if it is not there."""
-        done = []
-        if self._light is None:
+        light, done = self._light, []
+        if light is None:
             if self._renderer is None:
-                self._renderer = Renderer(
-                    self.camera,
-                    self._parts["scene"],
-                    self._accuracy(),
-                    progress=self.progress,
-                )
                 done.append("plan")
-            sensor = self._parts["sensor"]
-            self._light = lit(self._renderer, rectangle(self._parts["tile"], sensor), self.progress)
+            light = self._light = planned_anew(self._accuracy(), self._lit)
             done.append("light")
         self.redone = tuple(done)
-        return self._light
+        return light
+
+    def _lit(self, asked: Accuracy) -> Light:
+        """Return the light by the renderer that is there, or by one for an accuracy."""
+        if self._renderer is not None and asked.aim is not None:
+            self._renderer.release()
+            self._renderer = None
+        if self._renderer is None:
+            self._renderer = Renderer(
+                self.camera, self._parts["scene"], asked, progress=self.progress
+            )
+        rect = rectangle(self._parts["tile"], self._parts["sensor"])
+        return lit(self._renderer, rect, self.progress)
 
     def frame(self) -> Frame:
         """Return a frame with the settings of now; the last one where nothing was changed.

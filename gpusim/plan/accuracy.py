@@ -39,6 +39,9 @@ class Accuracy:
     within_s : float, optional
         Seconds that a first frame may take as predicted: the tolerance is then the least that they
         allow, in place of `tolerance`. `gpusim.render.deadline` finds it.
+    aim : float, optional
+        Tolerance that plans are made for, where that is less than `tolerance`: those for
+        `tolerance` itself missed it. See `gpusim.render.anew`.
     """
 
     tolerance: float = 1e-3
@@ -46,6 +49,7 @@ class Accuracy:
     unit: str = "relative"
     best_effort: bool = False
     within_s: float | None = None
+    aim: float | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -100,6 +104,11 @@ class Accuracy:
                 "The tolerance is no number.", field="tolerance", value=text, allowed=ALLOWED
             ) from None
         return cls(tolerance, probes, unit, best_effort)
+
+    @property
+    def planned(self) -> Accuracy:
+        """What plans are made for."""
+        return self if self.aim is None else replace(self, tolerance=self.aim, aim=None)
 
     @property
     def text(self) -> str:

@@ -82,6 +82,7 @@ def recipe_of(
             "tolerance": accuracy.tolerance,
             "tolerance_unit": accuracy.unit,
             "best_effort": accuracy.best_effort,
+            "aim": accuracy.aim,
             "longest_exposure_s": float(longest_s),
             "noise": noise,
             "method": method,

@@ -44,6 +44,7 @@ from gpusim.plan.tiles import (
     tiles_of,
 )
 from gpusim.psf.field_bank import FieldBank
+from gpusim.render.anew import planned_anew
 from gpusim.render.capture import Capture
 from gpusim.render.coarse import CoarseCamera, seen_by
 from gpusim.render.deadline import resolved
@@ -176,7 +177,7 @@ class Renderer:
             exposure_s=self.longest_s,
             progress=lambda *done: report("lens", *done),
         )
-        asked = self.accuracy, self.longest_s
+        asked = self.accuracy.planned, self.longest_s
         seen = look(camera, self.scene, *asked, lambda *done: report("lens", *done))
         self.band, self.density, self.scene = seen.band, seen.density, seen.scene
         scene = self.scene
@@ -221,7 +222,8 @@ class Renderer:
     ) -> list[Plan]:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
-        given = self.bank, sensor, self.scene, self.accuracy, self._costs, self._noise
+        planned = self.accuracy.planned
+        given = self.bank, sensor, self.scene, planned, self._costs, self._noise
         found = plans_optics(
             *given, method, force, self.longest_s, count=count, density=self.density
         )
@@ -668,7 +670,14 @@ class Renderer:
         """How the scene was read and placed, and what a time afforded."""
         placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
         afforded = (self.afforded,) if self.afforded else ()
-        return self.scene.notes + placed + afforded
+        return self.scene.notes + placed + afforded + self._anew
+
+    @property
+    def _anew(self) -> tuple[str, ...]:
+        if self.accuracy.aim is None:
+            return ()
+        aim = self.accuracy.in_words(self.accuracy.aim)
+        return (f"planned for {aim}: by a looser plan the certificate missed {self.accuracy.text}",)
 
     def white_e(self, exposure_s: float) -> dict[str, float]:
         """Return the mean electrons that the scene's white makes on the axis, by channel."""
@@ -731,6 +740,7 @@ def capture(
 ) -> Capture:
     """Prepare a camera and a scene, and render one frame: see `Renderer` and `Renderer.capture`.
 
+    Where the certificate misses the tolerance, the frame is made again: see `gpusim.render.anew`.
     ``gain``: a step of the sensor's analogue gain, see `Sensor.at_gain`. ``costs``: the rates that
     the plan is made from, those of the adapter if not given.
     """
@@ -738,28 +748,32 @@ def capture(
         camera = replace(camera, sensor=camera.sensor.at_gain(gain))
     rectangle(tile, camera.sensor)  # before the long work
     camera.sensor.dark_current_at(temperature_c)  # as well
-    renderer = Renderer(
-        camera,
-        scene,
-        accuracy,
-        progress=progress,
-        memory_bytes=memory_bytes,
-        exposure_s=exposure_s,
-        noise=noise,
-        method=method,
-        costs=costs,
-    )
-    try:
-        return renderer.capture(
-            exposure_s,
-            seed=seed,
-            frame=frame,
-            temperature_c=temperature_c,
-            tile=tile,
-            tile_px=tile_px,
-            keep=keep,
-            folder=folder,
+
+    def attempt(asked: Accuracy) -> Capture:
+        renderer = Renderer(
+            camera,
+            scene,
+            asked,
             progress=progress,
+            memory_bytes=memory_bytes,
+            exposure_s=exposure_s,
+            noise=noise,
+            method=method,
+            costs=costs,
         )
-    finally:
-        renderer.release()
+        try:
+            return renderer.capture(
+                exposure_s,
+                seed=seed,
+                frame=frame,
+                temperature_c=temperature_c,
+                tile=tile,
+                tile_px=tile_px,
+                keep=keep,
+                folder=folder,
+                progress=progress,
+            )
+        finally:
+            renderer.release()
+
+    return planned_anew(accuracy or Accuracy(), attempt)

@@ -66,6 +66,7 @@ def facts(capture: Capture, *, files: Sequence[str], command: Sequence[str]) -> 
             "tolerance": capture.accuracy.tolerance,
             "tolerance_unit": capture.accuracy.unit,
             "best_effort": capture.accuracy.best_effort,
+            "aim": capture.accuracy.aim,
             "saturated_share": _saturated(capture),
             "iso": iso_speed(capture.camera.sensor),
             "raw_sha256": hashlib.sha256(np.ascontiguousarray(capture.raw)).hexdigest(),

@@ -29,7 +29,7 @@ from gpusim.lens.system import build
 from gpusim.metrics.distortion import RADII, Distortion, measure_distortion
 from gpusim.metrics.picture import Plane
 from gpusim.plan import Accuracy
-from gpusim.render import Capture, Renderer
+from gpusim.render import Capture, capture
 from gpusim.scene import make_scene
 from gpusim.scene.patterns import Frame
 from gpusim.scene.scene import Scene
@@ -241,11 +241,10 @@ class Read:
 
 def rate_of(camera: Camera, scene: Scene, *, probes: int = PROBES) -> tuple[Capture, np.ndarray]:
     """Return a capture with its certificate, and the electrons/s (rows, cols)."""
-    renderer = Renderer(camera, scene, Accuracy(TOLERANCE, probes), noise=False)
-    try:
-        found = renderer.capture(EXPOSURE_S, keep=("rate",))
-    finally:
-        renderer.release()
+    accuracy = Accuracy(TOLERANCE, probes)
+    found = capture(
+        camera, scene, exposure_s=EXPOSURE_S, accuracy=accuracy, noise=False, keep=("rate",)
+    )
     return found, found.rate
 
 

@@ -28,6 +28,7 @@ from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certified
 from gpusim.validate.edges import AXES, TILT_RAD, Found, Target, compare, cut, normal_of, region_of
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Band, Predictor
@@ -162,20 +163,26 @@ class BandRenders:
 
         The capture is that of the outer strip, with its certificate; the other goes by its plan.
         """
+        scene, rate = lit(chart, reflectances), np.zeros((self.sensor.rows, self.sensor.cols))
+
+        def made(accuracy: Accuracy) -> Renderer:
+            return Renderer(self.camera, scene, accuracy, noise=False, **how)
+
+        def taken(renderer: Renderer, strip: tuple[int, int, int, int]) -> Capture:
+            return renderer.capture(EXPOSURE_S, tile=strip, keep=("rate",))
+
+        inner, outer = self.strips
         accuracy = Accuracy(TOLERANCE, PROBES)
-        renderer = Renderer(self.camera, lit(chart, reflectances), accuracy, noise=False, **how)
-        rate = np.zeros((self.sensor.rows, self.sensor.cols))
+        renderer, first = certified(accuracy, made, lambda renderer: taken(renderer, outer))
         try:
-            for x, y, width, height in reversed(self.strips):
-                tile = x, y, width, height
-                found = renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",))
+            for (x, y, width, height), found in (
+                (outer, first),
+                (inner, taken(renderer, inner)),
+            ):
                 rate[y : y + height, x : x + width] = found.rate
-                if renderer.accuracy.probes:
-                    certified = found
-                    renderer.accuracy = replace(accuracy, probes=0)
         finally:
             renderer.release()
-        return certified, rate
+        return first, rate
 
 
 def lit(chart: Chart, reflectances: tuple[float, ...]) -> Scene:

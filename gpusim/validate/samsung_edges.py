@@ -21,10 +21,11 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.metrics.sfr import measure_sfr
 from gpusim.plan import Accuracy
-from gpusim.render import Renderer
+from gpusim.render import Capture, Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certified
 from gpusim.validate.edges import TILT_RAD, Target, normal_of, predicted_lsf
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
@@ -142,21 +143,29 @@ def edges_of(
     """Return the edges of a lens, and the certificate of the render."""
     sensor = lines_sensor(PATTERN, LINES_NM)
     places, target = places_of(optics, predictor, sensor)
-    certificate, found = None, []
-    accuracy = Accuracy(TOLERANCE, PROBES)
-    renderer = Renderer(camera_of(optics, lens, sensor), lit(target.chart), accuracy, noise=False)
+    camera, scene = camera_of(optics, lens, sensor), lit(target.chart)
+
+    def made(accuracy: Accuracy) -> Renderer:
+        return Renderer(camera, scene, accuracy, noise=False)
+
+    def taken(renderer: Renderer, place: Place) -> Capture:
+        tile = region_of(place, sensor)
+        return renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",))
+
+    begin, *others = places.values()
+    renderer, first = certified(
+        Accuracy(TOLERANCE, PROBES), made, lambda renderer: taken(renderer, begin)
+    )
     try:
-        for name, place in places.items():
-            region = region_of(place, sensor)
-            capture = renderer.capture(EXPOSURE_S, tile=region, keep=("rate",))
-            if certificate is None:
-                certificate, renderer.accuracy = capture.certificate, Accuracy(TOLERANCE, 0)
-            for channel in LINES_NM:
-                one = edge_of(place, target, channel, capture.rate, sensor, predictor)
-                found.append(Edge(optics, name, channel, *one))
+        captures = [first, *(taken(renderer, place) for place in others)]
     finally:
         renderer.release()
-    return found, Certified(certificate, TOLERANCE)
+    found = []
+    for (name, place), capture in zip(places.items(), captures, strict=True):
+        for channel in LINES_NM:
+            one = edge_of(place, target, channel, capture.rate, sensor, predictor)
+            found.append(Edge(optics, name, channel, *one))
+    return found, Certified(first.certificate, TOLERANCE)
 
 
 def places_of(
