@@ -812,7 +812,7 @@ def bank_of(
     psfs = np.empty((len(generator.field_deg), len(wavelengths), size, size), np.float32)
     outside, folded, entered, core = np.zeros((4, *psfs.shape[:2]))
     for field in range(len(psfs)):
-        spread = generator.spread(field, 1e-3 * focus_um)
+        spread = generator.spread(field, 1e-3 * focus_um, rim=wide)
         psf = np.multiply(spread.psf, inside, out=psfs[field])
         outside[field] = 1.0 - psf.sum(axis=(1, 2), dtype=float)
         core[field] = np.einsum("lyx,yx->l", psf, within, dtype=float)

@@ -26,8 +26,8 @@ from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
 from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
-from gpusim.psf.halo import Wave
-from gpusim.psf.psf import undrooped
+from gpusim.psf.halo import Wave, rim_lost, through_few
+from gpusim.psf.psf import mirrored
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -149,12 +149,6 @@ class Generator:
         self.failed_rays = np.zeros(shape, np.int32)
         self.residual_waves = np.zeros(shape)
         self._entering_at_chief = np.zeros(shape)
-        # How far rays land, and how much farther with a shift of the image plane, um and um per mm.
-        self._landed_um, self._steep = np.zeros((2, *shape))
-        at_um = (np.arange(size) - size // 2) * float(pitch_um)
-        period_um = transform * float(pitch_um)
-        self._undrooped = undrooped(at_um, (period_um, period_um), 0.0).astype(np.float32)
-        self._away_um = np.maximum(np.abs(at_um[:, None]), np.abs(at_um))
         self._nodes: list[Resident] = []
         # -ln of the amplitude at the nodes, and how much of it stop, surfaces and glass take.
         self._exponents: list[Resident] = []
@@ -374,7 +368,6 @@ class Generator:
             self.device.write(self._nodes[field], nodes)
         for line, (cosines, _, reach, opd, *_) in enumerate(aimed):
             grid = self._grids[field, line]
-            self._note_landing(field, line, nodes[line])
             at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
             inside = reach < 1
             place = (at[inside] - grid["first"]) / grid["step"]
@@ -397,21 +390,6 @@ class Generator:
             found = np.einsum("ra,rb,rab->r", weights[:, 0], weights[:, 1], stencil[..., 0])
             self.residual_waves[field, line] = np.std(found - opd[inside])
 
-    def _note_landing(self, field: int, line: int, nodes: np.ndarray) -> None:
-        """Keep how far the rays of one beam land from the chief ray, along a side at most."""
-        grid = self._grids[field, line]
-        inside = (nodes[..., 1] > 0) & (nodes[..., 1] < 1)
-        waves = np.where(nodes[..., 1] > 0, nodes[..., 0], np.nan).astype(float)
-        for axis, step in enumerate(grid["step"]):
-            slope = np.abs(np.gradient(waves, float(step), axis=axis))[inside]
-            landed = 1e3 * np.nanmax(slope, initial=0.0) / grid["waves_per_mm"]
-            self._landed_um[field, line] = max(self._landed_um[field, line], landed)
-        alpha, beta = self._directions(field, line)
-        gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
-        chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
-        steep = np.maximum(np.abs(alpha[:, None] / gamma), np.abs(beta / gamma - chief))
-        self._steep[field, line] = 1e3 * steep[inside].max(initial=0.0)
-
     def _directions(self, field: int, line: int) -> tuple[np.ndarray, np.ndarray]:
         """Return alpha (A,) and beta (B,) of the nodes of one beam."""
         grid = self._grids[field, line]
@@ -419,7 +397,7 @@ class Generator:
         beta = grid["first"][1] + np.arange(self._nb) * grid["step"][1].astype(float)
         return alpha, beta
 
-    def spread(self, field: int, focus_mm: float = 0.0) -> Spread:
+    def spread(self, field: int, focus_mm: float = 0.0, *, rim: bool = True) -> Spread:
         """Return the PSFs of one field.
 
         Parameters
@@ -427,6 +405,8 @@ class Generator:
         field : int
         focus_mm : float
             How far the image plane is moved away from the lens.
+        rim : bool
+            Whether to add what sampling the rim loses: see `gpusim.psf.halo.rim_lost`.
         """
         lines, rows, size = len(self.wavelengths_nm), self._rows, self.size
         transform = self._transform
@@ -481,9 +461,8 @@ class Generator:
         psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
         # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
         psf /= (2 * light * transform**2).astype(np.float32)[:, None, None]
-        landed_um = self._landed_um[field] + abs(focus_mm) * self._steep[field]
-        for line, landed in enumerate(landed_um):
-            psf[line] *= np.where(self._away_um > landed, self._undrooped, 1)
+        if rim:
+            psf += self._rim_lost(field, 1e3 * focus_mm)
         return Spread(
             psf=psf,
             entered=2
@@ -492,6 +471,22 @@ class Generator:
             * self._entering_at_chief[field],
             folded_energy=folded / light,
         )
+
+    def _rim_lost(self, field: int, focus_um: float) -> np.ndarray:
+        """Return what sampling the rim takes from the PSFs (L, n, n) of a field."""
+        period_um = 2 * (self._transform * float(self.pitch_um),)
+        few, basis = through_few(self.wavelengths_nm)
+        lost = [
+            rim_lost(
+                self.wave(field, line, focus_um),
+                1e-3 * self.wavelengths_nm[line],
+                self.size,
+                float(self.pitch_um),
+                period_um,
+            )
+            for line in few
+        ]
+        return mirrored(np.einsum("lf,fyx->lyx", basis, lost)).astype(np.float32)
 
     def wave(self, field: int, line: int, focus_um: float = 0.0) -> Wave:
         """Return the wavefront of one field and wavelength in an image plane, both halves."""

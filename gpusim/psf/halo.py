@@ -54,6 +54,9 @@ CORNER = np.radians(20)
 # Rays for each node of the pupil's grid, each way, where they land beyond the core.
 RAYS_PER_NODE = 6
 MOST_SCALED = 5.0  # 1.5 is met in windows of 64 samples at f/2.8, 1.1 in those of 256
+# What sampling the rim loses is worked out from this part of the window's radius on, in bins of
+# this width in ln r: nearer it is less than 1e-3 of the rim's light.
+LOST_FROM, LOST_LOG_STEP = 16.0, 0.1
 FEW_RAYS = 1e-6  # of the light: fewer are not looked for
 
 
@@ -174,25 +177,39 @@ def field_halo(
         Share of the light beyond them.
     """
     lines, pitch = len(wavelengths_nm), pitches_um(core_pitch_um)
-    few = sorted({0, lines // 2, lines - 1})
-    waves = {line: wave(line) for line in few}
-    rays = any(one.lands_beyond(FALLS_FROM * core_radius_um) for one in waves.values())
-    if rays:
-        waves |= {line: wave(line) for line in range(lines) if line not in waves}
+    used, basis = through_few(wavelengths_nm)
+    waves = {line: wave(line) for line in used}
+    if any(one.lands_beyond(FALLS_FROM * core_radius_um) for one in waves.values()):
+        used, basis = range(lines), np.eye(lines)
+        waves |= {line: wave(line) for line in used if line not in waves}
     found = {
         line: halo(one, 1e-3 * wavelengths_nm[line], core_radius_um, pitch)
         for line, one in waves.items()
     }
-    # Lagrange's polynomials through the lines that were worked out.
-    used = range(lines) if rays else few
-    basis = np.eye(lines) if rays else np.ones((lines, len(few)))
-    for place, line in enumerate(few if not rays else ()):
+    levels = np.einsum("lf,fkyx->klyx", basis, np.stack([found[line][0] for line in used]))
+    return levels.astype(np.float32), basis @ [found[line][1] for line in used]
+
+
+def through_few(wavelengths_nm: np.ndarray) -> tuple[list[int], np.ndarray]:
+    """Return lines (up to 3) to work diffracted light out at, and the parabola through them.
+
+    It is nearly proportional to the wavelength.
+
+    Returns
+    -------
+    few : list of int
+    basis : ndarray (L, len(few))
+        Lagrange's polynomials.
+    """
+    lines = len(wavelengths_nm)
+    few = sorted({0, lines // 2, lines - 1})
+    basis = np.ones((lines, len(few)))
+    for place, line in enumerate(few):
         for other in few:
             if other != line:
                 step = wavelengths_nm[line] - wavelengths_nm[other]
                 basis[:, place] *= (wavelengths_nm - wavelengths_nm[other]) / step
-    levels = np.einsum("lf,fkyx->klyx", basis, np.stack([found[line][0] for line in used]))
-    return levels.astype(np.float32), basis @ [found[line][1] for line in used]
+    return few, basis
 
 
 def whole_halo(
@@ -271,31 +288,19 @@ def halo(
         Share of the light beyond the last level.
     """
     radii = [core_radius_um, *(SIZE / 2 * level_pitch_um)]
-    cell = (wave.alpha[1] - wave.alpha[0]) * (wave.beta[1] - wave.beta[0])
-    area = float(wave.light.sum()) * cell
     slope = wave.slope
     first = FALLS_FROM * core_radius_um / 2
     edges = np.log(first) + LOG_STEP * np.arange(
         int(np.ceil((np.log(1.5 * radii[-1]) - np.log(first)) / LOG_STEP)) + 1
     )
-    points, normals, lengths = _rim(wave)
-    at = [
-        (point - axis[0]) / (axis[1] - axis[0])
-        for point, axis in zip(points, (wave.alpha, wave.beta), strict=True)
-    ]
-    landing = np.stack([-map_coordinates(one, at, order=1) for one in slope])
-    strength = lengths * wavelength_um / (4 * np.pi**2 * area)
-    if np.ndim(wave.passed):
-        strength = strength * map_coordinates(wave.passed, at, order=1)
+    landing, normals, strength = _throws(wave, slope, wavelength_um)
     polar, beyond, taken = _diffracted(landing, normals, strength, edges)
     middle = np.exp(edges[:-1] + LOG_STEP / 2)
     rays, places = _far_rays(wave, slope, FALLS_FROM * core_radius_um)
     if len(rays):
         rays, places = np.append(rays, -taken), np.append(places, landing, axis=1)
         far = np.hypot(*places)
-    # Density times r^3 is nearly even.
-    even = polar * middle[:, None] / (LOG_STEP * (2 * np.pi / AROUND))
-    even = np.concatenate([even, even[:, :1]], axis=1)
+    even = _even(polar, edges)
     levels = np.zeros((len(level_pitch_um), SIZE, SIZE))
     line = np.arange(SIZE) - SIZE // 2
     ends = [FALLS_FROM] * (len(levels) - 1) + [LAST_FALLS_FROM]
@@ -318,6 +323,68 @@ def halo(
     if len(rays):
         outside += float(rays @ (1 - fall(far, radii[-1], LAST_FALLS_FROM)))
     return levels, outside
+
+
+def rim_lost(
+    wave: Wave, wavelength_um: float, size: int, pitch_um: float, period_um: tuple[float, float]
+) -> np.ndarray:
+    """Return what a window lacks because the pupil was sampled in cells: (size, size), shares.
+
+    A cell on the rim counts with its share inside, a mean over the cell. At a distance t from where
+    its ray lands, along the normal n, that multiplies the light which the rim throws by
+    sinc^2(t n_1 / P_1) sinc^2(t n_2 / P_2): P is the period after which the sampled pupil's image
+    repeats. Copies that fold in from there are left out, 0.4 % of the rim's light at P / 4.
+
+    Parameters
+    ----------
+    wave : Wave
+    wavelength_um : float
+    size, pitch_um : int, float
+        Of the window; rows along alpha.
+    period_um : (float, float)
+        Along alpha and beta.
+    """
+    landing, normals, strength = _throws(wave, wave.slope, wavelength_um)
+    radius_um = size / 2 * pitch_um
+    edges = np.arange(np.log(radius_um / LOST_FROM), np.log(2 * radius_um), LOST_LOG_STEP)
+    ends = np.exp(np.arange(edges[0] - 1.0, edges[-1] + LOST_LOG_STEP / 2, LOST_LOG_STEP))
+    t = np.sqrt(ends[:-1] * ends[1:])
+    along = [np.sinc(t * way[:, None] / side) for way, side in zip(normals, period_um, strict=True)]
+    light = strength[:, None] * (1 / ends[:-1] - 1 / ends[1:]) * (1 - (along[0] * along[1]) ** 2)
+    even = _even(_binned(landing, normals, light, t, edges)[1:-1], edges)
+    line = (np.arange(size) - size // 2) * pitch_um
+    x, y = np.broadcast_arrays(line[:, None], line)
+    r = np.maximum(np.hypot(x, y), 0.5 * pitch_um)
+    turn = np.arctan2(x, y) % (2 * np.pi) * ((even.shape[1] - 1) / (2 * np.pi))
+    at = [(np.log(r) - edges[0]) / LOST_LOG_STEP - 0.5, turn]
+    found = pitch_um**2 / r**3 * map_coordinates(even, at, order=1, mode="nearest")
+    return np.where(r > radius_um / LOST_FROM, found, 0.0)
+
+
+def _throws(
+    wave: Wave, slope: list[np.ndarray], wavelength_um: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where rays of rim elements land (2, M), normals (2, M) and strengths (M,), um."""
+    cell = (wave.alpha[1] - wave.alpha[0]) * (wave.beta[1] - wave.beta[0])
+    area = float(wave.light.sum()) * cell
+    points, normals, lengths = _rim(wave)
+    at = [
+        (point - axis[0]) / (axis[1] - axis[0])
+        for point, axis in zip(points, (wave.alpha, wave.beta), strict=True)
+    ]
+    landing = np.stack([-map_coordinates(one, at, order=1) for one in slope])
+    strength = lengths * wavelength_um / (4 * np.pi**2 * area)
+    if np.ndim(wave.passed):
+        strength = strength * map_coordinates(wave.passed, at, order=1)
+    return landing, normals, strength
+
+
+def _even(polar: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return density times r^3, which is nearly even, of polar bins; the first column twice."""
+    middle = np.exp((edges[:-1] + edges[1:]) / 2)
+    area = np.diff(edges)[:, None] * (2 * np.pi / polar.shape[1])
+    even = polar * middle[:, None] / area
+    return np.concatenate([even, even[:, :1]], axis=1)
 
 
 def _diffracted(
@@ -346,12 +413,25 @@ def _diffracted(
     ends = np.exp(np.arange(edges[0] - 1.0, edges[-1] + LOG_STEP / 2, LOG_STEP))
     t = np.sqrt(ends[:-1] * ends[1:])
     share = 1 / ends[:-1] - 1 / ends[1:]
+    polar = _binned(landing, normals, strength[:, None] * share, t, edges)
+    beyond = float(polar[-1].sum() + 2 * strength.sum() / ends[-1])
+    return polar[1:-1], beyond, 2 * strength / ends[0]
+
+
+def _binned(
+    landing: np.ndarray, normals: np.ndarray, light: np.ndarray, t: np.ndarray, edges: np.ndarray
+) -> np.ndarray:
+    """Return light (M, T) at distances t both ways along normals, in polar bins (R + 2, AROUND).
+
+    The first row holds what lies nearer than all edges, the last what lies beyond.
+    """
     x, y = (
         start[:, None, None] + way[:, None, None] * np.stack([t, -t])
         for start, way in zip(landing, normals, strict=True)
     )
-    light = np.broadcast_to(strength[:, None, None] * share, x.shape)
-    place = (np.log(np.maximum(np.hypot(x, y), 1e-9)) - edges[0]) / LOG_STEP - 0.5
+    both = np.broadcast_to(light[:, None], x.shape)
+    step = edges[1] - edges[0]
+    place = (np.log(np.maximum(np.hypot(x, y), 1e-9)) - edges[0]) / step - 0.5
     turn = np.arctan2(x, y) / (2 * np.pi) * AROUND
     count = len(edges) - 1
     row, col = np.floor(place), np.floor(turn)
@@ -361,10 +441,8 @@ def _diffracted(
             weight = np.abs(1 - down - (place - row)) * np.abs(1 - across - (turn - col))
             bins = np.clip(row + down, -1, count).astype(int) + 1
             number = bins * AROUND + (col + across).astype(int) % AROUND
-            polar += np.bincount(number.ravel(), (light * weight).ravel(), len(polar))
-    polar = polar.reshape(count + 2, AROUND)
-    beyond = float(polar[-1].sum() + 2 * strength.sum() / ends[-1])
-    return polar[1:-1], beyond, 2 * strength / ends[0]
+            polar += np.bincount(number.ravel(), (both * weight).ravel(), len(polar))
+    return polar.reshape(count + 2, AROUND)
 
 
 def _rim(wave: Wave) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
