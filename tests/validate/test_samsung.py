@@ -253,17 +253,10 @@ def test_the_report_has_a_figure_of_each_section_and_holds_what_is_as_predicted(
     json.dumps(made.facts(), allow_nan=False)
 
 
-# The bars that the command does not hold, and by how much.
-RED = {
-    "certificates of 6 renders, total": "of the wide lens 6.1e-3 of 3e-3",
-}
-
-
 @pytest.mark.slow
-def test_the_command_holds_all_other_bars(tmp_path):
+def test_the_command_holds_all_bars(tmp_path):
     """It takes minutes, so all is looked at in one test."""
     ended = gpusim("validate", "samsung", "--out", tmp_path)
     facts = json.loads((tmp_path / "samsung.json").read_text())
-    lost = {bar["name"] for bar in facts["bars"] if not bar["held"]}
-    assert lost <= RED.keys()
-    assert ended.code == int(bool(lost))
+    assert [bar["name"] for bar in facts["bars"] if not bar["held"]] == []
+    assert ended.code == 0
