@@ -224,11 +224,9 @@ def test_ten_thousand_random_events_leave_no_error_no_stale_picture_and_no_memor
     assert seen[-1] < 1.1 * seen[4]
 
 
-def test_what_a_panel_keeps_for_itself_is_answered_all_the_same(tmp_path):
+def test_what_a_panel_keeps_for_itself_is_answered_all_the_same(screen, tmp_path):
     """ImGui stops events that it uses; the window must draw for them, and Ctrl-Q must end it."""
-    from rendercanvas.offscreen import OffscreenRenderCanvas
-
-    canvas = OffscreenRenderCanvas(size=SIZE, pixel_ratio=1)
+    canvas = type(screen.canvas)(size=SIZE, pixel_ratio=1)
     made = attached(canvas, Knobs("mtf-only", "colorchecker"), tmp_path, lambda call: call())
     asked = []
     try:
