@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -124,7 +125,13 @@ def show(knobs: Knobs, out: Path) -> None:
     canvas = GlfwRenderCanvas(
         size=SIZE, title=f"{knobs.camera}, {knobs.scene}", update_mode="ondemand", max_fps=60
     )
-    made = attached(canvas, knobs, out, loop.call_soon_threadsafe)
+
+    def tell(call: Callable[[], None]) -> None:
+        # Once the window is closed rendercanvas has no loop (AttributeError) or an ended one.
+        with suppress(AttributeError, RuntimeError):
+            loop.call_soon_threadsafe(call)
+
+    made = attached(canvas, knobs, out, tell)
     try:
         loop.run()
     finally:

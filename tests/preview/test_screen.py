@@ -295,12 +295,14 @@ def test_a_real_window_answers_mouse_and_keys_and_closes(tmp_path):
         do("mousemove", "--window", found, *NOISE_BOX, "click", 1)
         # "save" stands in the status line below the picture.
         do("mousemove", "--window", found, 563, 748)
-        for _ in range(60):  # there is nothing to save before the first picture
+        saved = tmp_path / "command.txt"
+        for _ in range(60):  # what is shown is saved, and nothing before the first picture
             do("click", 1)
             time.sleep(1)
-            if (tmp_path / "command.txt").is_file():
+            if saved.is_file() and "--no-noise" in saved.read_text():
                 break
-        assert "--no-noise" in (tmp_path / "command.txt").read_text()
+        assert "--no-noise" in saved.read_text()
+        assert "--tile" in saved.read_text()  # the wheel zoomed in
         # Without a window manager a window may not have the keys at once.
         for _ in range(10):
             do("windowfocus", found, "key", "ctrl+q")
@@ -308,6 +310,7 @@ def test_a_real_window_answers_mouse_and_keys_and_closes(tmp_path):
                 window.wait(5)
                 break
         assert window.poll() == 0
+        assert "Traceback" not in window.stderr.read()
     finally:
         for one in (window, server):
             if one is not None and one.poll() is None:
