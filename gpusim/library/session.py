@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from gpusim.camera import Camera
@@ -182,20 +183,21 @@ class Session:
         if light is None:
             if self._renderer is None:
                 done.append("plan")
-            light = self._light = planned_anew(self._accuracy(), self._lit)
+            # A tighter plan that is there already stays: another rectangle begins with it.
+            aim = None if self._renderer is None else self._renderer.accuracy.aim
+            light = self._light = planned_anew(replace(self._accuracy(), aim=aim), self._lit)
             done.append("light")
         self.redone = tuple(done)
         return light
 
     def _lit(self, asked: Accuracy) -> Light:
         """Return the light by the renderer that is there, or by one for an accuracy."""
-        if self._renderer is not None and asked.aim is not None:
-            self._renderer.release()
-            self._renderer = None
-        if self._renderer is None:
-            self._renderer = Renderer(
-                self.camera, self._parts["scene"], asked, progress=self.progress
-            )
+        if self._renderer is None or self._renderer.accuracy.aim != asked.aim:
+            # Where this is refused, the renderer that is there stays.
+            other = Renderer(self.camera, self._parts["scene"], asked, progress=self.progress)
+            if self._renderer is not None:
+                self._renderer.release()
+            self._renderer = other
         rect = rectangle(self._parts["tile"], self._parts["sensor"])
         return lit(self._renderer, rect, self.progress)
 

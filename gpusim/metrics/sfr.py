@@ -194,7 +194,7 @@ def measure_sfr(
                 value=f"{share:.1%} of the pixels at the ends of the scale",
                 allowed=f"{CLIPPED_SHARE:.1%} or less",
             )
-    line = _followed(samples, find_line(samples))
+    line = find_line(samples)
     moved = abs(np.diff(line.x_of_y(samples.y[[0, -1]]))[0])
     if moved < ROTATIONS:
         raise UserError(
@@ -203,19 +203,25 @@ def measure_sfr(
             value=f"{line.angle_deg:.2f} deg, {moved:.2f} px over the region",
             allowed=f"{ROTATIONS:g} px or more: a taller region, or a steeper edge",
         )
-    return _measured(samples, line)
+    return _measured(*_followed(samples, line))
 
 
-def _followed(samples: Samples, line: Line) -> Line:
-    """Return the line, its slope and bends by the edge spread function where that says more."""
+def _followed(samples: Samples, line: Line) -> tuple[Line, _Spline]:
+    """Return the line, bettered by the edge spread function along it, and that function."""
     spline = _along(samples, line)
-    while spline is not None:
+    if spline is None:
+        raise UserError(
+            "The edge leaves the region.",
+            field="roi",
+            value=f"{_reach(line.distance(samples.x, samples.y)):.1f} px beside it",
+            allowed=f"{LEAST_REACH_PX:g} px or more on both sides",
+        )
+    while True:
         other = followed(samples, line, spline.at, spline.slope, spline.reach)
-        before, spline = spline.noise, _along(samples, other)
-        if spline is None or spline.noise > CLOSER * before:
-            break
-        line = other
-    return line
+        along = _along(samples, other)
+        if along is None or along.noise > CLOSER * spline.noise:
+            return line, spline
+        line, spline = other, along
 
 
 def _along(samples: Samples, line: Line) -> _Spline | None:
@@ -226,20 +232,9 @@ def _along(samples: Samples, line: Line) -> _Spline | None:
     return None if reach < LEAST_REACH_PX else _Spline(distance[own], samples.value[own], reach)
 
 
-def _measured(samples: Samples, line: Line) -> Sfr:
-    distance = line.distance(samples.x, samples.y)
-    reach = _reach(distance)
-    if reach < LEAST_REACH_PX:
-        raise UserError(
-            "The edge leaves the region.",
-            field="roi",
-            value=f"{reach:.1f} px beside it",
-            allowed=f"{LEAST_REACH_PX:g} px or more on both sides",
-        )
-    own = np.abs(distance) <= reach
-    distance, value = distance[own], samples.value[own]
+def _measured(line: Line, rough: _Spline) -> Sfr:
+    distance, value, reach = rough.distance, rough.value, rough.reach
     at = np.arange(-reach, reach + STEP_PX / 2, STEP_PX)
-    rough = _Spline(distance, value, reach)
     spline = _Spline(distance, value, reach, _rise(at, rough.normal(at)))
     low, high = spline.levels()
     step = high - low
@@ -328,7 +323,7 @@ class _Spline:
         inner = _knots(reach, rise_px)
         outer = np.diff(inner)[-1] * np.arange(1, DEGREE + 1)
         self.knots = np.concatenate([-reach - outer[::-1], inner, reach + outer])
-        self.value = value
+        self.distance, self.value = distance, value
         self.design = BSpline.design_matrix(
             np.clip(distance, -reach, reach), self.knots, DEGREE
         ).tocsr()

@@ -340,7 +340,7 @@ def rim_lost(
     wave : Wave
     wavelength_um : float
     size, pitch_um : int, float
-        Of the window; rows along alpha.
+        The window's; its rows lie along alpha.
     period_um : (float, float)
         Along alpha and beta.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
@@ -750,6 +751,8 @@ def capture(
     camera.sensor.dark_current_at(temperature_c)  # as well
 
     def attempt(asked: Accuracy) -> Capture:
+        # A frame that is not bettered keeps its files.
+        own = None if folder is None else Path(tempfile.mkdtemp(dir=folder))
         renderer = Renderer(
             camera,
             scene,
@@ -770,7 +773,7 @@ def capture(
                 tile=tile,
                 tile_px=tile_px,
                 keep=keep,
-                folder=folder,
+                folder=own,
                 progress=progress,
             )
         finally:

@@ -12,9 +12,10 @@ import pytest
 
 import gpusim as gs
 from gpusim.errors import UserError
+from gpusim.library import session as session_module
 from gpusim.library.again import made_raw, recipe_of_frame
 from gpusim.plan import Accuracy
-from gpusim.render import renderer
+from gpusim.render import capture, renderer
 from gpusim.render.anew import SAFETY, TIMES, planned_anew, tighter
 
 
@@ -92,8 +93,9 @@ def test_the_worst_probe_counts_a_tenth():
     )
 
 
-def test_light_by_a_prediction_that_errs_is_made_anew_and_again(tmp_path, monkeypatch):
-    """Plans are made for 30 times what they should be, as by a wrong model."""
+@pytest.fixture
+def by_a_wrong_model(monkeypatch):
+    """Plans are made for 30 times what they should be; return a small camera."""
     true = renderer.plans_optics
 
     def wrong(bank, sensor, scene, accuracy, *rest, **more):
@@ -102,8 +104,11 @@ def test_light_by_a_prediction_that_errs_is_made_anew_and_again(tmp_path, monkey
 
     monkeypatch.setattr(renderer, "plans_optics", wrong)
     given = gs.Camera.load("mtf-only")
-    camera = gs.Camera(given.lens, given.sensor.roi(48, 64), "small")
-    light = gs.expose(camera, gs.Scene.load("slanted-edge"), 1e-3, probes=32)
+    return gs.Camera(given.lens, given.sensor.roi(48, 64), "small")
+
+
+def test_light_by_a_prediction_that_errs_is_made_anew_and_again(tmp_path, by_a_wrong_model):
+    light = gs.expose(by_a_wrong_model, gs.Scene.load("slanted-edge"), 1e-3, probes=32)
     assert light.certificate.met
     assert any("planned for" in note for note in light.notes)
     assert light.recipe["aim"] < 1e-3
@@ -112,3 +117,56 @@ def test_light_by_a_prediction_that_errs_is_made_anew_and_again(tmp_path, monkey
     recipe = recipe_of_frame(frame, raw, datetime.now(UTC))
     (tmp_path / "raw.json").write_text(json.dumps({"recipe": recipe}, allow_nan=False))
     np.testing.assert_array_equal(made_raw(tmp_path / "raw.json").frame.raw, frame.raw)
+
+
+def test_a_session_goes_on_with_the_tighter_plan(by_a_wrong_model):
+    scene = gs.Scene.load("slanted-edge")
+    session = gs.Session(by_a_wrong_model, scene, 1e-3, probes=32).change(tile=(16, 8, 32, 32))
+    first = session.light()
+    assert first.certificate.met
+    plan = session.plan
+    session.change(tile=(0, 0, 32, 32))
+    session.light()
+    assert session.redone == ("light",)
+    assert session.plan is plan
+    session.release()
+
+
+def test_a_session_keeps_its_plan_where_a_tighter_one_is_refused(by_a_wrong_model, monkeypatch):
+    session = gs.Session(by_a_wrong_model, gs.Scene.load("slanted-edge"), 1e-3, probes=32)
+    made, true = [], session_module.Renderer
+
+    def once(*given, **more):
+        if made:
+            raise UserError("no plan meets the tolerance")
+        made.append(true(*given, **more))
+        return made[0]
+
+    monkeypatch.setattr(session_module, "Renderer", once)
+    light = session.light()
+    assert not light.certificate.met
+    assert "no plan meets" in light.notes[-1]
+    assert session.plan is made[0].plan
+    session.release()
+
+
+def test_a_frame_that_is_not_bettered_keeps_its_files(by_a_wrong_model, monkeypatch, tmp_path):
+    true, kept = renderer.Lighting.render, []
+
+    def once(self, *given):
+        if kept:
+            raise UserError("the memory does not suffice")
+        true(self, *given)
+        kept.append(self)
+
+    monkeypatch.setattr(renderer.Lighting, "render", once)
+    given = {"exposure_s": 1e-3, "accuracy": Accuracy(1e-3, 32), "noise": False}
+    scene = gs.Scene.load("slanted-edge")
+    found = capture(by_a_wrong_model, scene, folder=tmp_path, **given)
+    assert not found.certificate.met
+    assert "memory does not suffice" in found.notes[-1]
+    kept.clear()
+    alone = capture(
+        by_a_wrong_model, scene, **given | {"accuracy": Accuracy(1e-3, 0, best_effort=True)}
+    )
+    np.testing.assert_array_equal(found.raw, alone.raw)
