@@ -16,6 +16,8 @@ pixels, and turned back into the errors of pixels over what they see.
 
 from __future__ import annotations
 
+import itertools
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -41,8 +43,12 @@ STEEPEST = 0.9  # of the largest step between pixels, from which on a pixel coun
 RINGS = 3  # of the field, in each of which there are
 ALONG = 15  # places along a side that is long beside a ring
 PLACES_EACH = 2  # places where an outline is steepest, of different directions
-STRATA = (4, 3)  # of a photograph, across and down: one place in each
-WINDOW = 128  # samples across, in each of them, among which the steepest is sought
+# A photograph is cut into as many cells as a certificate has probes on edges. Few of them, beside
+# lamps, may make up all of the sum of squares. So cells are ordered by their steepest step, over
+# the darker side's light, and a few are worked out, each of which stands for so many.
+CELLS = 128
+STANDS_FOR = (1, 1, 2, 2, 4, 4, 8, 8, 16, 16, 32, 34)
+WHOLE = 0.25  # of a photograph's samples: patches that see more share a spline of all
 MOST_SHAPES = 512  # of a chart, that are looked at
 ROUNDING = 1e-9  # of a pitch: what counts as equal
 DARK = 1e-4  # of the brightest: nothing is darker where it is a matter of contrast
@@ -86,8 +92,11 @@ class Alias:
 
         Half of them lie on the steepest edges.
         """
-        found = [self._at(place, oversampling) for place in self._sites]
-        return float(np.sqrt(np.mean(np.square(found)))) if found else 0.0
+        if not self._sites:
+            return 0.0
+        found = [self._at(place, oversampling) for place, _ in self._sites]
+        counts = [count for _, count in self._sites]
+        return float(np.sqrt(np.average(np.square(found), weights=counts)))
 
     def _at(self, place: tuple[float, float], oversampling: int) -> float:
         """Return the same of the patch around a place (x, y), um on the real plane."""
@@ -197,16 +206,23 @@ class Alias:
         for line, size in zip(at, placed.planes.shape[1:], strict=True):
             np.clip(line, 0, size - 1, out=line)
             ranges.append(range(max(int(line.min()) - 2, 0), min(int(line.max()) + 4, size)))
-        splines = placed.spline_in(*ranges)
-        there = [line - part.start for line, part in zip(at, ranges, strict=True)]
+        if math.prod(map(len, ranges)) > WHOLE * math.prod(placed.planes.shape[1:]):
+            splines, there = self._whole_spline, at
+        else:
+            splines = placed.spline_in(*ranges)
+            there = [line - part.start for line, part in zip(at, ranges, strict=True)]
         given = {"order": 3, "prefilter": False, "mode": "mirror"}
         return np.stack([map_coordinates(one, there, **given) for one in splines])
 
     @cached_property
-    def _sites(self) -> list[tuple[float, float]]:
-        """Return places (x, y) on the real plane where the scene is steep."""
+    def _whole_spline(self) -> np.ndarray:
+        return self.placed.spline_coefficients()
+
+    @cached_property
+    def _sites(self) -> list[tuple[tuple[float, float], int]]:
+        """Return places (x, y) on the real plane where the scene is steep, each with its weight."""
         if isinstance(self.placed, Chart):
-            return self._at_outlines()
+            return [(place, 1) for place in self._at_outlines()]
         return self._at_steps()
 
     def _at_outlines(self) -> list[tuple[float, float]]:
@@ -241,35 +257,37 @@ class Alias:
                     break
         return [self._real(place) for place in chosen]
 
-    def _at_steps(self) -> list[tuple[float, float]]:
-        """Return where a photograph is steepest: in the middle of each of its strata."""
+    def _at_steps(self) -> list[tuple[tuple[float, float], int]]:
+        """Return where a photograph is steepest in its cells, and for how many each stands."""
         placed, half = self.placed, self._half_um
-        rows, cols = placed.planes.shape[1:]
-        chosen = []
-        for at_v in _middles(STRATA[1], half[1]):
-            for at_u in _middles(STRATA[0], half[0]):
-                (row, down), (col, across) = (
-                    _sought(at - start, 2 * half_um / parts, placed.pitch_um, size)
-                    for at, start, half_um, parts, size in (
-                        (at_v, placed.y0_um, half[1], STRATA[1], rows),
-                        (at_u, placed.x0_um, half[0], STRATA[0], cols),
-                    )
-                )
-                part = placed.planes[:, row : row + down, col : col + across]
-                light = np.tensordot(self._rates.sum(axis=0), part, axes=1)
-                steps = np.zeros(light.shape)
-                for axis in (0, 1):
-                    step = np.abs(np.diff(light, axis=axis))
-                    steps[tuple(slice(size) for size in step.shape)] += step
-                steps /= light + DARK * light.max() + 1e-300
-                y, x = np.unravel_index(np.argmax(steps), steps.shape)
-                chosen.append(
-                    (
-                        placed.x0_um + (col + x + 1) * placed.pitch_um,
-                        placed.y0_um + (row + y + 1) * placed.pitch_um,
-                    )
-                )
-        return [self._real(place) for place in chosen]
+        rates = self._rates.sum(axis=0).astype(np.float32)
+        light = np.tensordot(rates, placed.planes.astype(np.float32, copy=False), axes=1)
+        light = np.maximum(light, DARK * light.max() + np.float32(1e-30))
+        steps = np.zeros(light.shape, np.float32)
+        for axis in (0, 1):
+            before, after = (np.delete(light, end, axis) for end in (-1, 0))
+            step = np.abs(after - before) / np.minimum(before, after)
+            steps[tuple(slice(size) for size in step.shape)] += step
+        across = math.ceil(math.sqrt(CELLS * half[0] / half[1]))
+        down = math.ceil(CELLS / across)
+        found = []
+        for row in _cut(placed.y0_um, half[1], placed.pitch_um, light.shape[0], down):
+            for col in _cut(placed.x0_um, half[0], placed.pitch_um, light.shape[1], across):
+                part = steps[row, col]
+                if part.size:
+                    y, x = np.unravel_index(np.argmax(part), part.shape)
+                    x_um = placed.x0_um + (col.start + x + 1) * placed.pitch_um
+                    y_um = placed.y0_um + (row.start + y + 1) * placed.pitch_um
+                    found.append((float(part[y, x]), x_um, y_um))
+        found.sort(reverse=True)
+        chosen, first = [], 0
+        for count in STANDS_FOR:
+            own = found[first : first + count]
+            if own:
+                _, *place = own[len(own) // 2]
+                chosen.append((self._real(tuple(place)), len(own)))
+            first += count
+        return chosen
 
     @cached_property
     def _half_um(self) -> tuple[float, float]:
@@ -435,10 +453,11 @@ def _within(span: tuple[np.ndarray, np.ndarray], middle: float, reach: float) ->
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0)
 
 
-def _sought(at_um: float, stratum_um: float, pitch_um: float, size: int) -> tuple[int, int]:
-    """Return the first sample of what is looked at about a stratum's middle, and how many."""
-    count = int(np.clip(stratum_um / pitch_um, 2, WINDOW))
-    return int(np.clip(at_um / pitch_um - count / 2, 0, max(size - count, 0))), count
+def _cut(start_um: float, half_um: float, pitch_um: float, size: int, count: int) -> list[slice]:
+    """Return the samples of an axis that the sensor sees, cut into so many parts."""
+    ends = (np.linspace(-half_um, half_um, count + 1) - start_um) / pitch_um
+    at = np.clip(np.round(ends), 0, size).astype(int).tolist()
+    return [slice(*pair) for pair in itertools.pairwise(at)]
 
 
 def _middles(count: int, half: float) -> np.ndarray:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.signal import fftconvolve
 
 from gpusim.plan.accuracy import LARGEST, SMALLEST, Accuracy
 from gpusim.plan.stage import PlanStage
@@ -20,11 +23,7 @@ LEFT_OUT = 0.1
 # charts have where it matters, between a patch and its neighbours of another brightness.
 SHARE = 0.3
 AROUND = 5.0
-# Photographs are measured instead: their mean over what their darkest DARK hold, up to MOST_AROUND.
-# Fivefold care took the phone camera's first level three times as long as the core, and its engine
-# from an RMS of 9e-5 to 3e-5, of the 1e-3 that were asked for.
-DARK = 0.05
-MOST_AROUND = 10.0
+ROUNDING = 1e-9  # of the brightest: what a transform leaves where there is no light
 
 
 @dataclass(frozen=True)
@@ -46,31 +45,91 @@ class HaloLevel:
     accuracy: Accuracy
 
 
-def surroundings(scene: Scene) -> float:
-    """Return how much brighter than what is dark in a scene that is which lights it from afar."""
-    if isinstance(scene.source, Chart):
-        return AROUND
-    brightness = scene.source.planes.max(axis=0)
-    lit = brightness[brightness > 0]
-    if not lit.size:
-        return AROUND
-    ratio = float(lit.mean(dtype=np.float64) / max(np.quantile(lit, DARK), 1e-30))
-    return min(max(ratio, AROUND), MOST_AROUND)
+def seen_shares(
+    levels: tuple[FieldBank, ...], scene: Scene, half_um: tuple[float, float]
+) -> np.ndarray:
+    """Return how much of a scene's signal each level beside the core brings (K - 1,).
+
+    Of a photograph the root mean square over its samples: the light of a level there, by its
+    strongest PSF, over that of all levels. A lamp's shadows may have nearly all of theirs from the
+    halo. Of a chart its share of the light, AROUND times.
+
+    Parameters
+    ----------
+    levels : tuple of FieldBank
+    scene : Scene
+    half_um : (float, float)
+        Half the width and height that it covers.
+    """
+    shares = np.array([_strongest(level).sum() for level in levels])
+    source = scene.source
+    if len(levels) == 1 or isinstance(source, Chart) or not source.planes.max() > 0:
+        return AROUND * shares[1:]
+    brightness = np.maximum(source.planes.max(axis=0).astype(np.float64), 0.0)
+    pitch_um = source.pitch_um(*half_um)
+    grids = [max(1, math.ceil(level.pitch_um / pitch_um)) for level in levels[1:]]
+    light = [
+        _blurred(_binned(brightness, every), _kernel(level, every * pitch_um))
+        for level, every in zip(levels, (grids[0], *grids), strict=True)
+    ]
+    rows, cols = (np.arange(count) * grids[0] for count in light[0].shape)
+    on_first = [light[0]] + [
+        one[np.ix_(rows // every, cols // every)]
+        for one, every in zip(light[1:], grids, strict=True)
+    ]
+    total = sum(on_first)
+    lit = total > ROUNDING * total.max()
+    return np.array([np.sqrt(np.mean((one[lit] / total[lit]) ** 2)) for one in on_first[1:]])
+
+
+def _strongest(level: FieldBank) -> np.ndarray:
+    """Return the PSF (n, n) that holds most light."""
+    n = level.psf.shape[-1]
+    sums = level.psf.sum(axis=(-2, -1), dtype=np.float64)
+    return level.psf.reshape(-1, n, n)[int(np.argmax(sums))].astype(np.float64)
+
+
+def _binned(values: np.ndarray, every: int) -> np.ndarray:
+    """Return the means of squares of so many samples; the last ones are filled up."""
+    pads = [(0, -count % every) for count in values.shape]
+    rows, cols = (count + pad for count, (_, pad) in zip(values.shape, pads, strict=True))
+    filled = np.pad(values, pads, "edge")
+    return filled.reshape(rows // every, every, cols // every, every).mean(axis=(1, 3))
+
+
+def _kernel(level: FieldBank, pitch_um: float) -> np.ndarray:
+    """Return a level's strongest PSF on a grid that is as fine as its own, or coarser."""
+    psf = _strongest(level)
+    n, half = len(psf), math.ceil(len(psf) / 2 * level.pitch_um / pitch_um)
+    if pitch_um >= 2 * level.pitch_um:
+        at = np.round((np.arange(n) - n // 2) * level.pitch_um / pitch_um).astype(int) + half
+        found = np.zeros((2 * half + 1, 2 * half + 1))
+        np.add.at(found, np.ix_(at, at), psf)
+        return found
+    at = (np.arange(-half, half + 1) * pitch_um) / level.pitch_um + n // 2
+    found = map_coordinates(psf, np.meshgrid(at, at, indexing="ij"), order=1)
+    return found * (psf.sum() / max(found.sum(), np.finfo(float).tiny))
+
+
+def _blurred(values: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Return values convolved; beyond their border they stay."""
+    around = np.pad(values, len(kernel) // 2, "edge")
+    return np.maximum(fftconvolve(around, kernel, mode="valid"), 0.0)
 
 
 def halo_levels(
-    levels: tuple[FieldBank, ...], accuracy: Accuracy, around: float = AROUND
+    levels: tuple[FieldBank, ...], accuracy: Accuracy, seen: np.ndarray
 ) -> tuple[HaloLevel, ...]:
     """Return which of a bank's levels a relative tolerance needs beside the core.
 
-    ``around``: see `surroundings`.
+    ``seen``: see `seen_shares`.
     """
     found = []
-    for number, level in enumerate(levels[1:], start=1):
-        share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
+    for number, (level, of_signal) in enumerate(zip(levels[1:], seen, strict=True), start=1):
+        share = float(_strongest(level).sum())
         if CONTRAST * share < LEFT_OUT * accuracy.tolerance:
             continue
-        allowed = SHARE * accuracy.tolerance / (around * share)
+        allowed = SHARE * accuracy.tolerance / of_signal
         own = Accuracy(min(max(allowed, SMALLEST), LARGEST), probes=0)
         found.append(HaloLevel(number, share, own))
     return tuple(found)

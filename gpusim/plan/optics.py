@@ -34,7 +34,7 @@ from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
 from gpusim.plan.contrast import contrast_of
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
-from gpusim.plan.halo import describe_halo, halo_levels, surroundings
+from gpusim.plan.halo import describe_halo, halo_levels, seen_shares
 from gpusim.plan.layout import (
     TRANSFORMS,
     Memory,
@@ -229,7 +229,7 @@ def _plan(
     """Return a candidate as a plan."""
     basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
     scales, force = problem.scales(chosen), problem.force
-    halo = halo_levels(problem.levels, problem.accuracy, surroundings(scene))
+    halo = halo_levels(problem.levels, problem.accuracy, problem.seen_shares)
     identity = problem.identity(scales[0])
     tolerance = problem.accuracy.tolerance
     splat = describe_splat(problem.bank, sensor, scene, problem._placed, tolerance, costs)
@@ -743,6 +743,10 @@ class _Problem:
         if self.is_chart:
             return self.scene.source.placed(self.half_um[1])
         return self.scene.source.placed(*self.half_um, 0.0)
+
+    @cached_property
+    def seen_shares(self) -> np.ndarray:
+        return seen_shares(self.levels, self.scene, self.half_um)
 
     def identity(self, scale: Scale) -> bool:
         """Return whether the raster's samples are those of the sim grid.

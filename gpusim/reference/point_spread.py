@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.fft
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import shift, spline_filter
 from scipy.sparse import csr_array
 
 from gpusim.reference.angle import NODES, MeanQe
@@ -34,9 +35,12 @@ KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 
 # fields take 10 MiB. Probes come by height. Each needs four or five heights, or 16 fields of a
 # grid.
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
+KEPT_LAMPS = 48  # of 6 MiB each, with three filters and three spectra
 KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
 TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
+# Of the splines of PSFs from which highlights are summed: see DEGREES in `gpusim.reference.truth`.
+DEGREE = 5
 
 
 def _quantum_efficiency(sensor: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -62,6 +66,9 @@ class PointSpread:
         Spectral radiance of each scene spectrum, W m^-2 sr^-1 nm^-1.
     wavelengths_nm : ndarray (K,)
         Wavelengths of the spectra.
+    aperture_um : float, optional
+        Side of a square over which `at` and `wide` average, by a Gaussian of the same variance,
+        aperture^2 / 12. Of a wave as long as four sides their transfer is 0.9003 and 0.9023.
     """
 
     def __init__(
@@ -71,8 +78,10 @@ class PointSpread:
         fields: Heights | Grid,
         spectra: np.ndarray,
         wavelengths_nm: np.ndarray,
+        aperture_um: float = 0.0,
     ) -> None:
         self.bank, self.fields = bank, fields
+        self.sigma = aperture_um / np.sqrt(12) / bank.pitch_um
         self.kept_fields = KEPT_HEIGHTS if isinstance(fields, Heights) else KEPT_FIELDS
         self.spectra, self.wavelengths_nm = spectra, wavelengths_nm
         self.mean_qe = None
@@ -91,7 +100,7 @@ class PointSpread:
         self.lights: dict[int, tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = {}
         self.densities: dict[tuple[int, int, int, int], np.ndarray] = {}
         self.kernels: dict[tuple[int, int, int, int, Zone], np.ndarray] = {}
-        self.psf_splines: dict[int, np.ndarray] = {}
+        self.lamps: dict[tuple[int, int], np.ndarray] = {}
         self.wide_splines: tuple[np.ndarray, set[int]] | None = None
 
     def _qe_at(self, field: int, node: int) -> np.ndarray:
@@ -255,34 +264,37 @@ class PointSpread:
         return result.T
 
     def at(self, channel: int, excess: np.ndarray, t: np.ndarray, source: np.ndarray) -> np.ndarray:
-        """Return H of spectra (P, M) at t from source (P,): no blend of wavelengths is resampled.
+        """Return H (..., P) of spectra (P, M) at t (..., P, 2) from source (P, 2).
 
         A shift of the samples by the lateral colour, as `_kernel` has it, rings far beyond the PSF,
         by 1e-10 of a highlight: more than the shadows next to the sun hold. Here each wavelength of
         the bank has its light at its own chief ray, sum_l (sum_k R[l, k]) K h_l(t - x_l): the
         splines between them are of the whole, not of PSF and chief ray apart.
         """
-        pitch, half = self.bank.pitch_um, self.bank.psf.shape[-1] // 2 + SPLINE_PAD
-        x, y = self._turned(t, source)
-        result = np.zeros(len(t))
+        x, y = np.moveaxis(t, -1, 0) / self.bank.pitch_um
+        cos, sin = self.fields.axes(source).T
+        x, y = x * cos + y * sin, y * cos - x * sin
+        result = np.zeros(x.shape)
         nodes = list(self._nodes(source))
-        for field, side, share in self.fields.shares(source):
-            used = share != 0
-            if not used.any():
+        seen: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {1: [], -1: []}
+        for field, way, of_field in self.fields.shares(source):
+            for here, of_node in nodes:
+                if (share := of_field * of_node).any():
+                    table = self._lamp(field, self._seen_from(way, here))[channel]
+                    seen[way].append((table, share[:, None] * excess))
+        rows, step = x.reshape(-1, len(source)), max(1, TOGETHER // max(len(source), 1))
+        for way, parts in seen.items():
+            if not parts:
                 continue
-            light = sum(
-                of_node[used, None]
-                * (excess[used] @ self._weights_at(field, self._seen_from(side, node))[channel])
-                for node, of_node in nodes
-            )
-            for place, spline in enumerate(self._psf_splines(field)):
-                _, illumination, shift = self.fields.light(field, place)
-                where = [
-                    (side * at[used] - along) / pitch + half
-                    for at, along in ((y, shift[1]), (x, shift[0]))
-                ]
-                result[used] += (share[used] * light[:, place] * illumination / pitch**2) * (
-                    map_coordinates(spline, where, order=3, prefilter=False, mode="constant")
+            count = len(parts[0][0])
+            side = math.isqrt(count)
+            for first in range(0, len(rows), step):
+                part = slice(first, first + step)
+                there = (way * at.reshape(rows.shape)[part] + side // 2 for at in (y, x))
+                taken = _between(*there, side, DEGREE, count)
+                result.reshape(rows.shape)[part] += sum(
+                    np.einsum("apm,pm->ap", (taken @ table).reshape(-1, *light.shape), light)
+                    for table, light in parts
                 )
         return result
 
@@ -320,12 +332,7 @@ class PointSpread:
         pitch, lines = self.bank.pitch_um, len(self.bank.wavelengths_nm)
         if self.wide_splines is None:
             count = math.prod(self.bank.psf.shape[:-3])
-            most = max(
-                np.abs(self.fields.light(field, line)[2]).max()
-                for field in self.fields.used
-                for line in range(lines)
-            )
-            half = self.bank.psf.shape[-1] // 2 + SPLINE_PAD + math.ceil(most / pitch)
+            half = self.bank.psf.shape[-1] // 2 + self._pad
             side = 2 * scipy.fft.next_fast_len(half, real=True)
             self.wide_splines = np.zeros((count, side, side, lines)), set()
         table, there = self.wide_splines
@@ -340,25 +347,52 @@ class PointSpread:
                 moves.append(shift)
             x, y = np.array(moves).T / pitch
             spectra = scipy.fft.rfft2(images)
-            spectra *= _moved(x, scipy.fft.rfftfreq(side))[:, None]
-            spectra *= _moved(y, scipy.fft.fftfreq(side))[:, :, None]
+            across, down = scipy.fft.rfftfreq(side), scipy.fft.fftfreq(side)
+            spectra *= (_moved(x, across) * self._averaged(across))[:, None]
+            spectra *= (_moved(y, down) * self._averaged(down))[:, :, None]
             table[field] = np.moveaxis(scipy.fft.irfft2(spectra, (side, side)), 0, -1)
             there.add(field)
         return table.reshape(-1, lines), side
 
-    def _psf_splines(self, field: int) -> np.ndarray:
-        """Return the spline coefficients (L, n, n) of one field's PSFs, each on its own."""
-        if field not in self.psf_splines:
-            self.psf_splines[field] = np.stack(
-                [
-                    spline_filter(
-                        np.pad(self.fields.light(field, place)[0].astype(np.float64), SPLINE_PAD),
-                        order=3,
+    def _averaged(self, frequencies: np.ndarray) -> np.ndarray:
+        """Return the transfer of the mean over the aperture, at frequencies in cycles a sample."""
+        return np.exp(-2 * (np.pi * self.sigma * frequencies) ** 2)
+
+    @cached_property
+    def _pad(self) -> int:
+        """Samples around PSFs: room for their splines, and for lateral colour."""
+        most = max(
+            np.abs(self.fields.light(field, line)[2]).max()
+            for field in self.fields.used
+            for line in range(len(self.bank.wavelengths_nm))
+        )
+        return SPLINE_PAD + math.ceil(most / self.bank.pitch_um)
+
+    def _lamp(self, field: int, node: int) -> np.ndarray:
+        """Return spline coefficients (C, n * n, M) of H at one bank field and azimuth, per um^2."""
+        found = self.lamps.get((field, node))
+        if found is None:
+            pitch = self.bank.pitch_um
+            weights = self._weights_at(field, node)
+            side = self.bank.psf.shape[-1] + 2 * self._pad
+            total = np.zeros((*weights.shape[:2], side, side))
+            for line in range(len(self.bank.wavelengths_nm)):
+                psf, illumination, (x, y) = self.fields.light(field, line)
+                image = np.pad(psf * np.float64(illumination / pitch**2), self._pad)
+                if self.sigma:
+                    transfer = np.multiply.outer(
+                        self._averaged(scipy.fft.fftfreq(side)),
+                        self._averaged(scipy.fft.rfftfreq(side)),
                     )
-                    for place in range(len(self.bank.wavelengths_nm))
-                ]
-            )
-        return self.psf_splines[field]
+                    image = scipy.fft.irfft2(scipy.fft.rfft2(image) * transfer, image.shape)
+                if x or y:
+                    image = shift(image, (y / pitch, x / pitch), order=DEGREE)
+                total += weights[..., line, None, None] * image
+            splines = [[spline_filter(one, order=DEGREE) for one in row] for row in total]
+            found = np.moveaxis(np.reshape(splines, (*weights.shape[:2], -1)), 1, -1)
+            found = np.ascontiguousarray(found)
+            _keep(self.lamps, (field, node), found, KEPT_LAMPS)
+        return found
 
 
 def spreads_of(
@@ -367,10 +401,11 @@ def spreads_of(
     wavelengths_nm: np.ndarray,
     first: tuple[Any, Heights | Grid],
     less: tuple[Any, Heights | Grid] | None,
+    aperture_um: float = 0.0,
 ) -> list[tuple[float, PointSpread]]:
     """Return what a bank with its fields spreads, and with the sign of it what it has more."""
     return [
-        (sign, PointSpread(bank, sensor, fields, spectra, wavelengths_nm))
+        (sign, PointSpread(bank, sensor, fields, spectra, wavelengths_nm, aperture_um))
         for sign, (bank, fields) in ((1.0, first), *(((-1.0, less),) if less else ()))
     ]
 

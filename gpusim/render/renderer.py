@@ -596,7 +596,10 @@ class Renderer:
         sensor = self.camera.sensor
         banks = [self.bank.levels[level.number] for level in self.plan.halo]
         edges = isinstance(self.scene.source, Chart)
-        grids = [coarse_grid(bank, sensor, edges) for bank in banks]
+        grids = [
+            coarse_grid(bank, sensor, edges, first=level.number == 1)
+            for level, bank in zip(self.plan.halo, banks, strict=True)
+        ]
         light = []
         for done, (level, bank, grid, part) in enumerate(
             zip(self.plan.halo, banks, grids, coarse_rects(grids, rect), strict=True)
