@@ -1,14 +1,15 @@
 """The validation of the Ansys and Meta paper, section 3, with our engine and a stand-in lens.
 
 The paper contradicts itself. Section 1.2 has 3 mm and pixels of 1.98 um, section 2.2 has 1.061 mm
-and 640 x 640 pixels of 2.534 mm / 640. The second is run, on the middle 320 pixels: the paper crops
-its sensor too, for the image circle does not fill it, and these hold the height of its chart, 33.5
-in at 60 cm.
+and 640 x 640 pixels of 2.534 mm / 640. Both are run. Of the second the middle 320 pixels are: the
+paper crops its sensor too, for the image circle does not fill it, and these hold the height of its
+chart, 33.5 in at 60 cm. Of the first all are, 16.6 degrees to their corners.
 
-A circular field of 64 degrees is taken as the half field: a lens of 1.061 mm that covers no more
-than 32 degrees from its axis lights 0.66 mm of the 1.79 mm to the corner of the sensor, and a chart
-50.3 in wide reaches 47 degrees. A fisheye of that focal length has the paper's distortion, about
--6.1 % on the average over the central 40 % of the way to the corner (section 3.2).
+Of the second a circular field of 64 degrees is taken as the half field: a lens of 1.061 mm that
+covers no more than 32 degrees from its axis lights 0.66 mm of the 1.79 mm to the corner of the
+sensor, and a chart 50.3 in wide reaches 47 degrees. A fisheye of that focal length has the paper's
+distortion, about -6.1 % on the average over the central 40 % of the way to the corner (section
+3.2).
 """
 
 from __future__ import annotations
@@ -101,7 +102,10 @@ class Reading:
         return nm, white * nm * qe * ends
 
 
-READINGS = (Reading("section 2.2: 1.061 mm, 3.96 um", 1.061, 3.959375, 320, 53.0),)
+READINGS = (
+    Reading("section 2.2: 1.061 mm, 3.96 um", 1.061, 3.959375, 320, 53.0),
+    Reading("section 1.2: 3 mm, 1.98 um", 3.0, 1.98, 640, 17.5),
+)
 
 
 class LensData:

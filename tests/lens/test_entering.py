@@ -103,7 +103,9 @@ def test_what_fields_send_adds_up_to_what_a_point_of_the_image_sees(name, tolera
 
     The radiance theorem gives the latter without any aberration: the solid angle there. Moments of
     third order and more of the PSFs are left out, and those within the window sampled. Lateral
-    colour, 10 um at 400 nm in the wide lens, belongs to the spread.
+    colour, 10 um at 400 nm in the wide lens, belongs to the spread. What is left out goes with the
+    third power of the aperture and of the field; found is 1.6e-4 for the double Gauss at f/2.8, and
+    6e-5 for the wide lens: the tolerances are less than twice that.
     """
     given = load_prescription(name)
     given = given.stopped(max(given.f_number, 2.8))
