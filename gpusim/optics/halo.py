@@ -88,9 +88,10 @@ def coarse_grid(level: Bank, sensor: Sensor, edges: bool = True, first: bool = T
     narrowest.
     """
     share = float(level.psf.sum(axis=(-2, -1), dtype=float).max())
-    step = STRUCTURED_STEP if edges or first else WIDE_STEP
-    if edges and share < LITTLE:
-        step = SMOOTH_STEP
+    if edges:
+        step = SMOOTH_STEP if share < LITTLE else STRUCTURED_STEP
+    else:
+        step = STRUCTURED_STEP if first else WIDE_STEP
     pitch = max(step * level.pitch_um, sensor.pixel_pitch_um)
     rows, cols = (
         math.ceil(count * sensor.pixel_pitch_um / pitch) + 2 * MARGIN

@@ -16,9 +16,10 @@ from gpusim.scene.raster import PlacedRaster
 
 CHARTS = 20.0  # of a white next to a dark neighbour
 # Photographs are measured: by how much what lies within a Gaussian of this sigma is brighter than
-# what is at a pixel, the RMS relative to the latter, times BESIDE. Of a still life with lamps at
-# f/2.8, on pixels of 1.55 um, it is 3. There the tail cut off at 32 um, planned as 8.4e-6 of an
-# edge, brought the engine 2.0e-3: 240 times as much. Beside lamps it was 5e-3; without a cut 5e-4.
+# what is at a pixel, the RMS relative to the latter, times BESIDE. A still life with lamps at
+# f/2.8, on pixels of 1.55 um, has an RMS of 3. There the tail cut off at 32 um, planned as 8.4e-6
+# of an edge, brought the engine 2.0e-3: 240 times as much. Beside lamps it was 5e-3; without a cut
+# 5e-4.
 AROUND_UM, OWN_UM = 16.0, 1.5
 BESIDE = 80.0
 MOST = 500.0

@@ -50,9 +50,9 @@ def seen_shares(
 ) -> np.ndarray:
     """Return how much of a scene's signal each level beside the core brings (K - 1,).
 
-    Of a photograph the root mean square over its samples: the light of a level there, by its
-    strongest PSF, over that of all levels. A lamp's shadows may have nearly all of theirs from the
-    halo. Of a chart its share of the light, AROUND times.
+    For a photograph it is the root mean square over its samples: the light of a level there, by
+    its strongest PSF, over that of all levels. Shadows beside a lamp may have nearly all of their
+    light from the halo. For a chart it is the level's share of the light, AROUND times.
 
     Parameters
     ----------

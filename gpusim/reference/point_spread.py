@@ -39,8 +39,7 @@ KEPT_LAMPS = 48  # of 6 MiB each, with three filters and three spectra
 KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
 TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
-# Of the splines of PSFs from which highlights are summed: see DEGREES in `gpusim.reference.truth`.
-DEGREE = 5
+DEGREE = 5  # of splines under highlights: see DEGREES in `gpusim.reference.truth`
 
 
 def _quantum_efficiency(sensor: Any, wavelengths_nm: np.ndarray) -> np.ndarray:
@@ -68,7 +67,7 @@ class PointSpread:
         Wavelengths of the spectra.
     aperture_um : float, optional
         Side of a square over which `at` and `wide` average, by a Gaussian of the same variance,
-        aperture^2 / 12. Of a wave as long as four sides their transfer is 0.9003 and 0.9023.
+        aperture^2 / 12. A wave as long as four sides passes square and Gaussian by 0.9003, 0.9023.
     """
 
     def __init__(
@@ -375,16 +374,14 @@ class PointSpread:
             pitch = self.bank.pitch_um
             weights = self._weights_at(field, node)
             side = self.bank.psf.shape[-1] + 2 * self._pad
+            down, across = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
+            averaged = np.multiply.outer(self._averaged(down), self._averaged(across))
             total = np.zeros((*weights.shape[:2], side, side))
             for line in range(len(self.bank.wavelengths_nm)):
                 psf, illumination, (x, y) = self.fields.light(field, line)
                 image = np.pad(psf * np.float64(illumination / pitch**2), self._pad)
                 if self.sigma:
-                    transfer = np.multiply.outer(
-                        self._averaged(scipy.fft.fftfreq(side)),
-                        self._averaged(scipy.fft.rfftfreq(side)),
-                    )
-                    image = scipy.fft.irfft2(scipy.fft.rfft2(image) * transfer, image.shape)
+                    image = scipy.fft.irfft2(scipy.fft.rfft2(image) * averaged, image.shape)
                 if x or y:
                     image = shift(image, (y / pitch, x / pitch), order=DEGREE)
                 total += weights[..., line, None, None] * image

@@ -377,9 +377,9 @@ class Truth:
         if not len(highlights.centre_um):
             return out
         fine = math.ceil(self.side_um / (NODE_SAMPLES * self.bank.pitch_um))
-        near_order = max(HIGHLIGHT_ORDER, fine)
-        squares = [self._squares(highlights, order) for order in (near_order, FAR_ORDER)]
-        seen, of_seen = self._seen(near_order)
+        order = max(HIGHLIGHT_ORDER, fine)
+        squares = [self._squares(highlights, nodes) for nodes in (order, FAR_ORDER)]
+        seen, of_seen = self._seen(order)
         middles = squares[0][0].mean(axis=1)
         far_um = highlights.size_um + FAR_UM * max(1.0, self.bank.pitch_um / FINE_PITCH_UM)
         # To the corners of the PSFs' window, and as far as lateral colour.

@@ -1,15 +1,14 @@
 """The validation of the Ansys and Meta paper, section 3, with our engine and a stand-in lens.
 
 The paper contradicts itself. Section 1.2 has 3 mm and pixels of 1.98 um, section 2.2 has 1.061 mm
-and 640 x 640 pixels of 2.534 mm / 640. Both are run. Of the second the middle 320 pixels are: the
-paper crops its sensor too, for the image circle does not fill it, and these hold the height of its
-chart, 33.5 in at 60 cm. Of the first all are, 16.6 degrees to their corners.
+and 640 x 640 pixels of 2.534 mm / 640. Both are run: the first with all pixels, 16.6 degrees to
+their corners, the second with the middle 320. The paper crops its sensor too, for the image circle
+does not fill it, and these hold the height of its chart, 33.5 in at 60 cm.
 
-Of the second a circular field of 64 degrees is taken as the half field: a lens of 1.061 mm that
-covers no more than 32 degrees from its axis lights 0.66 mm of the 1.79 mm to the corner of the
-sensor, and a chart 50.3 in wide reaches 47 degrees. A fisheye of that focal length has the paper's
-distortion, about -6.1 % on the average over the central 40 % of the way to the corner (section
-3.2).
+The second takes a circular field of 64 degrees as the half field: a lens of 1.061 mm that covers no
+more than 32 degrees from its axis lights 0.66 mm of the 1.79 mm to the corner of the sensor, and a
+chart 50.3 in wide reaches 47 degrees. A fisheye of that focal length has the paper's distortion,
+about -6.1 % on the average over the central 40 % of the way to the corner (section 3.2).
 """
 
 from __future__ import annotations

@@ -49,6 +49,21 @@ def made(
     return camera, grids, light
 
 
+@pytest.mark.parametrize(
+    ("edges", "first", "share", "samples"),
+    [
+        (True, True, 1e-3, 4),
+        (True, False, 0.02, 2),
+        (False, True, 1e-3, 2),
+        (False, False, 1e-3, 1),
+    ],
+    ids=["smooth", "structured", "photograph", "photograph, far out"],
+)
+def test_coarse_pixels_are_as_far_apart_as_the_light_allows(edges, first, share, samples):
+    grid = coarse_grid(Level(16.0, share), sensor(60, 80), edges, first)
+    assert grid.sensor.pixel_pitch_um == samples * 16.0
+
+
 def test_coefficients_are_those_of_the_spline_through_the_samples():
     # What lies beyond FADED samples is 3^1/2 0.268^9 / (1 - 0.268) = 2e-5 of the light.
     _, (grid,), (light,) = made()

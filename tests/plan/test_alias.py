@@ -104,3 +104,17 @@ def test_a_chart_of_nothing_has_no_alias():
     stub = camera(0.4)
     scene = Scene("grey", FLAT[None], Chart(("a",), 0), "E", FLAT)
     assert alias_of(stub.bank(), stub.sensor, scene, TIGHT).error(1) == 0.0
+
+
+@pytest.mark.parametrize("place", [(5, 7), (20, 33), (41, 58)])
+def test_a_dark_spot_is_found_wherever_it_stands_and_many_count_for_more(place: tuple[int, int]):
+    stub = camera(0.4)
+
+    def predicted(spots: list[tuple[int, int]]) -> float:
+        values = np.full((ROWS, COLS), 0.6)
+        values[tuple(np.transpose(spots))] = 0.05
+        return alias_of(stub.bank(), stub.sensor, photograph(values), TIGHT).error(2)
+
+    everywhere = [(row, col) for row in range(2, ROWS, 5) for col in range(2, COLS, 5)]
+    # An even photograph has below 1e-12.
+    assert 1e-5 < predicted([place]) < predicted(everywhere)

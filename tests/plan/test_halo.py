@@ -32,6 +32,7 @@ def photograph(planes: np.ndarray) -> Scene:
 
 def test_before_an_even_photograph_a_level_brings_its_share():
     found = seen_shares(LEVELS, photograph(np.full((80, 100), 4.0)), HALF_UM)
+    # Sums of float64 by transforms.
     np.testing.assert_allclose(found, [0.015, 0.005], rtol=1e-9)
 
 
@@ -50,6 +51,7 @@ def test_the_brightness_of_all_does_not_count(light: float):
     rng = np.random.default_rng(3)
     planes = rng.uniform(0, 1, (80, 100)) ** 8
     found = seen_shares(LEVELS, photograph(light * planes), HALF_UM)
+    # Photographs are kept in float32, 6e-8 of each sample; transforms sum them with brighter ones.
     np.testing.assert_allclose(found, seen_shares(LEVELS, photograph(planes), HALF_UM), rtol=1e-5)
     # Beside bright samples dark ones take more than the share from the halo.
     assert (found > 1.5 * np.array([0.015, 0.005])).all()
@@ -57,6 +59,7 @@ def test_the_brightness_of_all_does_not_count(light: float):
 
 @pytest.mark.parametrize("scene", [make_scene("demo"), photograph(np.zeros((5, 5)))])
 def test_charts_have_the_contrast_of_their_edges_and_black_needs_no_more(scene: Scene):
+    # The same product, in float64.
     np.testing.assert_allclose(
         seen_shares(LEVELS, scene, HALF_UM), AROUND * np.array([0.015, 0.005]), rtol=1e-9
     )
