@@ -52,6 +52,10 @@ class Lens(Protocol):
         """Return what is known of it, for the report."""
 
 
+# What of a camera's choice of a lens holds for another lens in its place.
+LASTING = ("focal_length_mm", "object_distance_m", "focus_distance_m")
+
+
 class LensChoice(Strict):
     """Which lens: a prescription, a ready-made bank or an MTF table, exactly one of them.
 
@@ -160,8 +164,8 @@ def load_camera(
 ) -> Camera:
     """Load a camera file, or a preset by its name.
 
-    ``lens`` holds fields of a `LensChoice` and ``sensor`` names another sensor, both in place of
-    the file's own; of another sensor all pixels are used.
+    ``lens`` holds fields of a `LensChoice` (see `changed_lens`) and ``sensor`` names another
+    sensor, both in place of the file's own; of another sensor all pixels are used.
 
     A file's ``lens`` is a mapping (``LensChoice``) or the name or file of a lens, whose kind is
     recognised; its ``sensor`` a mapping (``SensorChoice``) or the name or file of a sensor.
@@ -189,7 +193,7 @@ def load_camera(
     named = data.get("lens") if isinstance(data, dict) else None
     fields = checked(CameraFile, _spelled_out(data), path)
     ready = _ready_place(path, named) if isinstance(named, str) else None
-    if lens and ready is not None:
+    if lens and "prescription" not in lens and ready is not None:
         raise UserError(
             "a ready-made lens is used as it is: it has no surfaces to trace again",
             file=path,
@@ -197,9 +201,9 @@ def load_camera(
             allowed="a camera whose lens is a prescription",
         )
     if lens:
-        chosen = fields.lens.model_dump(exclude_none=True) | dict(lens)
+        chosen = changed_lens(fields.lens.model_dump(exclude_none=True), lens)
         data = _spelled_out(data) | {"lens": chosen}
-        fields = checked(CameraFile, data, path)
+        fields, ready = checked(CameraFile, data, path), None
     if sensor is not None:
         fields = fields.model_copy(update={"sensor": SensorChoice(preset=sensor)})
     sensor = load_sensor(sensor or _beside(path, fields.sensor.preset))
@@ -209,6 +213,17 @@ def load_camera(
     # Light passes those in front of the lens first: the product is the same.
     filters = [*sensor.filters, *load_filters(fields.filters, path)]
     return Camera(lens, sensor.model_copy(update={"filters": filters}), fields.title)
+
+
+def changed_lens(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a `LensChoice` with some changed.
+
+    Another prescription is another lens: it has the focal length and the distances of the one
+    before it, and is wide open over its whole field.
+    """
+    if "prescription" in changes:
+        chosen = {name: value for name, value in chosen.items() if name in LASTING}
+    return {**chosen, **changes}
 
 
 def _no_camera(name: str) -> str:

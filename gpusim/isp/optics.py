@@ -130,7 +130,7 @@ def colour_shifts(optics: Optics, sensor: Sensor) -> np.ndarray:
     """
     if not optics.lines_nm.size:
         return np.zeros((1, optics.real_um.size))
-    curves = response(sensor.qe) * white_radiance("D65", 1.0)
+    curves = response(sensor.colour_qe) * white_radiance("D65", 1.0)
     if curves.shape[0] != len(CHANNELS):
         curves = curves.sum(axis=0, keepdims=True)
     shifts = np.stack(

@@ -80,10 +80,12 @@ class App:
     def turn(self, **changes: Any) -> None:
         """Turn knobs and ask for their picture."""
         try:
-            self.knobs = self.knobs.turned(**changes)
+            turned = self.knobs.turned(**changes)
+            self.controls.sensor(turned)  # its panel cannot be drawn without one
         except UserError as mistake:
-            self.said = mistake.problem
+            self.said = _in_words(mistake)
             return
+        self.knobs, self.said = turned, ""
         self.ask()
 
     def ask(self, probes: int = 0) -> None:
@@ -284,9 +286,7 @@ class App:
         what, done, total = self.worker.phase
         if self.worker.mistake is not None:
             imgui.push_style_color(imgui.Col_.text, WARN)
-            mistake = self.worker.mistake
-            allowed = f"; allowed: {mistake.allowed}" if mistake.allowed else ""
-            imgui.text_wrapped(f"{mistake.problem}{allowed}")
+            imgui.text_wrapped(_in_words(self.worker.mistake))
             imgui.pop_style_color()
         elif shown is None:
             imgui.text("tracing the lens ...")
@@ -405,6 +405,11 @@ class App:
                 imgui.push_style_color(imgui.Col_.text, SOFT)
                 imgui.text_wrapped(reason)
                 imgui.pop_style_color()
+
+
+def _in_words(mistake: UserError) -> str:
+    allowed = f"; allowed: {mistake.allowed}" if mistake.allowed else ""
+    return f"{mistake.problem}{allowed}"
 
 
 def _same(one: Any, other: Any) -> bool:

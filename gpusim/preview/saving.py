@@ -7,12 +7,12 @@ from pathlib import Path
 import yaml
 from PIL import Image
 
-from gpusim.camera import PRESETS
+from gpusim.camera import PRESETS, changed_lens
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.isp.dng import has_dng
 from gpusim.preview.engine import Shown
-from gpusim.preview.state import LENS_KNOBS, Knobs
+from gpusim.preview.state import Knobs
 from gpusim.sensor.conversion import sensor_text
 
 SENSOR_FILE = "sensor.yaml"  # beside the camera file, where effects are switched off
@@ -32,11 +32,7 @@ def camera_file(knobs: Knobs) -> str:
             if Path(str(own.get(key, ""))).suffix:
                 own[key] = str((path.parent / own[key]).resolve())
         data[part] = own
-    if knobs.lens is not None:
-        data["lens"]["prescription"] = knobs.lens
-    for name in LENS_KNOBS:
-        if (value := getattr(knobs, name)) is not None:
-            data["lens"][name] = value
+    data["lens"] = changed_lens(data["lens"], dict(knobs.lens_changes))
     if knobs.sensor is not None:
         data["sensor"] = {"preset": knobs.sensor}
     if knobs.off:

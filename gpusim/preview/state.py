@@ -116,6 +116,13 @@ class Knobs:
         names = ("camera", "lens", "sensor", *LENS_KNOBS)
         return tuple(getattr(self, name) for name in names)
 
+    @property
+    def lens_changes(self) -> tuple[tuple[str, Any], ...]:
+        """The fields of the camera file's lens that are turned, with their values."""
+        given = ((name, getattr(self, name)) for name in LENS_KNOBS)
+        other = () if self.lens is None else (("prescription", self.lens),)
+        return (*other, *((name, value) for name, value in given if value is not None))
+
     def made_camera(self) -> Camera:
         """Return the camera, its sensor at its gain and without the effects that are off.
 
@@ -124,9 +131,7 @@ class Knobs:
         UserError
             A part is missing or a value is one that it cannot have.
         """
-        given = ((name, getattr(self, name)) for name in LENS_KNOBS)
-        lens = tuple((name, value) for name, value in given if value is not None)
-        made = _camera(self.camera, self.lens, lens, self.sensor)
+        made = _camera(self.camera, self.lens_changes, self.sensor)
         sensor = made.sensor if self.iso is None else made.sensor.at_iso(self.iso)
         return Camera(made.lens, without(sensor, self.off), made.title)
 
@@ -184,12 +189,8 @@ def having(sensor: Sensor) -> list[str]:
 
 
 @lru_cache(maxsize=8)
-def _camera(
-    name: str, lens: str | None, changes: tuple[tuple[str, float], ...], sensor: str | None
-) -> Camera:
-    if lens is not None:
-        changes = (("prescription", lens), *changes)
-    return load_camera(name, dict(changes) or None, sensor)
+def _camera(name: str, lens: tuple[tuple[str, Any], ...], sensor: str | None) -> Camera:
+    return load_camera(name, dict(lens), sensor)
 
 
 @lru_cache(maxsize=4)

@@ -11,7 +11,7 @@ from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.scene.spd import read_spectrum
-from gpusim.scene.spectra import colorchecker, colorchecker_known
+from gpusim.scene.spectra import patch_known, patch_names, patch_reflectance
 
 # Reflectances: beyond 1 for what fluoresces or shines like a mirror.
 MOST_REFLECTANCE, MOST_DENSITY = 2.0, 6.0
@@ -56,7 +56,7 @@ class Fill:
             share = self.luminance_cd_m2 / white_luminance_cd_m2
             return np.full(len(wavelengths_nm), share)
         if self.patch:
-            return colorchecker(wavelengths_nm)[self.name]
+            return patch_reflectance(self.name, wavelengths_nm)
         if isinstance(self.value, float):
             return np.full(len(wavelengths_nm), self.value)
         return np.interp(wavelengths_nm, *np.array(self.value).T)
@@ -67,7 +67,7 @@ class Fill:
         if self.grey:
             return None
         if self.patch:
-            return colorchecker_known()
+            return patch_known(self.name)
         return Known(f"the reflectance of {self.name}", self.value[0][0], self.value[-1][0])
 
 
@@ -94,13 +94,14 @@ def read_fill(given: object, name: str | None, field: str, path: Path) -> Fill:
         value = _number(given, MOST_REFLECTANCE, field, path)
         return Fill(name or f"neutral {100 * value:.6g} %", value)
     if isinstance(given, str):
-        if given not in colorchecker():
+        if given not in patch_names():
             raise UserError(
-                f"there is no fill of that name{perhaps(given, colorchecker())}",
+                f"there is no fill of that name{perhaps(given, patch_names())}",
                 file=path,
                 field=field,
                 value=given,
-                allowed="a name under fills, a patch of the ColorChecker, or a reflectance",
+                allowed="a name under fills, a patch of the ColorChecker (or SG A1 to SG N10 of its "
+                "Digital SG), or a reflectance",
             )
         return Fill(given)
     if not isinstance(given, dict) or len(given) != 1 or next(iter(given)) not in KINDS:

@@ -60,6 +60,10 @@ def seen_by_eye(wavelengths_nm: np.ndarray) -> slice:
     return slice(first, first + WAVELENGTHS_NM.size)
 
 
+# Tables of charts' patches, and what they are called.
+CHECKERS = {"colorchecker": "ColorChecker", "colorchecker-sg": "ColorChecker SG"}
+
+
 @cache
 def _table(name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return wavelengths (K,) and the columns of a table by name, read-only; empty ones are NaN."""
@@ -180,9 +184,28 @@ def colorchecker(wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> dict[str, np.nd
     return _columns("colorchecker", wavelengths_nm)
 
 
-def colorchecker_known() -> Known:
-    """Return over which wavelengths they were measured."""
-    return Known("the ColorChecker's reflectances", *_table_ends_nm("colorchecker"))
+def patch_names() -> tuple[str, ...]:
+    """Return the patches that charts may name.
+
+    The ColorChecker's 24, and the 140 of its Digital SG: "SG A1" to "SG N10".
+    """
+    return tuple(name for table in CHECKERS for name in _table(table)[1])
+
+
+def patch_reflectance(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.ndarray:
+    """Return the reflectance (K,) of a patch; beyond the table's ends as at these."""
+    known, columns = _table(_checker(name))
+    return np.interp(wavelengths_nm, known, columns[name])
+
+
+def patch_known(name: str) -> Known:
+    """Return over which wavelengths a patch was measured."""
+    table = _checker(name)
+    return Known(f"the {CHECKERS[table]}'s reflectances", *_table_ends_nm(table))
+
+
+def _checker(patch: str) -> str:
+    return next(table for table in CHECKERS if patch in _table(table)[1])
 
 
 def colour_matching() -> np.ndarray:

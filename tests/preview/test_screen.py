@@ -316,3 +316,15 @@ def test_a_real_window_answers_mouse_and_keys_and_closes(tmp_path):
             if one is not None and one.poll() is None:
                 one.kill()
                 one.wait()
+
+
+def test_a_lens_that_cannot_be_so_is_said_and_the_knobs_stay(screen):
+    before = screen.app.knobs
+    screen.app.turn(lens="no-such-lens")
+    screen.frame()
+    assert screen.app.knobs == before
+    assert "no-such-lens" in screen.app.said or "tessar" in screen.app.said
+    screen.app.turn(ev=0.5)
+    assert screen.app.said == ""
+    screen.app.turn(ev=0.0)
+    screen.settle("draft", 60)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gpusim import camera as cameras
+from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.formats import lens_file as lenses
+from gpusim.lens.system import first_order
+from gpusim.preview.controls import bare_camera
+from gpusim.preview.saving import camera_file
 from gpusim.preview.state import EFFECTS, Knobs, View, having, without
 from gpusim.sensor.load import load_sensor, presets
 from gpusim.sensor.sensor import Sensor
@@ -78,3 +86,25 @@ def test_the_command_line_names_what_was_turned():
     assert line.startswith("gpusim render camera.yaml colorchecker --exposure 0.0125 ")
     for part in ("--iso 200", "--no-noise", "--seed 3", "--tile 4,6,20,30"):
         assert part in line
+
+
+@pytest.mark.parametrize("name", cameras.presets())
+def test_every_camera_takes_every_lens_and_sensor(name):
+    sides = itertools.product([None, *lenses.presets()], [None, *presets()])
+    for lens, sensor in sides:
+        camera, widest, _ = bare_camera(Knobs(name, "grey", lens=lens, sensor=sensor))
+        if lens is None:
+            continue
+        # Another lens is wide open over its whole field, at the camera's own focal length.
+        alone = lenses.load_prescription(lens)
+        assert widest == pytest.approx(first_order(alone).f_number, rel=1e-3)
+        assert camera.lens.max_field_deg == alone.max_field_deg
+
+
+def test_a_saved_camera_with_another_lens_is_the_one_that_was_shown(tmp_path):
+    knobs = Knobs("phone", "grey", lens="tessar", f_number=8.0)
+    path = tmp_path / "camera.yaml"
+    path.write_text(camera_file(knobs))
+    saved, shown = load_camera(path).lens, knobs.made_camera().lens
+    assert saved.surfaces == shown.surfaces
+    assert first_order(saved).f_number == pytest.approx(8.0)

@@ -8,7 +8,13 @@ from harness import assert_close
 
 from gpusim.scene import Chart, Disc, Rect, make_scene
 from gpusim.scene.charts import CHARTS, HALF_WIDTH, load_chart
-from gpusim.scene.spectra import WAVELENGTHS_NM, colorchecker, illuminant, luminance_cd_m2
+from gpusim.scene.spectra import (
+    WAVELENGTHS_NM,
+    colorchecker,
+    illuminant,
+    luminance_cd_m2,
+    patch_reflectance,
+)
 
 PIXEL = 2 / 1520  # in half-heights, on the demonstration sensor
 DRAWN = ("dead-leaves", "points", "sine-star", "sinusoid", "sweep", "zone-plate")
@@ -26,9 +32,22 @@ def squares(chart) -> list[Rect]:
     return [p for p in chart.primitives if isinstance(p, Rect) and p.angle_rad != 0]
 
 
-@pytest.mark.parametrize("name", ["demo", "colorchecker", "slanted-edge", "dots", "grey"])
+@pytest.mark.parametrize(
+    "name", ["demo", "colorchecker", "colorchecker-sg", "slanted-edge", "dots", "grey"]
+)
 def test_outlines_are_at_least_four_pixels_apart(name):
     assert laid(name)[0].gap >= 4 * PIXEL
+
+
+def test_the_sg_has_its_ten_rows_of_fourteen():
+    chart, reflectances = laid("colorchecker-sg")
+    patches = [p for p in chart.primitives if chart.materials[p.material].startswith("SG ")]
+    places = [(p.cy, p.cx) for p in patches]
+    assert places == sorted(places)
+    names = [chart.materials[p.material] for p in patches]
+    assert names == [f"SG {col}{row}" for row in range(1, 11) for col in "ABCDEFGHIJKLMN"]
+    for p, name in zip(patches, names, strict=True):
+        assert_close(reflectances[p.material], patch_reflectance(name), atol=0)
 
 
 @pytest.mark.parametrize("name", OUTLINED)
