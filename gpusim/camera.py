@@ -7,9 +7,10 @@ somebody else computed, or a table of its MTF (`gpusim.formats.ready`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from pydantic import Field, model_validator
 
@@ -18,6 +19,7 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
+from gpusim.scene.patterns import Frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -150,6 +152,21 @@ class Camera:
         if isinstance(self.lens, Prescription):
             return lens_bank(self.lens, progress, **sampling)
         return self.lens.bank(progress, **sampling)
+
+    @cached_property
+    def frame(self) -> Frame:
+        """What a chart is laid out for: the sensor, and how large the lens shows things."""
+        from gpusim.lens.prescription import Prescription
+        from gpusim.lens.system import conjugates, first_order
+
+        lens = self.lens
+        if not isinstance(lens, Prescription):
+            return Frame.of(self.sensor, lens.bank().principal_distance_mm)
+        found = Frame.of(self.sensor, conjugates(lens).principal_distance_mm)
+        if lens.object_distance_mm is None:
+            return found
+        pupil_mm = first_order(lens).entrance_pupil_z_mm
+        return replace(found, object_mm=lens.object_distance_mm + pupil_mm)
 
 
 def presets() -> list[str]:

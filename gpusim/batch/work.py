@@ -94,10 +94,10 @@ def rendered(frames: Sequence[Frame]) -> Iterator[tuple[Frame, library.Frame]]:
 
 def exposed(frame: Frame) -> Light:
     """Return the light of a frame."""
-    sweep = frame.sweep
-    scene = make_scene(frame.scene, **frame.scene_options)
+    sweep, camera = frame.sweep, frame.camera()
+    scene = make_scene(frame.scene, **frame.scene_options, frame=camera.frame)
     return expose(
-        frame.camera(),
+        camera,
         scene,
         sweep.tolerance,
         probes=sweep.probes,

@@ -184,7 +184,8 @@ def render(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="What light a TIFF's or PNG's values stand for: srgb, linear, rec709, gamma2.2.",
+            help="What light a TIFF's or PNG's values stand for: srgb, linear, rec709, gamma2.2, "
+            "or the table of a film or screen: FILE.cube.",
         ),
     ] = None,
     upsampling: Annotated[
@@ -192,6 +193,14 @@ def render(
         typer.Option(
             metavar="NAME",
             help="Spectra of an RGB picture: mallett-2019 if not given, jakob-2019, smits-1999.",
+        ),
+    ] = None,
+    chart_height: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE",
+            help="How large a chart stands in the scene, of what fills the sensor's height "
+            "otherwise: 850mm at the object's distance, or an angle, 40deg.",
         ),
     ] = None,
     projection: Annotated[
@@ -341,6 +350,7 @@ def render(
         illumination=illumination,
         transfer=transfer,
         upsampling=upsampling,
+        chart_height=chart_height,
         projection=projection,
         tolerance=tolerance,
         probes=certify,

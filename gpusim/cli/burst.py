@@ -23,7 +23,6 @@ from gpusim.library.again import recipe_of_frame
 from gpusim.library.light import expose
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
-from gpusim.scene.patterns import Frame
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Burst
@@ -76,7 +75,7 @@ def run(
     for speed in speeds or ():
         camera.sensor.at_iso(speed)  # refuses what it does not have, before the long work
     camera.sensor.dark_current_at(temperature_c)
-    scene = make_scene(scene_name, luminance_cd_m2, illuminant, frame=Frame.of(camera.sensor))
+    scene = make_scene(scene_name, luminance_cd_m2, illuminant, frame=camera.frame)
     with staging(out) as folder, screen.progress_bar(show != "nothing") as progress:
         light = expose(
             camera,

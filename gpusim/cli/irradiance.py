@@ -22,7 +22,6 @@ from gpusim.library.irradiance import Irradiance, band_images
 from gpusim.scene import make_scene
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, encode_srgb, rgb_to_xyz
 from gpusim.scene.exr import write_exr
-from gpusim.scene.patterns import Frame
 from gpusim.scene.spectra import WAVELENGTHS_NM, xyz
 
 FORMATS = (".npz", ".exr")
@@ -67,7 +66,7 @@ def run(
     lines = bands_of(bands)
     camera = load_camera(camera_name)
     rectangle = None if tile is None else rectangle_of(tile)
-    scene = make_scene(scene_name, luminance_cd_m2, illuminant, frame=Frame.of(camera.sensor))
+    scene = make_scene(scene_name, luminance_cd_m2, illuminant, frame=camera.frame)
     with (
         whole_file(out, FORMATS) as file,
         screen.progress_bar(not quiet) as progress,

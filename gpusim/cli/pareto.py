@@ -27,7 +27,6 @@ from gpusim.plan import Accuracy
 from gpusim.report.pareto_figure import draw, png
 from gpusim.report.words import NOTHING, duration, error, sigmas
 from gpusim.scene import make_scene
-from gpusim.scene.patterns import Frame
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
@@ -62,7 +61,7 @@ def run(
     camera = load_camera(camera_name)
     if not whole:
         camera = region(camera)
-    scene = make_scene(scene_name, frame=Frame.of(camera.sensor))
+    scene = make_scene(scene_name, frame=camera.frame)
     device = default_device()
     with staging(out) as folder:
         with screen.progress_bar() as progress:

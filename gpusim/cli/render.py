@@ -36,7 +36,6 @@ from gpusim.render.deadline import resolved
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import unevenly_lit
-from gpusim.scene.patterns import Frame
 from gpusim.sensor.readout import Shot
 
 if TYPE_CHECKING:
@@ -59,6 +58,7 @@ def run(
     illumination: Path | None,
     transfer: str | None,
     upsampling: str | None,
+    chart_height: str | None,
     projection: str,
     tolerance: str,
     probes: int,
@@ -101,15 +101,15 @@ def run(
     check_ev(ev)
     check_method(method)  # before the lens is traced
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    drawn_for = Frame.of(camera.sensor)
     scene = make_scene(
         scene_name,
         luminance_cd_m2,
         illuminant,
         projection,
-        drawn_for,
+        camera.frame,
         transfer=transfer,
         upsampling=upsampling,
+        chart_height=chart_height,
     )
     if illumination is not None:
         scene = unevenly_lit(scene, illumination)

@@ -13,7 +13,6 @@ from gpusim.cli.render import rectangle_of
 from gpusim.errors import UserError
 from gpusim.library.light import expose
 from gpusim.scene import make_scene
-from gpusim.scene.patterns import Frame
 from gpusim.sensor.sensor import Sensor
 from gpusim.web.bundle import write_page
 
@@ -42,7 +41,7 @@ def run(
             value=tile,
             allowed=f"{MOST_PIXELS:,} pixels at most",
         )
-    scene = make_scene(scene_name, None, None, frame=Frame.of(camera.sensor))
+    scene = make_scene(scene_name, None, None, frame=camera.frame)
     with staging(out) as folder, screen.progress_bar(show) as progress:
         light = expose(camera, scene, tolerance, probes=probes, tile=rectangle, progress=progress)
         progress("files", 0, 1)

@@ -143,7 +143,7 @@ class Knobs:
         UserError
             There is none of that name, or a value is one that it cannot have.
         """
-        frame = Frame.of(self.bare.made_camera().sensor)
+        frame = self.bare.made_camera().frame
         return _scene(self.scene, self.luminance_cd_m2, self.illuminant, frame)
 
     @property

@@ -45,4 +45,4 @@ def look(
     if density is None and isinstance(lens, Prescription):
         sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
-    return Look(band, scene.before(bank.efl_mm), density, bank)
+    return Look(band, scene.before(bank.principal_distance_mm), density, bank)

@@ -2,7 +2,8 @@
 
 title: a slanted edge
 unit: mm                    # half-heights of the sensor's image without it; or pixels
-height: 200                 # of the chart in that unit, that fills the sensor's height
+height: 200                 # of the chart in that unit, that fills the sensor's height; without it
+                            # a chart in mm stands as large as it is at the object's distance
 fills: {paper: 0.8, ink: {density: 1.3}}
 background: paper
 shapes:
@@ -23,9 +24,11 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
+from gpusim.lens.projection import RECTILINEAR, Projection
 from gpusim.scene.chart import Chart
 from gpusim.scene.chart_shapes import MOST_SHAPES, SHAPES, Grid, Shape
 from gpusim.scene.fills import Fill, read_fill
+from gpusim.scene.framing import Height
 from gpusim.scene.patterns import PATTERNS, Drawn, Frame, Pattern
 from gpusim.scene.raster import Raster
 from gpusim.scene.shapes import Primitive
@@ -100,7 +103,12 @@ class _Materials:
         return self.fills.index(fill)
 
 
-def read_chart(path: Path, frame: Frame | None = None) -> Laid:
+def read_chart(
+    path: Path,
+    frame: Frame | None = None,
+    height: Height | None = None,
+    projection: Projection = RECTILINEAR,
+) -> Laid:
     """Read a chart.
 
     Parameters
@@ -108,7 +116,11 @@ def read_chart(path: Path, frame: Frame | None = None) -> Laid:
     path : Path
         A YAML file.
     frame : Frame, optional
-        The sensor that it is for: of 1520 rows, 4:3, without.
+        The camera that it is for: a sensor of 1520 rows, 4:3, without.
+    height : Height, optional
+        How large in the scene what fills the sensor's height is otherwise.
+    projection : Projection
+        How it lies on the ideal image plane: for a height.
 
     Raises
     ------
@@ -122,7 +134,7 @@ def read_chart(path: Path, frame: Frame | None = None) -> Laid:
             "a chart has shapes, or one pattern", file=path, field="shapes, pattern",
             value="both" if data.shapes else "neither", allowed="one of them",
         )  # fmt: skip
-    scale = _half_heights(data, frame, path)
+    scale = _half_heights(data, frame, height, projection, path)
     materials = _Materials(data.fills, path)
     background = materials.number(data.background, "background")
     if data.pattern is not None:
@@ -152,17 +164,28 @@ def read_chart(path: Path, frame: Frame | None = None) -> Laid:
     return Laid(data.title, chart, tuple(materials.fills))
 
 
-def _half_heights(data: ChartFile, frame: Frame, path: Path) -> float:
+def _half_heights(
+    data: ChartFile, frame: Frame, height: Height | None, projection: Projection, path: Path
+) -> float:
     """Return how many half-heights of the sensor one of the chart's unit is."""
-    if data.unit == "mm" and data.height is None:
+    whole = {"half-heights": 2.0, "pixels": float(frame.rows), "mm": None}[data.unit]
+    own = data.height or whole
+    if height is None and own is not None:
+        return 2.0 / own
+    if height is not None and data.unit == "pixels":
+        raise UserError(
+            "a chart in pixels has no other height", file=path, field="chart-height",
+            value=f"{height.value:g}{height.unit}", allowed="with a chart in another unit",
+        )  # fmt: skip
+    if height is None and frame.object_mm is None:
         raise UserError(
             "a chart in mm does not say what of it fills the sensor's height",
             file=path,
             field="height",
-            allowed="mm, above 0",
+            allowed="mm, above 0; none before a camera with an object distance",
         )
-    whole = {"half-heights": 2.0, "pixels": float(frame.rows), "mm": None}[data.unit]
-    return 2.0 / (data.height or whole)
+    true_size = Height(own or 1.0, "mm")
+    return 2.0 * (height or true_size).half_heights(frame, projection) / true_size.value
 
 
 def _shape(given: object, field: str, path: Path) -> Shape:

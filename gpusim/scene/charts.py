@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from gpusim.scene.chart_file import Laid, read_chart
 from gpusim.scene.patterns import Frame
@@ -23,7 +24,8 @@ def is_chart(name_or_path: str | Path) -> bool:
     return str(name_or_path) in CHARTS or Path(name_or_path).suffix.lower() in SUFFIXES
 
 
-def load_chart(name_or_path: str | Path, frame: Frame | None = None) -> Laid:
-    """Return a chart by its name or from a YAML file: see `read_chart`."""
+def load_chart(name_or_path: str | Path, frame: Frame | None = None, **size: Any) -> Laid:
+    """Return a chart by its name or from a YAML file; ``size`` as of `read_chart`."""
     name = str(name_or_path)
-    return read_chart(FOLDER / f"{name}.yaml" if name in CHARTS else Path(name_or_path), frame)
+    path = FOLDER / f"{name}.yaml" if name in CHARTS else Path(name_or_path)
+    return read_chart(path, frame, **size)

@@ -14,12 +14,13 @@ from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.scene.exr import MOST_PIXELS, Photograph, _check, _into_gamut
+from gpusim.scene.medium import is_table, light_of
 
 TIFF, PNG = (".tif", ".tiff"), (".png",)
 RAWS = (".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef "
         ".raf .rw2 .rwl .sr2 .srf .srw .x3f").split()  # fmt: skip
 GAMMA = re.compile(r"gamma ?(\d(?:\.\d{1,4})?)", re.ASCII)
-TRANSFERS = "linear, srgb, rec709, or gamma2.2 (1 to 4)"
+TRANSFERS = "linear, srgb, rec709, gamma2.2 (1 to 4), or a table: FILE.cube"
 
 
 def linear(encoded: np.ndarray, transfer: str, path: Path) -> np.ndarray:
@@ -66,7 +67,8 @@ def read_encoded(path: Path, transfer: str | None) -> Photograph:
     ----------
     path : Path
     transfer : str or None
-        As `linear` takes it. Floats are linear without; whole numbers say nothing of it.
+        As `linear` takes it, or the .cube file of a table (`gpusim.scene.medium`). Floats are
+        linear without; whole numbers say nothing of it.
 
     Raises
     ------
@@ -87,11 +89,15 @@ def read_encoded(path: Path, transfer: str | None) -> Photograph:
     else:
         scaled = pixels.astype(np.float64)
         _check(path, "", pixels.reshape(len(pixels), -1))
-    rgb = linear(scaled, transfer or "linear", path)
+    if transfer is not None and is_table(transfer):
+        rgb = light_of(scaled, Path(transfer))
+    else:
+        rgb = linear(scaled, transfer or "linear", path)
     rgb = np.stack([rgb] * 3) if rgb.ndim == 2 else np.moveaxis(rgb[..., :3], -1, 0)
     rgb, moved = _into_gamut(rgb, rgb_to_xyz(REC709_CHROMATICITIES)[1])
     bits = f"{8 * pixels.dtype.itemsize}-bit {'whole numbers' if whole else 'floats'}"
-    notes = (f"{bits}, transfer function {transfer or 'linear'}, primaries of Rec.709",)
+    medium = Path(transfer or "linear").name
+    notes = (f"{bits}, transfer function {medium}, primaries of Rec.709",)
     if moved:
         notes += (f"{moved} negative pixels moved to the boundary of Rec.709, luminance kept",)
     return Photograph(rgb.astype(np.float32), (1.0, 1.0, 1.0), None, notes)

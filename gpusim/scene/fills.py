@@ -100,7 +100,7 @@ def read_fill(given: object, name: str | None, field: str, path: Path) -> Fill:
                 file=path,
                 field=field,
                 value=given,
-                allowed="a name under fills, a patch of the ColorChecker (or SG A1 to SG N10 of its "
+                allowed="a name under fills, a patch of the ColorChecker (SG A1 to SG N10: of its "
                 "Digital SG), or a reflectance",
             )
         return Fill(given)

@@ -13,8 +13,10 @@ import numpy as np
 from gpusim.config.names import perhaps
 from gpusim.errors import UserError
 from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR
+from gpusim.scene.chart_file import Laid
 from gpusim.scene.charts import CHARTS, is_chart, load_chart
 from gpusim.scene.fills import Fill
+from gpusim.scene.framing import Height
 from gpusim.scene.illumination import unevenly_lit
 from gpusim.scene.panorama import PANORAMA, by_angle
 from gpusim.scene.patterns import Frame
@@ -32,6 +34,7 @@ def make_scene(
     frame: Frame | None = None,
     transfer: str | None = None,
     upsampling: str | None = None,
+    chart_height: str | None = None,
 ) -> Scene:
     """Return a chart of the project, one of a YAML file, or a picture from a file.
 
@@ -51,12 +54,17 @@ def make_scene(
         to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,
         in whose middle the camera stands and at whose centre it looks.
     frame : Frame, optional
-        The sensor: for charts that count in its pixels, or are drawn on samples.
+        The camera (`gpusim.camera.Camera.frame`): for charts that count in its pixels, are drawn
+        on samples, or have a size in the scene.
     transfer : str, optional
-        What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2".
+        What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2", or
+        the .cube file of a table: see `gpusim.scene.medium`.
     upsampling : str, optional
         Method by which an RGB photograph's colours become spectra: "mallett-2019" if not given,
         "jakob-2019" or "smits-1999".
+    chart_height : str, optional
+        How large a chart stands in the scene: of what fills the sensor's height otherwise, the
+        size at the object's distance ("850mm") or the angle ("40deg").
 
     Raises
     ------
@@ -86,8 +94,9 @@ def make_scene(
         "illuminant": illuminant and _found(illuminant),
         "projection": projection,
         "frame": frame and asdict(frame),
-        "transfer": transfer,
+        "transfer": transfer and _found(transfer),
         "upsampling": upsampling,
+        "chart_height": chart_height,
     }
     if is_chart(name):
         if panorama:
@@ -105,10 +114,19 @@ def make_scene(
                 allowed="with an RGB picture",
             )
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
-        scene = _chart(name, level, illuminant or DEFAULT_ILLUMINANT, frame)
+        height = None if chart_height is None else Height.parse(chart_height)
+        laid = load_chart(name, frame, height=height, projection=plane)
+        scene = _chart(name, laid, level, illuminant or DEFAULT_ILLUMINANT)
         return replace(scene, projection=plane, made_from=made_from)
     path = Path(name_or_path)
     if is_picture(path):
+        if chart_height is not None:
+            raise UserError(
+                "a picture is no chart",
+                field="chart-height",
+                value=chart_height,
+                allowed="with a chart; a picture fills the sensor",
+            )
         scene = picture_scene(path, luminance_cd_m2, illuminant, transfer, upsampling)
         if panorama:
             whole = Raster(by_angle(scene.source.planes), half_efl=(np.pi, np.pi))
@@ -154,8 +172,7 @@ def _lit(
     return np.stack([fill.reflectance(wavelengths_nm, level) for fill in fills]) * white, white
 
 
-def _chart(name: str, level: float, lamp: str, frame: Frame | None) -> Scene:
-    laid = load_chart(name, frame)
+def _chart(name: str, laid: Laid, level: float, lamp: str) -> Scene:
     source, fills = laid.source, laid.fills
     if isinstance(source, Raster) and all(fill.grey for fill in fills):
         # One spectrum, in one plane, in which points of light stand out from what is around them.

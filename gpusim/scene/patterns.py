@@ -32,17 +32,29 @@ LAYERS = 200_000  # leaves at most
 
 @dataclass(frozen=True)
 class Frame:
-    """The sensor that a pattern is drawn for: rows, aspect, and half its height if it is known."""
+    """The camera that a chart is laid out for, as far as it is known.
+
+    Attributes
+    ----------
+    rows, aspect, half_height_um
+        Of the sensor: its rows, width over height, and half the height.
+    principal_mm : float or None
+        Principal distance of the lens.
+    object_mm : float or None
+        From the entrance pupil to the plane of the object; None where that is at infinity.
+    """
 
     rows: int = 1520
     aspect: float = 4 / 3
     half_height_um: float | None = None
+    principal_mm: float | None = None
+    object_mm: float | None = None
 
     @classmethod
-    def of(cls, sensor: Sensor) -> Frame:
-        """Return that of a sensor."""
+    def of(cls, sensor: Sensor, principal_mm: float | None = None) -> Frame:
+        """Return that of a sensor, behind a lens that looks to infinity."""
         half_um = sensor.rows * sensor.pixel_pitch_um / 2
-        return cls(sensor.rows, sensor.cols / sensor.rows, half_um)
+        return cls(sensor.rows, sensor.cols / sensor.rows, half_um, principal_mm)
 
 
 @dataclass(frozen=True, eq=False)

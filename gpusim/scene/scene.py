@@ -175,18 +175,18 @@ class Scene:
             spectra = np.stack(rows)
         return replace(self, spectra=spectra, white=white, wavelengths_nm=wavelengths_nm)
 
-    def before(self, efl_mm: float) -> Scene:
+    def before(self, principal_mm: float) -> Scene:
         """Return the scene before a lens: what is laid by angle gets its size on the image plane.
 
         Parameters
         ----------
-        efl_mm : float
-            Focal length.
+        principal_mm : float
+            Principal distance: the focal length of a lens that looks to infinity.
         """
         source = self.source
         if isinstance(source, Chart) or source.half_efl is None:
             return self
-        half_um = tuple(1e3 * efl_mm * half for half in source.half_efl)
+        half_um = tuple(1e3 * principal_mm * half for half in source.half_efl)
         return replace(self, source=replace(source, half_um=half_um, half_efl=None))
 
     @property

@@ -18,6 +18,7 @@ from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.places import Heights
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.scene.chart import Chart, Disc, Rect
+from gpusim.scene.patterns import Frame
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.cfa import ColourFilterArray
@@ -291,6 +292,11 @@ class StubCamera:
     def bank(self, progress: object = None) -> FieldBank:
         """Return the bank."""
         return self.lens_bank
+
+    @property
+    def frame(self) -> Frame:
+        """What a chart is laid out for."""
+        return Frame.of(self.sensor, self.lens_bank.principal_distance_mm)
 
 
 def at_lines(lens: FieldBank, weights: np.ndarray) -> np.ndarray:
