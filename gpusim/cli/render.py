@@ -289,6 +289,9 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
         ev=ev,
         taken=taken,
     )
+    facts["patches"] = report.patch_facts(capture, developed)
     (folder / "report.json").write_text(json.dumps(facts, indent=1, allow_nan=False) + "\n")
-    (folder / "report.html").write_text(report.page(facts, developed), encoding="utf-8")
+    (folder / "report.html").write_text(
+        report.page(facts, developed, capture.psfs), encoding="utf-8"
+    )
     return facts

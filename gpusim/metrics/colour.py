@@ -25,13 +25,13 @@ METHODS = {"76": "CIE 1976", "94": "CIE 1994", "2000": "CIE 2000"}
 
 @dataclass(frozen=True, eq=False)
 class Colours:
-    """Colours of the 24 patches, as a picture or a matrix makes them.
+    """Colours of N patches, as a picture or a matrix makes them.
 
     Attributes
     ----------
-    xyz : ndarray (24, 3)
+    xyz : ndarray (N, 3)
         On the scale on which the illuminant's white has Y = 1.
-    delta_e : dict of str to ndarray (24,)
+    delta_e : dict of str to ndarray (N,)
         ``76``, ``94`` and ``2000``.
     """
 
@@ -40,7 +40,7 @@ class Colours:
 
     @property
     def xy(self) -> np.ndarray:
-        """Chromaticities (24, 2)."""
+        """Chromaticities (N, 2)."""
         return self.xyz[:, :2] / self.xyz.sum(axis=1, keepdims=True)
 
 
@@ -112,7 +112,7 @@ def measure_colour(
     used = {name: planes[name] for name in "RGB"}
     patches = find_patches(used, lambda rgb: _fit(rgb, chart_xyz)[1], corners)
     matrix, _ = _fit(patches.mean, chart_xyz)
-    fitted = _colours(patches.mean @ matrix.T, chart_xyz, white)
+    fitted = compared(patches.mean @ matrix.T, chart_xyz, white)
     as_is = white_xy = None
     if all(plane.sites is None for plane in used.values()):
         # Rec.709 is seen under D65, the white of (1, 1, 1); the chart's light is another white.
@@ -122,7 +122,7 @@ def measure_colour(
         white_xy = greys[:2] / greys.sum()
         own = own @ adaptation(to_xyz.sum(axis=1), white).T
         scale = own[GREYS, 1] @ chart_xyz[GREYS, 1] / (own[GREYS, 1] @ own[GREYS, 1])
-        as_is = _colours(scale * own, chart_xyz, white)
+        as_is = compared(scale * own, chart_xyz, white)
     return ColourReport(
         patches, tuple(chart), light, white, chart_xyz, as_is, white_xy, fitted, matrix
     )
@@ -134,7 +134,15 @@ def _fit(rgb: np.ndarray, chart_xyz: np.ndarray) -> tuple[np.ndarray, float]:
     return found.T, float(np.sqrt(np.mean((rgb @ found - chart_xyz) ** 2)))
 
 
-def _colours(own: np.ndarray, chart_xyz: np.ndarray, white: np.ndarray) -> Colours:
+def compared(own: np.ndarray, chart_xyz: np.ndarray, white: np.ndarray) -> Colours:
+    """Return colours with their differences from a chart's.
+
+    Parameters
+    ----------
+    own, chart_xyz : ndarray (N, 3)
+        On the scale on which white has Y = 1.
+    white : ndarray (3,)
+    """
     import colour  # a second to load
 
     xy = white[:2] / white.sum()

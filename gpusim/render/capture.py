@@ -14,6 +14,7 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.band import Band
 from gpusim.plan.costs import Costs
 from gpusim.plan.tiles import Rect
+from gpusim.psf.local import LocalPsfs
 from gpusim.scene.scene import Scene
 from gpusim.sensor.frame import Areas, areas_of
 
@@ -67,6 +68,8 @@ class Capture:
         What makes its light again: see `gpusim.render.recipe`.
     band : Band
         The wavelengths that were rendered, and what no data describe.
+    psfs : LocalPsfs or None
+        PSFs over the sensor, to look at.
     """
 
     raw: np.ndarray
@@ -95,6 +98,7 @@ class Capture:
     band: Band
     recipe: dict[str, Any]
     costs: Costs | None = None
+    psfs: LocalPsfs | None = None
 
     @property
     def areas(self) -> Areas:

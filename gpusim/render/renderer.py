@@ -45,6 +45,7 @@ from gpusim.plan.tiles import (
     tiles_of,
 )
 from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.local import local_psfs
 from gpusim.render.anew import planned_anew
 from gpusim.render.capture import Capture
 from gpusim.render.coarse import CoarseCamera, seen_by
@@ -391,6 +392,7 @@ class Renderer:
             exposure_s=exposure_s,
             accuracy=self.accuracy,
             temperature_c=temperature_c,
+            psfs=local_psfs(self.core, sensor, self.scene),
         )
 
     def certificate(

@@ -2,5 +2,6 @@
 
 from gpusim.report.facts import facts
 from gpusim.report.page import page
+from gpusim.report.patches import patch_facts
 
-__all__ = ["facts", "page"]
+__all__ = ["facts", "page", "patch_facts"]

@@ -17,8 +17,11 @@ import numpy as np
 from PIL import Image
 
 from gpusim.plan.stages import RIM
+from gpusim.psf.local import LocalPsfs
 from gpusim.report.histogram import histogram_html
+from gpusim.report.patches import patches_html
 from gpusim.report.probes import probe_map
+from gpusim.report.psfs import psfs_html
 from gpusim.report.words import (
     duration,
     error,
@@ -45,7 +48,7 @@ _PARTS = {
 }
 
 
-def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
+def page(facts: Mapping[str, Any], developed: np.ndarray, psfs: LocalPsfs | None = None) -> str:
     """Return the report as an HTML document.
 
     Parameters
@@ -54,6 +57,8 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         What :func:`gpusim.report.facts` returned.
     developed : ndarray of uint8, shape (rows, cols, 3)
         The developed capture, sRGB.
+    psfs : LocalPsfs, optional
+        For the place that is clicked.
     """
     capture = facts["capture"]
     title = escape(f"{facts['scene']['name']}: {facts['camera']['title']}")
@@ -66,13 +71,18 @@ def page(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         title,
         summary,
         _pictures(facts, developed),
+        patches_html(facts.get("patches")),
+        "" if psfs is None else psfs_html(psfs, facts),
         histogram_html(facts["histogram"]),
         _cards(facts),
         _certificate(facts),
         _quantum_efficiency(facts),
         _folded("What was done, and what was left out", _stages(facts)),
         _folded("Parameters, versions, files", _details(facts)),
-        f"<script>{resources.files('gpusim.report').joinpath('loupe.js').read_text()}</script>",
+        *(
+            f"<script>{resources.files('gpusim.report').joinpath(name).read_text()}</script>"
+            for name in ("loupe.js", "psf.js")
+        ),
     )
 
 

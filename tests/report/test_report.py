@@ -143,12 +143,12 @@ def test_the_page_is_well_formed_and_loads_nothing(page: str):
         if name in ("src", "href") and tag != "a":
             assert value.startswith("data:image/")
     assert "url(" not in page
-    # The one script is the loupe's, and takes nothing but the picture beside the page.
-    assert page.count("<script") == 1
+    # The scripts are those of loupe and PSF, and take nothing but the picture beside the page.
+    assert page.count("<script") == 2
     script = page[page.index("<script>") :]
     for word in ("fetch", "import", "http", "XMLHttp", "eval", "localStorage"):
         assert word not in script
-    assert script.count(".src = ") == 1 and 'data-whole="developed.png"' in page
+    assert script.count(".src = ") == 2 and 'data-whole="developed.png"' in page
 
 
 def test_the_picture_comes_first_and_the_engine_is_folded(page: str):

@@ -1,0 +1,55 @@
+"""The PSF of the place that is clicked, on the report's page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from html import escape
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from gpusim.psf.local import LocalPsfs
+
+SHOWN_PX = 240
+TINY = np.finfo(float).tiny
+
+
+def psfs_html(found: LocalPsfs, facts: dict[str, Any]) -> str:
+    """Return the panel: PSFs side by side in one picture, and where each one lies.
+
+    Parameters
+    ----------
+    found : LocalPsfs
+    facts : dict
+        Those of the report.
+    """
+    brightest = np.maximum(found.light.reshape(len(found.light), -1).max(axis=1), TINY)
+    # The fourth root shows light of a ten-thousandth as a tenth.
+    each = brightest.reshape(-1, *[1] * (found.light.ndim - 1))
+    toned = np.round(255 * np.clip(found.light / each, 0, 1) ** 0.25).astype(np.uint8)
+    strip = Image.fromarray(np.concatenate(list(toned), axis=1))
+    file = io.BytesIO()
+    strip.save(file, "PNG")
+    sensor, capture = facts["camera"]["sensor"], facts["capture"]
+    data = {
+        "places": found.places_um.round(3).tolist(),
+        "turned": found.turned,
+        "side": round(float(found.side_um), 4),
+        "pitch": sensor["pixel_pitch_um"],
+        "axis": [
+            sensor["cols"] / 2 - capture["first_col"],
+            sensor["rows"] / 2 - capture["first_row"],
+        ],
+    }
+    source = base64.b64encode(file.getvalue()).decode()
+    given = escape(json.dumps(data))
+    turned = ", turned as it lies there" if found.turned else ""
+    return f"""<h2>PSF at a place</h2>
+<div class="psf"><canvas width="{SHOWN_PX}" height="{SHOWN_PX}" data-psf="{given}"
+ data-strip="data:image/png;base64,{source}"></canvas>
+<p class="soft"><span class="psf-at">Click into the picture.</span> The light of the scene's white
+as the sensor's colours see it, fourth root; the lines are the edges of pixels. The nearest of
+{len(found.light)} places is shown{turned}.</p></div>"""
