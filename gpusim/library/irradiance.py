@@ -23,6 +23,7 @@ from gpusim.library.light import Light, expose
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import aligned
 from gpusim.render.reading import lit_for, taken_for
+from gpusim.scene.chart import Chart
 from gpusim.scene.spectra import STEP_NM, WAVELENGTHS_NM
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.checks import MAX_CHANNELS
@@ -39,6 +40,9 @@ FINE_NM = 1.0  # step in which quantum efficiencies are integrated against tents
 WHITE_SHARE = 0.99  # of the pixels, which are darker than what counts for white
 LEAST_NM, MOST_NM = 200.0, 1200.0
 LARGEST_W_M2_NM = 1e9
+# Channels at once of a photograph: a highlight's tables of so many fit one binding of 128 MiB,
+# for PSFs of up to 512 samples.
+BESIDE_HIGHLIGHTS = 4
 # What of a sensor its bands are seen with: its pixels, what is in front of them, and no effect.
 OF_LIGHT = (
     "name",
@@ -304,8 +308,9 @@ def band_images(
         As of `gpusim.expose`.
     """
     sensor, found = camera.sensor, []
-    for first in range(0, len(curves), MAX_CHANNELS):
-        part = curves[first : first + MAX_CHANNELS]
+    most = MAX_CHANNELS if isinstance(scene.source, Chart) else BESIDE_HIGHLIGHTS
+    for first in range(0, len(curves), most):
+        part = curves[first : first + most]
         names = [f"W{number:02d}" for number in range(len(part))]
         # A period that no grid has: each channel is a plane of all pixels: see `planes_of`.
         length = next(n for n in count(len(part)) if n not in PERIODS)

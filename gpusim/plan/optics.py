@@ -31,7 +31,7 @@ from gpusim.optics.nodes import Scale, folds_of, own_kernels
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.alias import Alias
 from gpusim.plan.candidates import Candidate, Part, RunnerUp, choose
-from gpusim.plan.contrast import contrast_of
+from gpusim.plan.contrast import contrast_of, edge_contrast
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
 from gpusim.plan.halo import describe_halo, halo_levels, seen_shares
@@ -43,7 +43,7 @@ from gpusim.plan.layout import (
     planes_at_nodes,
     planes_at_points,
 )
-from gpusim.plan.predict import GUARD, cells_within, cut_error
+from gpusim.plan.predict import GUARD, Edge, cells_within, cut_error
 from gpusim.plan.reach import within_reach
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.splat import describe_splat
@@ -467,7 +467,7 @@ class _Problem:
             self.half_um,
             (NODE_SHARE if self.has_edges else TONE_SHARE) * tolerance,
             reach_um,
-            self.has_edges,
+            self._edge(pitch_um) if self.has_edges else False,
         )
         errors = {"alias": alias, "nodes": nodes}
         limits = {knob: tolerance for knob in ("nodes", "modes")}
@@ -833,6 +833,15 @@ class _Problem:
     def contrast(self) -> float:
         """By how much what PSFs lack far out counts more where the scene is dark."""
         return contrast_of(self._placed)
+
+    def _edge(self, pitch_um: float) -> Edge:
+        """Return the scene's edges on a sim grid."""
+        pixel = max(round(self.sensor.pixel_pitch_um / pitch_um), 1)
+        return Edge(self._edge_contrast, pixel)
+
+    @cached_property
+    def _edge_contrast(self) -> float:
+        return edge_contrast(self._placed, self.scene.spectra.sum(axis=1), self.half_um)
 
     @property
     def coarse_pitch_um(self) -> float:

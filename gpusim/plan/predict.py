@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from itertools import product
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from gpusim.optics.kernels import (
     BAND_EDGE,
@@ -20,9 +22,12 @@ from gpusim.psf.places import Blend
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
-# What least-squares nodes gain over interpolation between samples: see
-# gpusim.optics.kernels.node_kernels.
-NODE_GAIN = 2.45
+# Places along a cell's diagonal at which nodes are compared with what is there, and how many of
+# its four quarters each stands for.
+PLACES = {0.0: 1, 0.25: 2, 0.5: 1}
+POWERS = 2.0, 4.0  # of the spacing, between which errors go
+LOOKS = 1  # at the spacing that the power leads to
+SAME = 0.05  # of the logarithm of two spacings: too near to each other to tell a power
 EVEN = 128  # places over the sensor at which even scenes are looked at
 PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
 # Sim samples around the kernels: room for the pixel's aperture, half a sample to its centre, and
@@ -63,34 +68,87 @@ def node_error(
     reach_um: float,
     half_um: tuple[float, float],
     spacing_um: float,
+    edge: Edge | None = None,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
 
-    Compares the kernel at the middle of a cell with the mean of its four corners, on the axis, at
-    half field and in the corner of the sensor (in each of the quadrants that differ), as far as
-    `reach_um`; the root of the mean square over these, relative to what the kernel holds, in the
-    worst of the channels. How the quantum efficiency goes with the place is in the kernels.
+    Compares what the nodes around a cell make of its `PLACES` with the kernels there, on the axis,
+    at half field and in the corner of the sensor (in each of the quadrants that differ), as far as
+    `reach_um`; the root of the mean square over these, in the worst of the channels. How the
+    quantum efficiency goes with the place is in the kernels.
+
+    Parameters
+    ----------
+    edge : Edge, optional
+        The error is that of pixels beside it, relative to their own light. Without, it is the
+        largest of the response, relative to what the kernel holds: for a tail, which is little of
+        the light around it.
     """
     half_size = int(np.ceil(reach_um / pitch_um))
     squares: list[list[float]] = [[] for _ in range(kernels.splines.shape[2])]
     for fraction, signs in product((0.0, 0.5, 1.0), kernels.places.quadrants):
-        x, y = (
-            sign * max(fraction * half - spacing_um / 2, 0.0)
+        first = [
+            sign * max(fraction * half - spacing_um / 2, 0.0) - spacing_um / 2
             for sign, half in zip(signs, half_um, strict=True)
-        )
-        shifts = (-spacing_um / 2, spacing_um / 2)
-        corners = [
-            sampled_kernels(kernels, x + dx, y + dy, pitch_um, half_size, 1)[0]
-            for dx in shifts
-            for dy in shifts
         ]
-        middles = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
-        for of_channel, kernel, mean in zip(squares, middles, sum(corners) / 4, strict=True):
-            for axis in (0, 1):
-                # A halo's level may hold nothing so near to the chief ray.
-                response = np.cumsum((mean - kernel).sum(axis=axis)) / (kernel.sum() or 1.0)
-                of_channel.append(np.abs(response).max() ** 2)
-    return max(float(np.sqrt(np.mean(one))) for one in squares) / NODE_GAIN
+
+        @cache
+        def at(u: float, v: float, first: list[float] = first) -> np.ndarray:
+            x, y = first[0] + u * spacing_um, first[1] + v * spacing_um
+            return sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
+
+        corners = [
+            node_kernels(lambda dx, dy, i=i, j=j: at(i + dx, j + dy))
+            for j in (0, 1)
+            for i in (0, 1)
+        ]
+        for t, count in PLACES.items():
+            shares = (1 - t) ** 2, t * (1 - t), t * (1 - t), t * t
+            made = sum(share * one for share, one in zip(shares, corners, strict=True))
+            for of_channel, kernel, mean in zip(squares, at(t, t), made, strict=True):
+                for axis in (0, 1):
+                    # A halo's level may hold nothing so near to the chief ray.
+                    light = kernel.sum() or 1.0
+                    off = np.cumsum((mean - kernel).sum(axis=axis)) / light
+                    whole = np.cumsum(kernel.sum(axis=axis)) / light
+                    square = np.abs(off).max() ** 2 if edge is None else edge.square(off, whole)
+                    of_channel += [square] * count
+    return max(float(np.sqrt(np.mean(one))) for one in squares)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A straight edge, whose pixels an error is relative to.
+
+    Attributes
+    ----------
+    contrast : float
+        Bright over dark.
+    pixel : int
+        Side of a pixel, sim samples.
+    """
+
+    contrast: float
+    pixel: int
+
+    def square(self, off: np.ndarray, whole: np.ndarray) -> float:
+        """Return the mean square within a pixel of the edge, of the worse of both ways round.
+
+        Parameters
+        ----------
+        off, whole : ndarray (n,)
+            Error of the edge's response, and the response, from 0 to 1.
+        """
+        error, light = (uniform_filter1d(one, self.pixel, mode="nearest") for one in (off, whole))
+        middle = int(np.abs(light - 0.5).argmin())
+        near = slice(max(middle - self.pixel, 0), middle + self.pixel + 1)
+        step = 1 - 1 / self.contrast
+        seen = (1 / self.contrast + step * one[near] for one in (light, 1 - light))
+        # A kernel that rings may undershoot the dark side; what is there is no less than that.
+        least = 0.5 / self.contrast
+        return max(
+            float(np.mean((step * error[near] / np.maximum(one, least)) ** 2)) for one in seen
+        )
 
 
 def even_error(
@@ -209,28 +267,51 @@ def cells_within(
     half_um: tuple[float, float],
     allowed: float,
     beyond_um: float,
-    edges: bool = True,
+    edge: Edge | bool | None = None,
 ) -> tuple[tuple[int, int], float]:
     """Return the fewest cells between PSF nodes that keep an error, and the error they leave.
 
     The cells cover the sensor and what its pixels see `beyond_um` around it. Where that is more
     than the sensor itself, they are no larger than half of it, so that a node lies where it is.
-    Where a scene has no edges, the error is that of an even scene alone.
+    ``edge``: see `node_error`; False: the scene has no edges, and the error is that of an even
+    scene.
     """
     sides = tuple(2 * (half + beyond_um) for half in half_um)
-    trial_um, trial, spacing_um = half_um[1] / 4, 0.0, max(sides)
-    if edges:
-        # Linear interpolation's error goes with the spacing squared.
-        trial = node_error(kernels, pitch_um, reach_um, half_um, trial_um)
-        spacing_um = trial_um * np.sqrt(allowed / max(trial, 1e-12))
     least_um = SMALLEST_CELL * pitch_um
-    if beyond_um > half_um[1]:
-        spacing_um = min(spacing_um, max(half_um[1], least_um))
+    most_um = max(half_um[1], least_um) if beyond_um > half_um[1] else max(sides)
+    if edge is False:
+        return _even_cells(kernels, half_um, sides, allowed, most_um, least_um)
+    # Errors go with a power of the spacing: about 2 where PSFs change slowly, 4 at best.
+    spacing_um = known_um = half_um[1] / 4
+    error = node_error(kernels, pitch_um, reach_um, half_um, known_um, edge)
+    power = POWERS[0]
+    for _ in range(LOOKS):
+        spacing_um = known_um * (allowed / max(error, 1e-12)) ** (1 / power)
+        spacing_um = float(np.clip(spacing_um, least_um, most_um))
+        found = node_error(kernels, pitch_um, reach_um, half_um, spacing_um, edge)
+        if min(found, error) > 0 and abs(np.log(spacing_um / known_um)) > SAME:
+            power = np.log(found / error) / np.log(spacing_um / known_um)
+            power = float(np.clip(power, *POWERS))
+        known_um, error = spacing_um, found
+    spacing_um = known_um * (allowed / max(error, 1e-12)) ** (1 / power)
+    spacing_um = min(spacing_um, most_um)
+    cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
+    widest = max(side / count for side, count in zip(sides, cells, strict=True))
+    return cells, error * (widest / known_um) ** power
+
+
+def _even_cells(
+    kernels: FieldKernels,
+    half_um: tuple[float, float],
+    sides: tuple[float, float],
+    allowed: float,
+    most_um: float,
+    least_um: float,
+) -> tuple[tuple[int, int], float]:
+    """Return the fewest cells that keep the error of an even scene, and that."""
+    spacing_um = most_um
     while True:
         cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
-        if edges:
-            widest = max(side / count for side, count in zip(sides, cells, strict=True))
-            return cells, trial * (widest / trial_um) ** 2
         error = even_error(kernels, half_um, sides, cells)
         if error <= allowed or spacing_um <= least_um / 2:
             return cells, error
