@@ -28,7 +28,7 @@ DARKEST = 1e-9  # of the brightest: nothing is darker
 
 # White over black of the edges that errors beside them are relative to.
 STEEPEST = 20.0  # of a chart's: what is darker is seen through the blur of what is bright
-PHOTOGRAPH = 6.0
+PHOTOGRAPH = 4.0
 CELLS = 6, 5  # across and down the sensor: a certificate's probes lie on the steepest edge of each
 PER_SIDE = 16  # points of an outline's sides
 OUTLINE = 64  # points of a disc's

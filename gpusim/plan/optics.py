@@ -63,7 +63,7 @@ from gpusim.sensor.sensor import Sensor
 WORST_TO_RMS = 5.0
 # Share of the tolerance that is left to the nodes; a photograph's contrast is larger than a
 # chart's.
-NODE_SHARE = 0.7
+NODE_SHARE = 0.5
 # The same of a scene of one tone, for nodes and for modes: the kernels' sums alone count, and
 # neighbouring pixels err alike. It is the mean over the sensor: within 40 pixels of the rim of the
 # phone lens's image circle four times as much was found.

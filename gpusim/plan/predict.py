@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -22,9 +23,9 @@ from gpusim.psf.places import Blend
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
-# Places along a cell's diagonal at which nodes are compared with what is there, and how many of
-# its four quarters each stands for.
-PLACES = {0.0: 1, 0.25: 2, 0.5: 1}
+# Places along the sides of a quarter of a cell at which nodes are compared with what is there, and
+# their weights: of the Gauss-Legendre rule with three places, exact where kernels are parabolas.
+PLACES = {0.5 - math.sqrt(0.15): 5 / 9, 0.5: 4 / 9}
 POWERS = 2.0, 4.0  # of the spacing, between which errors go
 LOOKS = 1  # at the spacing that the power leads to
 SAME = 0.05  # of the logarithm of two spacings: too near to each other to tell a power
@@ -102,18 +103,19 @@ def node_error(
             for j in (0, 1)
             for i in (0, 1)
         ]
-        for t, count in PLACES.items():
-            shares = (1 - t) ** 2, t * (1 - t), t * (1 - t), t * t
+        for (u, of_u), (v, of_v) in product(PLACES.items(), repeat=2):
+            shares = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
             made = sum(share * one for share, one in zip(shares, corners, strict=True))
-            for of_channel, kernel, mean in zip(squares, at(t, t), made, strict=True):
+            for of_channel, kernel, mean in zip(squares, at(u, v), made, strict=True):
                 for axis in (0, 1):
                     # A halo's level may hold nothing so near to the chief ray.
                     light = kernel.sum() or 1.0
                     off = np.cumsum((mean - kernel).sum(axis=axis)) / light
                     whole = np.cumsum(kernel.sum(axis=axis)) / light
                     square = np.abs(off).max() ** 2 if edge is None else edge.square(off, whole)
-                    of_channel += [square] * count
-    return max(float(np.sqrt(np.mean(one))) for one in squares)
+                    of_channel.append(of_u * of_v * square)
+    places = 2 * 3 * len(kernels.places.quadrants)  # of which each has weights of 1 in all
+    return max(float(np.sqrt(np.sum(one) / places)) for one in squares)
 
 
 @dataclass(frozen=True)
@@ -295,9 +297,14 @@ def cells_within(
         known_um, error = spacing_um, found
     spacing_um = known_um * (allowed / max(error, 1e-12)) ** (1 / power)
     spacing_um = min(spacing_um, most_um)
-    cells = tuple(max(int(np.ceil(side / spacing_um)), 1) for side in sides)
+    # An even number, so that a node lies on the axis, about which PSFs turn.
+    cells = tuple(_even(side / spacing_um) for side in sides)
     widest = max(side / count for side, count in zip(sides, cells, strict=True))
     return cells, error * (widest / known_um) ** power
+
+
+def _even(count: float) -> int:
+    return 1 if count <= 1 else 2 * math.ceil(count / 2)
 
 
 def _even_cells(

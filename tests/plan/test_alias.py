@@ -71,6 +71,8 @@ CASES = {
     "white noise, finer than the grid": (noise(4), 0.4, 2),
     "white noise, one sample a pixel": (noise(1), 0.4, 2),
 }
+# Of 48 probes, one that hits a square's corner makes the error 1.6 times as large.
+PROBES = {"edge of 5 degrees, two samples": 96}
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -83,7 +85,7 @@ def test_what_is_predicted_is_found(device: Device, name: str):
     one = Renderer(stub, scene, TIGHT, device, plan=plan, costs=LAVAPIPE, noise=False)
     rate = one.capture(1 / 60, keep=("rate",)).rate
     given = one.bank, stub.sensor, scene, one.placed, rate, one.glare, 1 / 60
-    found = certify(*given, Accuracy(1e-4, 48)).engine_rms
+    found = certify(*given, Accuracy(1e-4, PROBES.get(name, 48))).engine_rms
     one.release()
     predicted = alias_of(stub.bank(), stub.sensor, scene, TIGHT).error(samples)
     assert found > 1e-4  # far above float32's rounding

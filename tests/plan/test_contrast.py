@@ -3,8 +3,16 @@
 import numpy as np
 import pytest
 
-from gpusim.plan.contrast import BESIDE, CHARTS, MOST, contrast_of
-from gpusim.scene.chart import Chart
+from gpusim.plan.contrast import (
+    BESIDE,
+    CHARTS,
+    MOST,
+    PHOTOGRAPH,
+    STEEPEST,
+    contrast_of,
+    edge_contrast,
+)
+from gpusim.scene.chart import Chart, Disc, Polygon, Rect
 from gpusim.scene.raster import PlacedRaster
 
 PITCH_UM = 4.0
@@ -37,3 +45,41 @@ def test_no_contrast_is_larger_than_the_largest():
     light = np.full((64, 64), 1e-7)
     light[:, 32:] = 1.0
     assert contrast_of(placed(light)) == MOST
+
+
+HALF_UM = (600.0, 500.0)
+LIGHT = np.array([1.0, 0.25, 0.0625, 0.9])
+
+
+def chart(*shapes) -> Chart:
+    return Chart(("white", "grey", "dark", "pale"), 0, shapes)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Rect(0.0, 0.0, 40.0, 30.0, 0.3, 1),
+        Disc(210.0, -90.0, 50.0, 1),
+        Polygon(((-400.0, -400.0), (-300.0, -380.0), (-350.0, -300.0)), 1),
+    ],
+)
+def test_one_outline_has_its_own_contrast(shape):
+    assert edge_contrast(chart(shape), LIGHT, HALF_UM) == pytest.approx(4.0)
+
+
+def test_each_part_of_the_sensor_counts_by_its_steepest_edge():
+    """Parts are 200 um wide: one has an edge of 4:1, another one of 16:1 and a faint one."""
+    grey, dark = Rect(-500.0, -400.0, 40.0, 40.0, 0.0, 1), Rect(500.0, 400.0, 40.0, 40.0, 0.0, 2)
+    pale = Rect(440.0, 440.0, 9.0, 9.0, 0.0, 3)
+    found = edge_contrast(chart(grey, dark, pale), LIGHT, HALF_UM)
+    assert np.log(found) == pytest.approx(np.sqrt((np.log(4) ** 2 + np.log(16) ** 2) / 2))
+    # What lies beyond the sensor is not seen.
+    beyond = Rect(900.0, 0.0, 40.0, 40.0, 0.0, 2)
+    assert edge_contrast(chart(grey, beyond), LIGHT, HALF_UM) == pytest.approx(4.0)
+
+
+def test_black_counts_as_what_is_seen_of_it_and_an_even_chart_as_nothing():
+    hole = chart(Disc(0.0, 0.0, 50.0, 2))
+    assert edge_contrast(hole, np.array([1.0, 1.0, 0.0, 1.0]), HALF_UM) == pytest.approx(STEEPEST)
+    assert edge_contrast(chart(), LIGHT, HALF_UM) == 1.0
+    assert edge_contrast(placed(np.full((9, 9), 0.2)), LIGHT, HALF_UM) == PHOTOGRAPH
