@@ -18,6 +18,7 @@ from gpusim.reference.backward import chief_back, trace_back
 from gpusim.reference.lens_truth import REFERENCE_NM, Judge, view
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
+from gpusim.scene.make import make_scene
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
 
@@ -165,7 +166,12 @@ def sfr(place: Place, radial: bool) -> np.ndarray:
     return np.abs(1 + 2j * np.pi * f * np.trapezoid(rest * waves, places, axis=1))
 
 
-def of_pupil(place: Place, radial: bool) -> np.ndarray:
+def of_pupil(
+    place: Place,
+    radial: bool,
+    cycles_px: np.ndarray = FREQUENCIES_CY_PX,
+    slant: float = SLANT,
+) -> np.ndarray:
     """Return the polychromatic MTF of the pupil times the pixel's aperture."""
     camera, system = place.camera, place.system
     x, y = place.ideal_um
@@ -177,14 +183,38 @@ def of_pupil(place: Place, radial: bool) -> np.ndarray:
     light[[0, -1]] /= 2  # the trapezoidal rule: with whole ends the MTF is 0.007 less
     pupils = field_pupils(system, theta, lines, light, reference=10)
     pitch_um = camera.sensor.pixel_pitch_um
-    found = pupils.otf(1e3 * FREQUENCIES_CY_PX / pitch_um, "tangential" if radial else "sagittal")
-    f = FREQUENCIES_CY_PX * math.sqrt(camera.sensor.fill_factor)
-    return np.abs(found) * np.sinc(f * math.cos(SLANT)) * np.sinc(f * math.sin(SLANT))
+    found = pupils.otf(1e3 * cycles_px / pitch_um, "tangential" if radial else "sagittal")
+    f = cycles_px * math.sqrt(camera.sensor.fill_factor)
+    return np.abs(found) * np.sinc(f * math.cos(slant)) * np.sinc(f * math.sin(slant))
 
 
 def test_an_edge_has_the_mtf_of_the_pupil_times_the_pixels(machine_vision):
     place = Place(machine_vision, 0.85, 0.0)
     assert sfr(place, True) == pytest.approx(of_pupil(place, True), abs=0.005)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period_px", [3.0, 4.0, 8.0])
+def test_waves_have_the_amplitude_of_the_mtf(machine_vision, tmp_path, period_px):
+    path = tmp_path / "waves.yaml"
+    path.write_text(
+        "title: waves\nunit: pixels\nbackground: 0.2\n"
+        f"pattern: {{pattern: sinusoid, period: {period_px}, fills: [{BLACK}, {WHITE}]}}\n"
+    )
+    white = white_radiance("D50", 300.0)  # from 400 to 700 nm, as the pupil's
+    source = make_scene(path, frame=machine_vision.frame).source
+    scene = Scene("waves", white[None], source, "D50", white)
+    place = Place(machine_vision, 0.0, 0.0)
+    seen = render(machine_vision, scene, (place.col - 48, place.row - 24, 96, 48))
+    # The image plane of best focus shows them as much larger as it lies behind the paraxial one.
+    wide_um = (place.looks_at(48.0, 0.0) - place.looks_at(-48.0, 0.0))[0]
+    cycles_px = wide_um / 96 / machine_vision.sensor.pixel_pitch_um / period_px
+    angle = 2 * np.pi * cycles_px * np.arange(96)
+    waves = np.stack([np.ones(96), np.cos(angle), np.sin(angle)], axis=1)
+    even, *wave = np.linalg.lstsq(waves, seen.mean(axis=0), rcond=None)[0]
+    modulation = np.hypot(*wave) / even / ((WHITE - BLACK) / (WHITE + BLACK))
+    (expected,) = of_pupil(place, True, np.array([cycles_px]), 0.0)
+    assert modulation == pytest.approx(expected, abs=0.003)
 
 
 @pytest.mark.slow
