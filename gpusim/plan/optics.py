@@ -89,6 +89,7 @@ MODES_MOST = 16  # fewer than half of those nodes, or the guess is none
 FEW_SPECTRA = 3  # of a photograph in colour, whose planes are for each by itself
 SHOWN = 500  # samples of a spectral photograph that its planes are made for
 LATERAL = "lateral"  # the stage of lateral colour
+WHOLE = "whole"  # forced: PSFs are not cut
 DIRECT_STRIDE = 8  # sim samples from a site to the next, at most: shaders/optics/direct
 DIRECT_REACH = 64  # sim samples beyond which transforms are cheaper at any rate
 
@@ -367,7 +368,8 @@ class _Problem:
                 found.append(Candidate(name, oversampling, None, self.sigma, errors, limits))
                 continue
             first, tried = tried == 0, tried + 1
-            cuts = list(self._tails)[: CUTS_TRIED if first else 1]
+            whole_alone = WHOLE in self.force
+            cuts = [] if whole_alone else list(self._tails)[: CUTS_TRIED if first else 1]
             whole = [] if cut and cuts else [None]
             for radius in (*whole, *cuts):
                 found += self._candidates(
@@ -472,7 +474,8 @@ class _Problem:
         errors = {"alias": alias, "nodes": nodes}
         limits = {knob: tolerance for knob in ("nodes", "modes")}
         limits["alias"] = ALIAS_SHARE * tolerance
-        limits |= {knob: tolerance / self.contrast for knob in ("cut", "support")}
+        if cut_um is not None or "direct" in methods:
+            limits |= {knob: tolerance / self.contrast for knob in ("cut", "support")}
         tail = None
         if cut_um is not None:
             lag, few = self._tails[cut_um]

@@ -19,6 +19,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.library.light import Light, lit
 from gpusim.plan import Accuracy
+from gpusim.plan.optics import WHOLE
 from gpusim.psf.bank import REFERENCE_NM, Bank, bank_of, default_fields_deg
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.generator import Generator
@@ -30,7 +31,6 @@ from gpusim.sensor.sensor import Sensor
 FIELDS, RAYS = 4, 64
 TRANSFORM = 512  # cells of a pupil each way: a quarter of the work of a bank's
 SIZE = 256  # samples of the PSFs at most: a window of 128 um at 0.5 um
-WAYS = 12  # to convolve, among which one takes whole PSFs
 TOLERANCE = 0.1  # the loosest that plans are made for
 PIXELS = 250_000  # of a draft: it is read and developed within a frame of the screen
 # What of a sensor's figures grows with the photosites that are counted together: electrons with
@@ -143,13 +143,9 @@ class Draft:
         self.step = step
         small = Camera(lens or camera.lens, binned(camera.sensor, step), camera.title)
         accuracy = Accuracy(TOLERANCE, 0, best_effort=True)
-        self.renderer = Renderer(small, scene, accuracy, method="fft" if lens else None)
-        if lens is not None and len(self.renderer.plan.scales) > 1:
-            # Other PSFs may be wider than the core that this plan cuts out.
-            others = self.renderer.plans(WAYS, "fft")
-            plan = next(one for one in others if len(one.scales) == 1)
-            self.renderer.release()
-            self.renderer = Renderer(small, scene, accuracy, plan=plan)
+        # Other PSFs of the lens may be wider than a core that is cut out of these.
+        how = {"method": "fft", "force": (WHOLE,)} if lens else {}
+        self.renderer = Renderer(small, scene, accuracy, **how)
 
     @property
     def bank(self) -> FieldBank:

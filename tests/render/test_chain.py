@@ -23,6 +23,7 @@ from gpusim.optics import paint
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.optics import WHOLE
 from gpusim.render import Capture, Renderer, capture
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
@@ -474,7 +475,7 @@ def test_blocks_beyond_the_image_circle_are_left_out(monkeypatch):
 def test_kernels_of_mirror_images_are_left_out(monkeypatch):
     """Made all the same, they change nothing beyond rounding; the plan says how many are made."""
     loose = Accuracy(1e-2, 0)
-    with rendering(CAMERA, scene(shapes()), loose, force=(), method="fft") as one:
+    with rendering(CAMERA, scene(shapes()), loose, force=(WHOLE,), method="fft") as one:
         assert [convolve.folds for convolve in one.convolutions] == [(True, True)]
         plan = one.plan
         shot = one.capture(EXPOSURE_S, keep=("rate",))
