@@ -15,6 +15,8 @@ from gpusim.gpu import Device, default_device
 from gpusim.lens.prescription import Prescription
 from gpusim.plan.costs import LAVAPIPE
 
+LONGEST = "tests/validate/test_kodak.py::test_the_command_holds_all_bars"
+
 
 def pytest_report_header() -> str:
     try:
@@ -72,3 +74,8 @@ def double_gauss() -> Prescription:
 def demo_lens(double_gauss: Prescription) -> Prescription:
     """Return the lens of the camera `demo`."""
     return double_gauss.scaled(8.3).stopped(2.8).limited(14.3)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the longest: at the end one process would wait ten minutes for the other."""
+    items.sort(key=lambda item: item.nodeid != LONGEST)
