@@ -44,7 +44,7 @@ def edge_contrast(
     placed : Chart or PlacedRaster
         On the sensor, um.
     light : ndarray (M,)
-        Of the chart's materials, to a common factor.
+        The chart's materials' own, to a common factor.
     half_um : (float, float)
         Half the sensor's sides.
 

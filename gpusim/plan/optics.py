@@ -124,7 +124,8 @@ def plan_optics(
     method : str, optional
         One of METHODS, instead of the cheapest.
     force : collection of str
-        Stages of the plan that are to run though nothing needs them: for tests.
+        Stages of the plan that are to run though nothing needs them: for tests. With `WHOLE` no
+        PSF is cut, so that other ones of the lens may take its place: for drafts.
     exposure_s : float
         Longest that will be captured: to a tolerance in sigmas, the noise of the brightest signal
         that the scene makes in it counts.

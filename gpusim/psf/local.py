@@ -37,7 +37,7 @@ class LocalPsfs:
         What red, green and blue photosites see, or all, per sample and with a sum of 1 at most;
         rows y, columns x.
     side_um : float
-        Of the square that is shown.
+        Side of the square that is shown.
     """
 
     places_um: np.ndarray

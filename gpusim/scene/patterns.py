@@ -37,9 +37,9 @@ class Frame:
     Attributes
     ----------
     rows, aspect, half_height_um
-        Of the sensor: its rows, width over height, and half the height.
+        The sensor's rows, width over height, and half its height.
     principal_mm : float or None
-        Principal distance of the lens.
+        The lens's principal distance.
     object_mm : float or None
         From the entrance pupil to the plane of the object; None where that is at infinity.
     """
