@@ -6,8 +6,6 @@ lies beside it, and else the overview.
 
 from __future__ import annotations
 
-import base64
-import io
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib import resources
@@ -18,6 +16,7 @@ from PIL import Image
 
 from gpusim.plan.stages import RIM
 from gpusim.psf.local import LocalPsfs
+from gpusim.report.embedded import embedded
 from gpusim.report.histogram import histogram_html
 from gpusim.report.patches import patches_html
 from gpusim.report.probes import probe_map
@@ -159,13 +158,6 @@ def _cards(facts: Mapping[str, Any]) -> str:
     return f'<section class="cards">{"".join(shown)}</section>'
 
 
-def _embedded(image: Image.Image, form: str, **options: Any) -> str:
-    """Return an image as a data URL."""
-    file = io.BytesIO()
-    image.save(file, form, **options)
-    return f"data:image/{form.lower()};base64,{base64.b64encode(file.getvalue()).decode()}"
-
-
 def _rim(facts: Mapping[str, Any]) -> str:
     """Return what of the sensor no light reaches, if any."""
     reasons = [
@@ -195,12 +187,12 @@ def _pictures(facts: Mapping[str, Any], developed: np.ndarray) -> str:
         label = f"{name}: from row {top}, column {left}"
         frames += f'<rect x="{left}" y="{top}" width="{width}" height="{height}"/>'
         crops += (
-            f'<figure><img src="{_embedded(crop, "PNG")}" width="{width}" height="{height}" '
+            f'<figure><img src="{embedded(crop, "PNG")}" width="{width}" height="{height}" '
             f'alt="{label}"><figcaption>{label}</figcaption></figure>'
         )
     return f"""<h2>The picture</h2>
 <figure><div class="overview" data-whole="developed.png" data-size="{cols},{rows}">
-<img src="{_embedded(overview, "JPEG", quality=_OVERVIEW_QUALITY)}" alt="The developed capture">
+<img src="{embedded(overview, "JPEG", quality=_OVERVIEW_QUALITY)}" alt="The developed capture">
 <svg viewBox="0 0 {cols} {rows}" fill="none">
 <g stroke="#000" stroke-opacity=".6" stroke-width="{cols / 280:.1f}">{frames}</g>
 <g stroke="#fff" stroke-width="{cols / 700:.1f}">{frames}</g></svg>

@@ -148,9 +148,7 @@ def patches_html(found: dict[str, Any] | None) -> str:
     lines = "".join(f'<div class="patch-row">{"".join(map(_swatch, row))}</div>' for row in rows)
     many = " many" if max(map(len, rows)) > MANY else ""  # no room for figures on a phone
     clipped = sum(one["clipped"] for one in found["patches"])
-    without = (
-        f" Of {clipped} most pixels are at an end of sRGB: they do not count." if clipped else ""
-    )
+    without = f" Not counted: {clipped} at an end of what sRGB shows." if clipped else ""
     return f"""<h2>Colours</h2>
 <p>Mean &Delta;E2000 <strong>{found["mean_delta_e_2000"]:.2f}</strong>, largest
 {found["largest_delta_e_2000"]:.2f}, of {len(found["patches"])} patches under

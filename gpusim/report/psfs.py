@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 from html import escape
 from typing import Any
@@ -12,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from gpusim.psf.local import LocalPsfs
+from gpusim.report.embedded import embedded
 
 SHOWN_PX = 240
 TINY = np.finfo(float).tiny
@@ -31,8 +30,6 @@ def psfs_html(found: LocalPsfs, facts: dict[str, Any]) -> str:
     each = brightest.reshape(-1, *[1] * (found.light.ndim - 1))
     toned = np.round(255 * np.clip(found.light / each, 0, 1) ** 0.25).astype(np.uint8)
     strip = Image.fromarray(np.concatenate(list(toned), axis=1))
-    file = io.BytesIO()
-    strip.save(file, "PNG")
     sensor, capture = facts["camera"]["sensor"], facts["capture"]
     data = {
         "places": found.places_um.round(3).tolist(),
@@ -44,12 +41,11 @@ def psfs_html(found: LocalPsfs, facts: dict[str, Any]) -> str:
             sensor["rows"] / 2 - capture["first_row"],
         ],
     }
-    source = base64.b64encode(file.getvalue()).decode()
     given = escape(json.dumps(data))
     turned = ", turned as it lies there" if found.turned else ""
     return f"""<h2>PSF at a place</h2>
 <div class="psf"><canvas width="{SHOWN_PX}" height="{SHOWN_PX}" data-psf="{given}"
- data-strip="data:image/png;base64,{source}"></canvas>
+ data-strip="{embedded(strip, "PNG")}"></canvas>
 <p class="soft"><span class="psf-at">Click into the picture.</span> The light of the scene's white
 as the sensor's colours see it, fourth root; the lines are the edges of pixels. The nearest of
 {len(found.light)} places is shown{turned}.</p></div>"""
