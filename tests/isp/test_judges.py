@@ -1,4 +1,4 @@
-"""The ColorChecker as dcraw, RawTherapee and darktable develop it, beside LibRaw.
+"""The ColorChecker as dcraw, RawTherapee and darktable develop it, beside LibRaw and ourselves.
 
 Each as it is without a look of its own: as-shot white balance, no tone curve, no automatic
 brightness.
@@ -15,13 +15,18 @@ import numpy as np
 import pytest
 import rawpy
 import tifffile
+from isp.test_libraw import true_rgb
 
+from gpusim.isp.develop import develop
 from gpusim.isp.dng import write_dng
+from gpusim.isp.settings import Settings
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.sensor.cfa import PATTERNS
 
 pytestmark = pytest.mark.slow
 PATCH = 132  # pixels: LibRaw develops X-Trans from 512 rows on
+WHITE = 0.6  # of saturation
+METHOD = "CIE 2000"
 SRGB = (2.4, 12.92)  # power and slope at black
 DARKTABLE = (
     "plugins/darkroom/workflow=none",
@@ -58,6 +63,18 @@ def run(*command: object, home: Path) -> None:
 PROGRAMS = {"dcraw": dcraw, "rawtherapee-cli": rawtherapee, "darktable-cli": darktable}
 
 
+def light_of(picture: np.ndarray) -> np.ndarray:
+    """Return the patches' linear sRGB (24, 3) in a picture of 16 bits."""
+    shown = patches_of(picture.astype(np.float64))
+    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+
+
+def lab_of(light: np.ndarray) -> np.ndarray:
+    colour = pytest.importorskip("colour", reason="for dE2000")
+    xyz = np.clip(light, 0, 1) @ rgb_to_xyz(REC709_CHROMATICITIES).T
+    return colour.XYZ_to_Lab(xyz, np.array(REC709_CHROMATICITIES[6:]))
+
+
 def patches_of(picture: np.ndarray) -> np.ndarray:
     """Return the mean of the inner part of each patch, of a picture that may lack its rim."""
     if picture.ndim == 2:
@@ -88,12 +105,35 @@ def test_other_programs_agree_on_the_colorchecker(tmp_path, shoot, program, patt
             output_bps=16,
         )
     PROGRAMS[program](path, out)
-    lab = []
-    for picture in (ours, tifffile.imread(out)):
-        shown = patches_of(picture.astype(np.float64))
-        light = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-        xyz = light @ rgb_to_xyz(REC709_CHROMATICITIES).T
-        lab.append(colour.XYZ_to_Lab(xyz, np.array(REC709_CHROMATICITIES[6:])))
-    error = colour.delta_E(*lab, method="CIE 2000")
+    ours, theirs = (lab_of(light_of(one)) for one in (ours, tifffile.imread(out)))
+    error = colour.delta_E(ours, theirs, method=METHOD)
     print(f"{program}, {pattern}: dE2000 mean {error.mean():.3f}, max {error.max():.3f}")
     assert error.max() < 0.1
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("illuminant", ["D50", "D65", "A"])
+def test_our_colours_are_as_true_as_theirs(tmp_path, shoot, program, illuminant):
+    if shutil.which(program) is None:
+        pytest.skip(f"{program} is not installed")
+    colour = pytest.importorskip("colour", reason="for dE2000")
+    shot = shoot(illuminant, patch_px=PATCH, white_share=WHITE)
+    path, out = tmp_path / "a.dng", tmp_path / "out.tif"
+    write_dng(path, shot.raw, shot.sensor, white_e=shot.white_e, exposure_s=0.01)
+    PROGRAMS[program](path, out)
+    ours = develop(path, Settings(space="srgb"), bits=16).picture
+    true = lab_of(true_rgb(illuminant))
+    mean, largest = np.transpose(
+        [
+            (error.mean(), error.max())
+            for picture in (ours, tifffile.imread(out))
+            for error in [colour.delta_E(true, lab_of(light_of(picture) / WHITE), method=METHOD)]
+        ]
+    )
+    print(
+        f"{illuminant}: dE2000 mean {mean[0]:.2f}, max {largest[0]:.2f}; "
+        f"{program} {mean[1]:.2f}, {largest[1]:.2f}"
+    )
+    assert mean[0] <= 1.5 and largest[0] <= 5
+    # What LibRaw's conversions agree to with one another above.
+    assert mean[0] <= mean[1] + 0.1

@@ -1,17 +1,22 @@
 """Development by our own stages: true colours, every filter array, bands, whites, other files."""
 
+import shutil
 import struct
+import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from harness import assert_close
+from isp.conftest import sixteen_bits
 from isp.photographs import mosaicked, photographs
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.isp import pipeline, tiff
+from gpusim.isp.colour import CHANNELS, colour_matrix, response
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, write_dng
 from gpusim.isp.libraw import develop_by_libraw
@@ -86,6 +91,34 @@ def test_the_colorchecker_has_its_true_colours(device: Device, tmp_path, shoot, 
     assert error.max() <= 5
     # LibRaw's picture has 8 bits: 0.05 of its mean, as the tests of its development have it.
     assert error.mean() <= theirs.mean() + 0.05
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
+def test_a_photograph_is_what_dcraw_makes_of_it(device: Device, tmp_path, pattern: str):
+    """The same bilinear colours, matrix and white; no curve, no automatic brightness."""
+    if shutil.which("dcraw") is None:
+        pytest.skip("dcraw is not installed")
+    letters = [list(row) for row in BAYER[pattern]]
+    sensor = sixteen_bits(letters)
+    seen = colour_matrix(response(sensor.qe), "D65") @ SPACE
+    white = seen.sum(axis=1) / seen.sum(axis=1).max()
+    light = decoded(photographs()["whole"]) @ (seen / seen.sum(axis=1).max()).T
+    sites = np.array([[CHANNELS.index(letter) for letter in row] for row in letters])
+    row, col = np.indices(light.shape[:2])
+    mosaic = np.take_along_axis(light, sites[row % 2, col % 2][..., None], axis=2)[..., 0]
+    path = tmp_path / "raw.dng"
+    codes = np.round(4096 + 0.9 * (65535 - 4096) * mosaic).astype(np.uint16)
+    white_e = dict(zip(CHANNELS, 1e4 * white, strict=True))
+    write_dng(path, codes, sensor, white_e=white_e, exposure_s=0.01)
+    bilinear, linear = ("-q", "0"), ("-g", "1", "1")
+    subprocess.run(["dcraw", "-w", "-W", "-6", "-T", *bilinear, *linear, path], check=True)
+    theirs = tifffile.imread(path.with_suffix(".tiff"))[4:-4, 4:-4] / 65535
+    settings = Settings(demosaic="bilinear", space="linear")
+    ours = develop(path, settings, device=device, bits=16).picture[4:-4, 4:-4] / 65535
+    off = np.abs(ours - theirs)
+    print(f"{pattern}: largest {off.max():.1e} of white, RMS {np.sqrt(np.mean(off**2)):.1e}")
+    assert off.max() < 0.01
+    assert np.sqrt(np.mean(off**2)) < 0.001 * theirs.mean()
 
 
 @pytest.mark.parametrize("name", BAYER)
