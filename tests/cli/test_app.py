@@ -34,17 +34,20 @@ COMMANDS = (
 )
 
 
-def test_help_answers_within_half_a_second():
-    times_s = []
-    # 0.14 s on an idle machine; on a busy one some of ten tries meet a quiet moment.
-    while min(times_s, default=1.0) >= 0.5 and len(times_s) < 10:
+def test_help_takes_no_longer_than_a_few_bare_starts():
+    """Python and its parser of options: 0.12 s where help takes 0.15."""
+    bare, ours = [], []
+    for _ in range(5):
         begin = time.perf_counter()
+        subprocess.run([sys.executable, "-c", "import typer"], check=True)
+        between = time.perf_counter()
         ran = process("--help")
-        times_s.append(time.perf_counter() - begin)
+        bare.append(between - begin)
+        ours.append(time.perf_counter() - between)
         assert ran.code == 0, ran.err
         for command in COMMANDS:
             assert command in ran.out
-    assert min(times_s) < 0.5
+    assert min(ours) < 3 * min(bare)
 
 
 def test_help_imports_none_of_the_heavy_packages():

@@ -15,8 +15,10 @@ import OpenEXR
 import pytest
 import rawpy
 import tifffile
+import yaml
 from command_line import Ran, assert_refused, gpusim, process
 from fake_capture import COLS, ROWS, fake_capture
+from formats.test_ready import arrays
 from optics import made
 from PIL import Image
 
@@ -508,9 +510,14 @@ def test_a_wrong_scene_is_refused(tmp_path: Path):
 
 
 def test_a_sensor_beyond_the_image_circle_is_flagged(tmp_path: Path):
-    # The whole sensor: its corner lies 3.93 mm from the axis, the lens's circle has 3.30 mm.
+    # The corner lies 248 um from the axis, the last PSF of the bank 162 um.
+    held = arrays(made.bank(size=16))
+    text = {name: held.pop(name) for name in ("title", "source")}
+    np.savez(tmp_path / "lens.npz", **held)
+    (tmp_path / "lens.yaml").write_text(yaml.safe_dump(text | {"exit_pupil_mm": 20.0}))
     file = tmp_path / "camera.yaml"
-    file.write_text(CAMERA.replace(", rows: 96, cols: 128", ""))
+    lens, size = "lens: {bank: lens.npz}", "rows: 192, cols: 256"
+    file.write_text(f"title: a camera\n{lens}\nsensor: {{preset: imx477, {size}}}\n")
     tile = ("--tile", "0,0,64,48", "--certify", "0", "--tolerance", "1e-2")
     ran = gpusim("render", file, "grey", "--out", tmp_path / "out", *tile)
     assert ran.code == 0, ran.err
@@ -518,11 +525,11 @@ def test_a_sensor_beyond_the_image_circle_is_flagged(tmp_path: Path):
     (stage,) = [one for one in facts["plan"]["stages"] if one["name"] == "image circle"]
     assert "beyond the image circle" in stage["reason"] and stage["runs"]
     share = float(re.search(r"([0-9.]+)% of its pixels are black", stage["reason"])[1])
-    rows, cols, pitch = 3040, 4056, 1.55
+    rows, cols, pitch = 192, 256, 1.55
     row, col = np.ogrid[:rows, :cols]
     off_um = np.hypot(row + 0.5 - rows / 2, col + 0.5 - cols / 2) * pitch
     radius_um = np.quantile(off_um, 1 - share / 100)
-    assert 3200 < radius_um < 3400
+    assert 160 < radius_um < 164
     assert "warning: the sensor reaches beyond" in " ".join(ran.out.split())
     assert escape(stage["reason"]) in (tmp_path / "out" / "report.html").read_text()
 

@@ -97,7 +97,7 @@ def test_a_knob_changes_what_it_names(found: Sweep):
     assert points["tolerance 0.03"].total_rms > finer.engine_rms
 
 
-def test_the_runners_up_are_the_planners_next(found: Sweep):
+def test_the_runners_up_are_the_planners_next():
     """In the order of the predicted time, the chosen first, and each within the tolerance."""
     chosen = Renderer(CAMERA, EDGE, replace(ASKED, probes=0), default_device(), exposure_s=0.01)
     try:
@@ -105,7 +105,7 @@ def test_the_runners_up_are_the_planners_next(found: Sweep):
         names = [chosen.plan.name, *(other.name for other in chosen.plan.runners_up)]
     finally:
         chosen.release()
-    assert plans[0].name == names[0] == by_name(found)["tolerance 0.01"].plan
+    assert plans[0].name == names[0]
     assert [plan.name for plan in plans] == names[: len(plans)] and len(plans) > 1
     costs = [plan.predicted_s + plan.kernels_s for plan in plans]
     assert costs == sorted(costs)
