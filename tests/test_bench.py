@@ -311,7 +311,7 @@ def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyP
 
 def test_tolerances_are_certified_and_what_is_not_met_is_counted(jobs, own_device, monkeypatch):
     monkeypatch.setattr(jobs, "TOLERANCES", (3e-2, 1e-3))
-    lens = {"double-gauss": jobs.TOLERANCE_LENSES["double-gauss"]}
+    lens = {Lens.title: Lens}
     job = jobs.tolerances_job(own_device, (32, 40), lens, ("slanted-edge",), 6)
     facts = job.facts(None)
     assert [found["tolerance"] for found in facts["certified"]] == [3e-2, 1e-3]
