@@ -199,7 +199,7 @@ def load_camera(
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = PRESETS / f"{name_or_path}.yaml"
-        if not path.exists():
+        if str(name_or_path) not in presets():
             raise UserError(
                 _no_camera(str(name_or_path)),
                 field="CAMERA",

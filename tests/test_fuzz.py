@@ -30,20 +30,27 @@ from hypothesis import strategies as st
 from optics.made import bank as made_bank
 from scene import picture_files
 
+from gpusim.batch.sweep import Sweep
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
 from gpusim.formats.isetcam_sensor import read_isetcam
 from gpusim.formats.ready import load_ready
 from gpusim.formats.speos import read_speos
+from gpusim.isp.develop import _read as read_development
 from gpusim.isp.dng import write_dng
+from gpusim.isp.settings import read_settings
+from gpusim.library.irradiance import Irradiance
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.scene import make_scene
+from gpusim.scene.exr import write_exr
+from gpusim.scene.illumination import read_illumination
 from gpusim.scene.patterns import Frame
 from gpusim.sensor.eqe_model import read_eqe
 from gpusim.sensor.load import PRESETS, load_sensor
+from gpusim.tolerance.budget import Budget
 
 DATA = Path(__file__).resolve().parents[1] / "gpusim" / "data"
-SECONDS = 5.0  # of processor time for one file; whole ones take 0.05
+SECONDS = 2.0  # of processor time for one file; whole ones take 0.05
 MEBIBYTES = 200  # that the process may grow by, over all files of a reader
 EXAMPLES = int(os.environ.get("GPUSIM_FUZZ", "25"))  # more of them by hand
 
@@ -220,6 +227,47 @@ def frames_folder(at: Path) -> list[Path]:
     return [at / name for name in ("frames.csv", "camera.json", *names[::3])]
 
 
+def irradiance_file(at: Path) -> list[Path]:
+    """Write an irradiance of three bands."""
+    lines = np.array([450.0, 550.0, 650.0])
+    Irradiance(np.full((6, 8, 3), 2e-3, np.float32), lines).save(at / "e.npz")
+    return [at / "e.npz"]
+
+
+def light_map(at: Path) -> list[Path]:
+    """Write a map of uneven light."""
+    write_exr(at / "map.exr", {"Y": np.full((6, 8), 0.8, np.float32)})
+    return [at / "map.exr"]
+
+
+def settings_file(at: Path) -> list[Path]:
+    """Write settings of a development."""
+    (at / "look.yaml").write_text(
+        "demosaic: malvar\nwhite_balance: patch:1,2,3,4\nspace: p3\nev: 1.5\nroll_off: 0.2\n"
+        "curve: [[0, 0], [0.5, 0.6], [1, 1]]\ndefects: true\n"
+    )
+    return [at / "look.yaml"]
+
+
+def sweep_file(at: Path) -> list[Path]:
+    """Write a sweep of a batch."""
+    (at / "sweep.yaml").write_text(
+        "camera: mtf-only\nscenes: [colorchecker, grey]\nsamples: 4\ncombine: sample\n"
+        "axes: {seed: {range: [0, 40]}, exposure_s: {log_uniform: [0.001, 0.1]}}\n"
+        "outputs: [raw, npz]\n"
+    )
+    return [at / "sweep.yaml"]
+
+
+def budget_file(at: Path) -> list[Path]:
+    """Write a budget of tolerances."""
+    (at / "budget.yaml").write_text(
+        "samples: 20\ntolerances:\n  all.radius: {normal: [0, 0.1]}\n"
+        "  element.1-2.tilt_x_deg: {uniform: [-0.05, 0.05]}\n"
+    )
+    return [at / "budget.yaml"]
+
+
 READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]] = {
     "sensor": (sensor_files, lambda at: load_sensor(at / "sensor.yaml")),
     "quantum efficiency": (eqe_file, lambda at: read_eqe(at / "eqe.json")),
@@ -259,6 +307,12 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
         lambda at: [isetcam_files.written(at, kind=".mat")],
         lambda at: read_isetcam(at / "sensor.mat").sensor({}),
     ),
+    "development": (raw_file, lambda at: read_development(at / "raw.dng", binned=False)),
+    "settings": (settings_file, lambda at: read_settings(at / "look.yaml")),
+    "irradiance": (irradiance_file, lambda at: Irradiance.load(at / "e.npz")),
+    "illumination": (light_map, lambda at: read_illumination(at / "map.exr")),
+    "sweep": (sweep_file, lambda at: Sweep.load(at / "sweep.yaml")),
+    "budget": (budget_file, lambda at: Budget.load(at / "budget.yaml")),
     "frames": (frames_folder, lambda at: list(measure(find_frames(at)))),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import tempfile
@@ -72,6 +73,9 @@ def main() -> None:
     except UserError as error:
         _refuse(error)
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            allowed = "as many letters as a file's name may have"
+            _refuse(UserError("no such file: its name is too long", allowed=allowed))
         if error.errno not in DISK:
             raise
         # What is left in the buffer cannot be written either: Python would say so again.

@@ -123,9 +123,10 @@ def _read(path: Path, tags: dict, exif: dict, kind: int) -> CodedFile:
     (rows,), (cols,), (place,) = (
         whole(tag) for tag in (tiff.LENGTH, tiff.WIDTH, tiff.STRIP_OFFSETS)
     )
+    held = (path.stat().st_size - place) // 2
+    if not 0 <= rows * cols <= held:
+        raise ValueError(f"a damaged raw file: {max(held, 0)} of {rows * cols} pixels")
     codes = np.fromfile(path, "<u2", rows * cols, offset=place)
-    if codes.size != rows * cols:
-        raise ValueError(f"a damaged raw file: {codes.size} of {rows * cols} pixels")
     top, left, bottom, right = whole(TAGS["ActiveArea"])
     codes = codes.reshape(rows, cols)
     table = None

@@ -29,7 +29,7 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = PRESETS / f"{name_or_path}.yaml"
-        if not path.exists():
+        if str(name_or_path) not in presets():
             raise UserError(
                 f"there is no sensor of that name{perhaps(name_or_path, presets())}",
                 field="sensor",
