@@ -33,9 +33,11 @@ COMMANDS = (
     "charts",
 )
 
+BARE_S = 0.12  # on an idle EPYC at 2 GHz
 
-def test_help_takes_no_longer_than_a_few_bare_starts():
-    """Python and its parser of options: 0.12 s where help takes 0.4."""
+
+def test_help_answers_within_half_a_second():
+    """Where Python and its parser of options start in BARE_S; in as many of those elsewhere."""
     bare, ours = [], []
     for _ in range(5):
         begin = time.perf_counter()
@@ -47,7 +49,7 @@ def test_help_takes_no_longer_than_a_few_bare_starts():
         assert ran.code == 0, ran.err
         for command in COMMANDS:
             assert command in ran.out
-    assert min(ours) < 6 * min(bare)
+    assert min(ours) < 0.5 * max(1.0, min(bare) / BARE_S)
 
 
 @pytest.mark.parametrize("command", ["lens", "sensor"])
