@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import sys
-import tempfile
 import warnings
 from pathlib import Path
 from typing import Annotated
@@ -58,8 +57,6 @@ FocusShift = Annotated[
 
 def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
-    # Mesa asks libwayland for a screen, which complains on stderr where this is not set.
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     warnings.showwarning = _show_warning
     for stream in (sys.stdout, sys.stderr):  # a terminal without the letters of a lens's name
         if hasattr(stream, "reconfigure"):

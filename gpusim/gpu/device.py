@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
@@ -66,12 +67,28 @@ DTYPES = {
 }
 
 
+@contextmanager
+def runtime_dir() -> Iterator[None]:
+    """Name a folder for sockets while adapters are looked for, where the environment names none.
+
+    Mesa asks libwayland for a screen, which complains on stderr of every look without one.
+    """
+    given = "XDG_RUNTIME_DIR" in os.environ
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    try:
+        yield
+    finally:
+        if not given:
+            os.environ.pop("XDG_RUNTIME_DIR", None)
+
+
 def _usable() -> list[wgpu.GPUAdapter]:
-    return [
-        adapter
-        for adapter in wgpu.gpu.enumerate_adapters_sync()
-        if adapter.info["backend_type"] in _BACKENDS
-    ]
+    with runtime_dir():
+        return [
+            adapter
+            for adapter in wgpu.gpu.enumerate_adapters_sync()
+            if adapter.info["backend_type"] in _BACKENDS
+        ]
 
 
 def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:

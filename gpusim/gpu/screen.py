@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 import wgpu
 
+from .device import runtime_dir
+
 
 def drawing_on(canvas: Any) -> tuple[Any, Textures]:
     """Return what draws Dear ImGui on a canvas of rendercanvas, and its pictures.
@@ -15,7 +17,8 @@ def drawing_on(canvas: Any) -> tuple[Any, Textures]:
     """
     from wgpu.utils.imgui import ImguiRenderer
 
-    device = wgpu.gpu.request_adapter_sync().request_device_sync()
+    with runtime_dir():
+        device = wgpu.gpu.request_adapter_sync().request_device_sync()
     drawing = ImguiRenderer(device, canvas)
     return drawing, Textures(device, drawing.backend)
 

@@ -1,6 +1,8 @@
 """Choice of the adapter, its limits, and arrays that stay on the device."""
 
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -27,6 +29,16 @@ def test_the_listed_adapters_are_no_opengl_ones():
     found = devices()
     assert found
     assert {one["backend"] for one in found} <= {"Vulkan", "Metal", "D3D12"}
+
+
+def test_a_machine_without_a_screen_hears_no_complaint():
+    """Mesa's libwayland complains on stderr where nobody names a folder for sockets."""
+    bare = {key: value for key, value in os.environ.items() if key != "XDG_RUNTIME_DIR"}
+    look = "import os, gpusim.gpu as g; g.devices(); print(os.environ.get('XDG_RUNTIME_DIR'))"
+    ended = subprocess.run(
+        [sys.executable, "-c", look], env=bare, capture_output=True, text=True, check=True
+    )
+    assert (ended.stdout, ended.stderr) == ("None\n", "")
 
 
 def test_the_report_names_the_adapter_and_the_driver(device: Device):
