@@ -137,4 +137,5 @@ def _reason(one: Candidate, chosen: Candidate) -> str:
         return f"error of its {one.worst} {error:.1e} above {limit:.1e}"
     if one.cost_s is None:
         return f"too dear: {chosen.oversampling} samples a pixel meet the tolerance"
-    return f"too dear: {one.cost_s:.3g} s against {chosen.cost_s:.3g} s"
+    own, best = f"{one.cost_s:.3g} s", f"{chosen.cost_s:.3g} s"
+    return f"no cheaper: {own} as well" if own == best else f"too dear: {own} against {best}"
