@@ -87,7 +87,9 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
                     field="--out",
                     allowed="--resume to go on with them, or a new folder",
                 )
-            for left in out.glob(".[0-9]*-frame-*"):  # of workers that were killed while writing
+            # Of workers that were killed while writing: see `gpusim.batch.work.whole`. Writers of
+            # pictures put another dot before the name.
+            for left in out.glob(".[.0-9]*-*"):
                 left.unlink(missing_ok=True)
             return found["taken"]
         taken = float(os.environ.get("SOURCE_DATE_EPOCH") or int(time.time()))

@@ -17,7 +17,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from gpusim.batch import work as worker
-from gpusim.batch.run import status, tasks_of
+from gpusim.batch.run import prepared, status, tasks_of
 from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import rendered, work
 from gpusim.cli.app import app
@@ -195,6 +195,17 @@ def test_the_dry_run_counts(folder: Path):
     facts = json.loads(done.output)
     assert facts["frames"] == 12 and facts["lights"] == 1 and facts["pixels_a_frame"] == 32 * 48
     assert not (folder / "out").exists()
+
+
+def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folder: Path):
+    sweep, out = Sweep.load(written(folder)), folder / "out"
+    prepared(sweep, out, resume=False)
+    kept = {"sweep.json", ".lights", "frame-000001.dng", ".scheduler-17.json"}
+    half = {".3246-frame-000023.dng", "..3246-frame-000023.truth.exr.part", ".9-light-e0.json"}
+    for name in (kept | half) - {"sweep.json"}:
+        (out / name).touch()
+    prepared(sweep, out, resume=True)
+    assert {path.name for path in out.iterdir()} == kept
 
 
 def command(folder: Path, *words: object) -> list[str]:
