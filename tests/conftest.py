@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip what begins too late: a slow machine says what it left out, a hung one is ended."""
+    """Skip what begins too late, so that a slow machine ends in time and says what it left out."""
     within = item.config.getoption("--begin-within")
     if time.monotonic() - BEGUN > within:
         pytest.skip(f"left out: {within:.0f} s have passed")

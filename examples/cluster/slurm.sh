@@ -3,7 +3,7 @@
 #
 #   sbatch slurm.sh SWEEP.yaml OUT
 #
-# OUT and the sweep's files lie in a folder that all nodes see, and gpusim[batch] is on each node's
+# OUT and the sweep's files lie in a folder that all nodes see, and gpusim is on each node's
 # PATH. Submitted again with the same OUT, it renders the frames that are missing.
 #SBATCH --job-name=gpusim
 #SBATCH --ntasks=8
@@ -22,7 +22,11 @@ address_file=$out/.scheduler-${SLURM_JOB_ID:-$$}.json
 trap 'kill $(jobs -p) 2>/dev/null; wait; rm -f "$address_file"' EXIT
 
 dask scheduler --port 0 --no-dashboard --scheduler-file "$address_file" &
+scheduler=$!
 srun dask worker --nthreads 1 --nworkers 1 --no-dashboard --scheduler-file "$address_file" &
-until [ -s "$address_file" ]; do sleep 1; done
+until [ -s "$address_file" ]; do
+    kill -0 $scheduler 2>/dev/null || { echo "the Dask scheduler did not start" >&2; exit 1; }
+    sleep 1
+done
 address=$(python3 -c 'import json, sys; print(json.load(open(sys.argv[1]))["address"])' "$address_file")
 gpusim batch "$sweep" --out "$out" --scheduler "$address" --resume

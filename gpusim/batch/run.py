@@ -87,8 +87,8 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
                     field="--out",
                     allowed="--resume to go on with them, or a new folder",
                 )
-            # Of workers that were killed while writing: see `gpusim.batch.work.whole`. Writers of
-            # pictures put another dot before the name.
+            # Workers that were killed while writing left these: see `gpusim.batch.work.whole`. The
+            # writer of EXR pictures puts another dot before the name.
             for left in out.glob(".[.0-9]*-*"):
                 left.unlink(missing_ok=True)
             return found["taken"]

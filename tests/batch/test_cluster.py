@@ -18,9 +18,9 @@ from gpusim.cli.app import app
 
 CLUSTER = Path(__file__).parents[2] / "examples" / "cluster"
 SCRIPT = CLUSTER / "slurm.sh"
-# What srun does, with two tasks of this machine in place of a cluster's.
 # Dask's programs, on loopback.
 DASK = '#!/bin/sh\nexec "{}" "$@" --host 127.0.0.1\n'
+# What srun does, with two tasks of this machine in place of a cluster's.
 SRUN = '#!/bin/sh\n"$@" & a=$!\n"$@" & b=$!\ntrap "kill $a $b" TERM\nwait; wait\n'
 
 
@@ -42,6 +42,20 @@ def test_the_script_is_one_of_bash_and_says_how_it_is_called():
     subprocess.run(["bash", "-n", SCRIPT], check=True)
     ended = subprocess.run(["bash", SCRIPT], capture_output=True, text=True)
     assert ended.returncode == 2 and "SWEEP.yaml OUT" in ended.stderr
+
+
+def test_a_scheduler_that_does_not_start_ends_the_script(tmp_path: Path):
+    for name in ("dask", "srun"):
+        (tmp_path / name).write_text("#!/bin/sh\nexit 1\n")
+        (tmp_path / name).chmod(0o755)
+    ended = subprocess.run(
+        ["bash", SCRIPT, tmp_path / "sweep.yaml", tmp_path / "out"],
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert ended.returncode == 1 and "did not start" in ended.stderr
 
 
 def test_selectors_name_their_pods_and_volumes_their_claim(parts: dict):
@@ -103,7 +117,7 @@ def test_the_script_renders_a_sweep_and_goes_on_with_it(tmp_path: Path):
                 "axes": {"seed": {"range": [0, 12]}},
                 "rows": 32,
                 "cols": 48,
-                "tolerance": "1e-2",
+                "tolerance": "1e-2",  # files are compared, not errors: the cheapest plan will do
                 "probes": 0,
             }
         )
