@@ -36,6 +36,7 @@ from gpusim.psf.spreads import (
     Spreads,
     added_intervals,
     cached_spreads,
+    cached_traced_spreads,
     even_lines_nm,
     middles_deg,
 )
@@ -64,6 +65,10 @@ TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judge
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
 STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
 ROUNDS = 3  # of halving
+# Cells of the pupil each way for what is compared with itself alone. Half of what a bank takes: what
+# PSFs fold into the window from beyond 512 samples changes as evenly over the field as they do, and
+# adds 7e-4 of a line spread's peak at most (the stand-in lens of `kodak`). A quarter of the time.
+COARSE = 512
 MOST_SAMPLES = 2**27  # of all PSFs: half a GiB
 # Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
 # t = -1/2 and 1/2 over that half-way.
@@ -328,7 +333,7 @@ class _Survey:
         self.ends_nm = tuple(scene.wavelengths_nm[[0, -1]].tolist())
         lines = even_lines_nm(STEPS[0], *self.ends_nm)[_few(*self.ends_nm)]
         both = np.sort(np.concatenate([self.first_deg, middles_deg(lens, self.first_deg)]))
-        self.few = cached_spreads(lens, lines, both, progress)
+        self.few = cached_spreads(lens, lines, both, progress, transform=COARSE)
         self.axis = _Axis(
             lines,
             self.few.light_sr[0],
@@ -336,6 +341,7 @@ class _Survey:
             self.few.light_sr / self.few.light_sr[0],
         )
         self.size = self.few.spread.shape[-1]
+        self.unit_sr = float(self.few.light_sr[0].mean())
         self.seen: dict[float, np.ndarray] = {}
         self.heights: dict[float, float] = {}
         self._take(self.few)
@@ -348,7 +354,7 @@ class _Survey:
         """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
         fields = self.first_deg[list(LINES_AT)]
         lines = even_lines_nm(2, *self.ends_nm)
-        many = cached_spreads(self.lens, lines, fields, self.progress)
+        many = cached_spreads(self.lens, lines, fields, self.progress, transform=COARSE)
         few = replace(
             many,
             wavelengths_nm=many.wavelengths_nm[::2],
@@ -356,7 +362,7 @@ class _Survey:
             transmission=many.transmission[::2],
             spread=many.spread[:, ::2],
         )
-        true, made = (self._transfer(one, many.light_sr[0].mean()) for one in (many, few))
+        true, made = (self._transfer(one, self.unit_sr) for one in (many, few))
         errors = [self._error(a - b, b) for a, b in zip(made, true, strict=True)]
         return many.height_um[:, many.reference], np.array(errors)
 
@@ -364,9 +370,12 @@ class _Survey:
         """Return by how much the generator is off where nothing is interpolated."""
         found = self.few
         theta = found.field_deg[TRACED : TRACED + 1]
-        exact = cached_spreads(self.lens, found.wavelengths_nm, theta, traced=True)
-        true = self._transfer(exact, self.few.light_sr[0].mean())[0]
-        return self._error(self.seen[float(theta[0])] - true, true)
+        surveys = cached_spreads, cached_traced_spreads
+        made, true = (
+            self._transfer(of(self.lens, found.wavelengths_nm, theta), self.unit_sr)[0]
+            for of in surveys
+        )
+        return self._error(made - true, true)
 
     def refined(self, allowed: float, most: int) -> tuple[np.ndarray, np.ndarray]:
         """Halve intervals until none errs by more than is allowed, or there are too many fields.
@@ -395,7 +404,8 @@ class _Survey:
         missing = [one for one in middles[used] if float(one) not in self.seen]
         if missing:
             lines = self.few.wavelengths_nm
-            self._take(cached_spreads(self.lens, lines, np.array(missing), self.progress))
+            given = np.array(missing), self.progress
+            self._take(cached_spreads(self.lens, lines, *given, transform=COARSE))
         seen = np.stack([self.seen[float(one)] for one in fields])
         # Beyond the axis lies the second field, turned by half a turn.
         both = np.concatenate([seen[1:2].conj(), seen])
@@ -412,7 +422,7 @@ class _Survey:
         for one, height, seen in zip(
             found.field_deg,
             found.height_um[:, found.reference],
-            self._transfer(found, self.few.light_sr[0].mean()),
+            self._transfer(found, self.unit_sr),
             strict=True,
         ):
             self.heights[float(one)], self.seen[float(one)] = float(height), seen

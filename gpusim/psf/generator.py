@@ -415,12 +415,11 @@ class Generator:
         sums = rec.buffer("sums", (lines, rows, 2), "f4")
         half = rec.buffer("lines", (lines, size, rows, 2), "f4")
         intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
-        Kernel("psf/pupil", T=transform).record(
+        Kernel("psf/pupil", T=transform, NB=self._nb).record(
             rec,
             (rows, lines, 1),
             {
                 "na": self._na,
-                "nb": self._nb,
                 "fold_um": (transform - size / 2) * self.pitch_um,
                 "focus_mm": focus_mm,
             },

@@ -21,7 +21,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.psf.bank import REFERENCE_NM
 from gpusim.psf.field_map import WIDE_DEG
-from gpusim.psf.generator import Generator
+from gpusim.psf.generator import TRANSFORM, Generator
 from gpusim.psf.halo import distances_um, fall
 from gpusim.psf.sampling import window
 from gpusim.psf.store import from_cache, load_dataset, save_dataset
@@ -145,6 +145,7 @@ def spreads(
     wavelengths_nm: np.ndarray,
     field_deg: np.ndarray,
     *,
+    transform: int = TRANSFORM,
     progress: Progress | None = None,
 ) -> Spreads:
     """Trace a lens and return the line spreads of its PSFs.
@@ -155,6 +156,8 @@ def spreads(
         A lens with an axis.
     wavelengths_nm, field_deg : ndarray (L,), (F,)
         See `Spreads`.
+    transform : int
+        Cells of the pupil each way, at least: twice the samples of a PSF where these are more.
     progress : callable, optional
         Called with (fields done, fields in all).
 
@@ -167,6 +170,7 @@ def spreads(
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
+    given["transform"] = transform if 2 * size <= transform else TRANSFORM
     areas = [stretch(system, REFERENCE_NM, float(theta)).area() for theta in np.radians(angles)]
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
@@ -247,9 +251,19 @@ def cached_spreads(
     field_deg: np.ndarray,
     progress: Progress | None = None,
     *,
-    traced: bool = False,
+    transform: int = TRANSFORM,
 ) -> Spreads:
-    """Return `spreads`, or `traced_spreads`, from the disk cache, or store them there."""
+    """Return `spreads` from the disk cache, or store them there."""
+    settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "transform": transform}
+    return from_cache(Spreads, spreads, prescription, settings | {"progress": progress})
+
+
+def cached_traced_spreads(
+    prescription: Prescription,
+    wavelengths_nm: np.ndarray,
+    field_deg: np.ndarray,
+    progress: Progress | None = None,
+) -> Spreads:
+    """Return `traced_spreads` from the disk cache, or store them there."""
     settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "progress": progress}
-    compute, name = (traced_spreads, "traced") if traced else (spreads, "")
-    return from_cache(Spreads, compute, prescription, settings, name)
+    return from_cache(Spreads, traced_spreads, prescription, settings, "traced")

@@ -54,7 +54,6 @@ def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0,
         (rows, count if pairs is None else pairs, 1),
         {
             "na": nodes.shape[1],
-            "nb": nodes.shape[2],
             "fold_um": fold_um,
             "focus_mm": focus_mm,
         },
@@ -68,6 +67,7 @@ def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0,
             "sums": ((count, rows, 2), np.float32),
         },
         T=T,
+        NB=nodes.shape[2],
     )
     return found["field"], found["sums"].astype(float)
 
@@ -404,5 +404,5 @@ def test_weights_and_slopes_are_those_of_four_nodes():
 
 def test_the_defaults_are_of_one_grid():
     made = Kernel("psf/pupil")
-    assert made.overrides == {"T": 1024}
+    assert made.overrides == {"T": 1024, "NB": 128}
     assert made.workgroup_size == (64, 1, 1)
