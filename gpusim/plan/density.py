@@ -65,9 +65,9 @@ TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judge
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
 STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
 ROUNDS = 3  # of halving
-# Cells of the pupil each way for what is compared with itself alone. Half of what a bank takes: what
-# PSFs fold into the window from beyond 512 samples changes as evenly over the field as they do, and
-# adds 7e-4 of a line spread's peak at most (the stand-in lens of `kodak`). A quarter of the time.
+# Cells of the pupil each way for what is compared with itself alone: half of what a bank takes, a
+# quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
+# the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
 COARSE = 512
 MOST_SAMPLES = 2**27  # of all PSFs: half a GiB
 # Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
