@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from gpusim.batch.dataset import Dataset
     from gpusim.batch.sweep import Sweep
     from gpusim.errors import UserError
     from gpusim.library.camera import Camera
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Burst": "gpusim.library.frame",
     "Camera": "gpusim.library.camera",
+    "Dataset": "gpusim.batch.dataset",
     "Frame": "gpusim.library.frame",
     "Irradiance": "gpusim.library.irradiance",
     "Lens": "gpusim.library.lens",
@@ -46,6 +48,7 @@ _HOMES = {
 __all__ = [
     "Burst",
     "Camera",
+    "Dataset",
     "Frame",
     "Irradiance",
     "Lens",

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 from PIL import Image
 
+from gpusim.batch.work import NOT_MEASURED
 from gpusim.isp.develop import develop
+from gpusim.metrics.summary import MEASURES
 from gpusim.report.drawing import svg
 from gpusim.report.page import document
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
 SHOWN, THUMBNAIL_PX = 24, 240
 MOST_FAILURES = 50
+COUNTS = (".edges", ".marks", ".farthest")  # say how good a figure is, and are none
 
 
 def batch_page(outcome: Outcome) -> str:
@@ -73,24 +76,33 @@ def _short(value: Any) -> str:
 
 
 def _plots(outcome: Outcome) -> str:
-    """Return the mean signal over each axis that has several numbers."""
+    """Return signal and measures over each axis that has several numbers."""
+    measured = dict.fromkeys(
+        name for one in outcome.done for name in one if name.partition(".")[0] in MEASURES
+    )
+    shown = {"mean_dn": "mean of the raw [DN]"} | {
+        name: name for name in measured if not name.endswith((NOT_MEASURED, *COUNTS))
+    }
     figures = []
-    for name in outcome.sweep.axes:
-        pairs = [
-            (one["settings"][name], one["mean_dn"])
-            for one in outcome.done
-            if isinstance(one["settings"].get(name), int | float)
-        ]
-        if len({x for x, _ in pairs}) < 2 or name in ("seed", "frame"):
+    for axis in outcome.sweep.axes:
+        if axis in ("seed", "frame"):
             continue
-        figure = Figure(figsize=(4.6, 2.8), layout="constrained")
-        axes = figure.subplots()
-        axes.plot(*zip(*pairs, strict=True), "o", markersize=3, alpha=0.6)
-        axes.set(xlabel=name, ylabel="mean of the raw [DN]")
-        figures.append(svg(figure))
+        for figure, label in shown.items():
+            pairs = [
+                (one["settings"][axis], one[figure])
+                for one in outcome.done
+                if isinstance(one["settings"].get(axis), int | float) and figure in one
+            ]
+            if len({x for x, _ in pairs}) < 2:
+                continue
+            drawing = Figure(figsize=(4.6, 2.8), layout="constrained")
+            axes = drawing.subplots()
+            axes.plot(*zip(*pairs, strict=True), "o", markersize=3, alpha=0.6)
+            axes.set(xlabel=axis, ylabel=label)
+            figures.append(svg(drawing))
     if not figures:
         return ""
-    return f"<section><h2>Signal over the axes</h2>{''.join(figures)}</section>"
+    return f"<section><h2>Signal and measures over the axes</h2>{''.join(figures)}</section>"
 
 
 def _failures(outcome: Outcome) -> str:

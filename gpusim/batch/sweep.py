@@ -5,7 +5,6 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator
 
 from gpusim.batch.axes import Axis, combined
+from gpusim.batch.crops import Crops
+from gpusim.batch.labels import label_file
 from gpusim.batch.values import check_value
 from gpusim.camera import Camera, load_camera
 from gpusim.config.mistakes import checked, user_error
@@ -24,17 +25,20 @@ from gpusim.errors import UserError
 from gpusim.lens.perturb import OF_ELEMENT, OF_SURFACE, names_part, perturbed
 from gpusim.library.light import OPTICAL
 from gpusim.library.session import LENS_SETTINGS
+from gpusim.metrics.summary import MEASURES
 from gpusim.plan import Accuracy
 from gpusim.render.renderer import rectangle
 from gpusim.scene.charts import CHARTS
+from gpusim.sensor.frame import areas_of
 from gpusim.sensor.sensor import Sensor
 
 if TYPE_CHECKING:
+    from gpusim.batch.dataset import Dataset
     from gpusim.batch.run import Outcome
 
 READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
 OF_SCENE = ("luminance_cd_m2", "illuminant")
-OUTPUTS = ("raw", "npz", "exr", "developed", "truth")
+OUTPUTS = ("raw", "npz", "exr", "developed", "truth", "labels", "crops")
 
 
 class Sweep(Strict):
@@ -67,7 +71,13 @@ class Sweep(Strict):
         Whether to go on where the tolerance cannot be met.
     outputs : list of str
         Any of raw (DNG), npz (raw, electrons, truth), exr (electrons), developed (PNG), truth
-        (EXR).
+        (EXR), labels (npz), crops (npz: raw, truth, labels).
+    labels : dict of str to str
+        Files of each scene's labels, by name: ``depth: depth/{scene}.npy``.
+    crops : Crops, optional
+        Where pieces of each frame lie.
+    metrics : list of str
+        What is measured of each raw: any of `gpusim.metrics.summary.MEASURES`.
     """
 
     camera: str
@@ -84,6 +94,9 @@ class Sweep(Strict):
     probes: int = Field(default=16, ge=0)
     best_effort: bool = False
     outputs: list[str] = Field(default=["raw"], min_length=1)
+    labels: dict[str, str] = Field(default_factory=dict)
+    crops: Crops | None = None
+    metrics: list[str] = Field(default_factory=list)
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
@@ -132,6 +145,7 @@ class Sweep(Strict):
                     value=name,
                     allowed=", ".join(OUTPUTS),
                 )
+        self._check_labels_crops_metrics()
         Accuracy.parse(str(self.tolerance), self.probes)
         for name, axis in self.axes.items():
             _check_axis(name)
@@ -141,11 +155,45 @@ class Sweep(Strict):
                     Frame(self, "", {name: value}).camera()
         first = self.frames[0]
         sensor = first.camera().sensor
-        rectangle(self.tile, sensor)
+        rect = rectangle(self.tile, sensor)
+        if self.crops is not None:
+            areas = areas_of(rect, sensor.frame)
+            self.crops.places(areas.active, rect[2:], self.random_seed, 0)
         for step in self.axes["iso"].listed if "iso" in self.axes else ():
             self.base.sensor.at_iso(int(step))
         for step in self.axes["gain"].listed if "gain" in self.axes else ():
             self.base.sensor.at_gain(step)
+
+    def _check_labels_crops_metrics(self) -> None:
+        """Refuse outputs that lack what they are made of, and measures that there are not."""
+        for name in ("labels", "crops"):
+            if name in self.outputs and not getattr(self, name):
+                raise UserError(
+                    f"the output {name} needs the field {name}", field="outputs", value=name
+                )
+        for name in self.metrics:
+            if name not in MEASURES:
+                raise UserError(
+                    f"there is no such measure{perhaps(name, MEASURES)}",
+                    field="metrics",
+                    value=name,
+                    allowed=", ".join(MEASURES),
+                )
+        if self.metrics and "raw" not in self.outputs:
+            raise UserError(
+                "what is measured is the raw",
+                field="metrics",
+                value=", ".join(self.metrics),
+                allowed="the output raw beside it",
+            )
+        for pattern in self.labels.values():
+            for scene in self.scene_names:
+                label_file(self.folder, pattern, scene)
+
+    @property
+    def folder(self) -> Path:
+        """Where its files are sought first."""
+        return self._folder
 
     @cached_property
     def base(self) -> Camera:
@@ -209,20 +257,18 @@ class Sweep(Strict):
         text = self.model_dump_json()
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
-    def rendered(self, shard: int = 0, shards: int = 1) -> Iterator[tuple[Frame, Any]]:
-        """Yield frames with what was taken, rendered in this process and without files.
+    def dataset(self, *, shard: int = 0, shards: int = 1, prefetch: int = 2) -> Dataset:
+        """Return the frames, or their crops, as an iterable for training; no files are written.
+
+        Each is a `gpusim.batch.dataset.Sample`: raw, clean, labels, parameters. PyTorch takes it
+        as an ``IterableDataset`` once told so; its DataLoader's workers then share the samples.
 
         Parameters
         ----------
         shard, shards : int
-            Which of how many workers this one is: each takes its own frames.
-
-        Yields
-        ------
-        frame : Frame
-            Its ``settings`` are the parameters.
-        taken : gpusim.library.frame.Frame
-            ``raw``, ``truth_dn``, ``saturated`` and more, (rows, cols) each.
+            Which part of how many, for processes that train side by side.
+        prefetch : int
+            Samples that a thread makes ahead of the reader.
 
         Raises
         ------
@@ -235,21 +281,17 @@ class Sweep(Strict):
         >>> sweep = gs.Sweep(
         ...     camera="mtf-only", scenes=["colorchecker"], axes={"seed": {"range": [0, 4]}},
         ...     rows=48, cols=64, tolerance=1e-2, probes=0,
+        ...     crops={"rows": 16, "cols": 16, "count": 3},
         ... )
-        >>> [(frame.settings["seed"], taken.raw.shape) for frame, taken in sweep.rendered(1, 2)]
-        [(1, (48, 64)), (3, (48, 64))]
+        >>> data = sweep.dataset(shard=1, shards=2)
+        >>> data
+        Dataset(6 samples of 2 frames, shard 1 of 2)
+        >>> [(one.parameters["seed"], one.raw.shape) for one in data][::3]
+        [(2, (16, 16)), (3, (16, 16))]
         """
-        from gpusim.batch.work import rendered
+        from gpusim.batch.dataset import Dataset
 
-        if not 0 <= shard < shards:
-            raise UserError(
-                "no such shard",
-                field="shard",
-                value=f"{shard} of {shards}",
-                allowed="0 to shards - 1",
-            )
-        self.check()
-        return rendered(self.frames[shard::shards])
+        return Dataset(self, shard, shards, prefetch)
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -16,9 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gpusim
+from gpusim.batch.labels import in_frame, labels_of
 from gpusim.errors import UserError
 from gpusim.library.again import recipe_of_frame
 from gpusim.library.light import Light, expose
+from gpusim.metrics.picture import read_picture
+from gpusim.metrics.summary import summary
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -28,11 +31,21 @@ if TYPE_CHECKING:
 
 LIGHTS, SIDECAR = ".lights", ".json"
 # What a frame's file ends with, by output.
-KINDS = {"raw": "dng", "npz": "npz", "exr": "exr", "developed": "png", "truth": "truth.exr"}
+KINDS = {
+    "raw": "dng",
+    "npz": "npz",
+    "exr": "exr",
+    "developed": "png",
+    "truth": "truth.exr",
+    "labels": "labels.npz",
+    "crops": "crops.npz",
+}
+NOT_MEASURED = ".not_measured"  # after a measure's name: why it has no figures
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
 _SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames
 _LIGHTS: OrderedDict[tuple[str, str], Light] = OrderedDict()
+_LABELS: OrderedDict[tuple[str, str], dict[str, np.ndarray]] = OrderedDict()
 
 
 @dataclass(frozen=True)
@@ -116,12 +129,17 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
     light = _light(frame, out)
     lit_s = time.perf_counter() - started
     taken = _taken(frame, light)
+    labels = in_frame(_labels(frame, out), taken) if frame.sweep.labels else {}
     files = []
     for kind in frame.sweep.outputs:
         name = f"{frame.name}.{KINDS[kind]}"
         with whole(out / name) as part:
             if kind == "truth":
                 write_exr(part, {"Y": taken.truth_dn})
+            elif kind == "labels":
+                _save_arrays(part, labels)
+            elif kind == "crops":
+                _save_arrays(part, crops_of(frame, taken, labels))
             else:
                 taken.save(part, taken=taken_at)
         files.append(name)
@@ -142,6 +160,7 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
         "mean_dn": float(taken.raw.mean()),
         "std_dn": float(taken.raw.std()),
         "saturated": float(taken.saturated.mean()),
+        **_measured(frame, out),
         "certificate_rms": None if certificate is None else certificate.total_rms,
         "certificate_met": None if certificate is None else certificate.met,
         "light_s": lit_s,
@@ -153,6 +172,31 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
     with whole(out / f"{frame.name}{SIDECAR}") as part:
         part.write_text(json.dumps(facts, default=_plain))
     return facts
+
+
+def crops_of(
+    frame: Frame, taken: library.Frame, labels: dict[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Return ``xy`` (n, 2), and the crops (n, rows, cols) of ``raw``, ``truth_dn`` and labels."""
+    crops, seed = frame.sweep.crops, frame.sweep.random_seed
+    assert crops is not None  # the sweep is checked
+    places = crops.places(taken.areas.active, taken.raw.shape, seed, frame.number)
+    planes = {"raw": taken.raw, "truth_dn": taken.truth_dn, **labels}
+    return {"xy": places, **{name: crops.cut(plane, places) for name, plane in planes.items()}}
+
+
+def _save_arrays(part: Path, arrays: dict[str, np.ndarray]) -> None:
+    with part.open("wb") as file:  # given a name, NumPy would add a suffix to it
+        np.savez_compressed(file, **arrays)
+
+
+def _measured(frame: Frame, out: Path) -> dict[str, Any]:
+    """Return figures of a frame's raw file, and why there are none."""
+    if not frame.sweep.metrics:
+        return {}
+    planes = read_picture(out / f"{frame.name}.{KINDS['raw']}")
+    figures, failed = summary(planes, frame.sweep.metrics)
+    return figures | {f"{name}{NOT_MEASURED}": why for name, why in failed.items()}
 
 
 def _recipe_name(frame: Frame) -> str:
@@ -187,6 +231,17 @@ def _alone(path: Path) -> Iterator[None]:
         else:
             fcntl.flock(lock, fcntl.LOCK_EX)
         yield
+
+
+def _labels(frame: Frame, out: Path) -> dict[str, np.ndarray]:
+    """Return the labels of a frame on all lit pixels: those of its light, kept like that."""
+    key = (str(out), frame.light_key)
+    if key not in _LABELS:
+        _LABELS[key] = labels_of(frame)
+        while len(_LABELS) > KEPT_LIGHTS:
+            _LABELS.popitem(last=False)
+    _LABELS.move_to_end(key)
+    return _LABELS[key]
 
 
 def _light(frame: Frame, out: Path) -> Light:

@@ -17,9 +17,9 @@ from gpusim.batch.table import write_table
 from gpusim.cli import screen
 from gpusim.errors import UserError
 
-RAW_BYTES, FLOAT_BYTES = 2, 4
 # Bytes a pixel of each output, upper bounds: PNG of noise hardly compresses.
 BYTES = {"raw": 2, "npz": 11, "exr": 4, "developed": 3, "truth": 4}
+MOST_OF_A_LABEL = 8  # bytes
 
 
 def run_batch(
@@ -73,7 +73,7 @@ def _plan(sweep: Sweep, out: Path) -> dict[str, Any]:
     frames = sweep.frames
     read = frames[0].sensor().frame.read
     pixels = sweep.tile[2] * sweep.tile[3] if sweep.tile else math.prod(read[2:])
-    need = len(frames) * pixels * sum(BYTES[name] for name in sweep.outputs)
+    need = len(frames) * sum(_most_bytes(sweep, name, pixels) for name in sweep.outputs)
     folder = next(one for one in (out, *out.absolute().parents) if one.exists())
     return {
         "frames": len(frames),
@@ -84,6 +84,17 @@ def _plan(sweep: Sweep, out: Path) -> dict[str, Any]:
         "first": {"scene": frames[0].scene, **frames[0].settings},
         "last": {"scene": frames[-1].scene, **frames[-1].settings},
     }
+
+
+def _most_bytes(sweep: Sweep, output: str, pixels: int) -> int:
+    """Return how many bytes an output of a frame has at most."""
+    of_labels = MOST_OF_A_LABEL * len(sweep.labels)
+    if output == "labels":
+        return of_labels * pixels
+    if output == "crops" and sweep.crops is not None:
+        pixels = sweep.crops.a_frame * sweep.crops.rows * sweep.crops.cols
+        return pixels * (BYTES["raw"] + BYTES["truth"] + of_labels)
+    return BYTES[output] * pixels
 
 
 def _facts(outcome: Outcome) -> dict[str, Any]:

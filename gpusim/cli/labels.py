@@ -9,8 +9,8 @@ from PIL import Image
 
 from gpusim.camera import load_camera
 from gpusim.cli.files import whole_file
-from gpusim.config.arrays import read_npy
 from gpusim.errors import UserError
+from gpusim.formats.label_map import read_labels
 from gpusim.library.labels import labels_on_sensor
 
 FORMATS = (".npy", ".png")
@@ -20,7 +20,7 @@ def run(camera_name: str, labels: Path, out: Path, beyond: float) -> None:
     """Bring the labels of a file onto a camera's sensor, into another."""
     camera = load_camera(camera_name)
     with whole_file(out, FORMATS) as file:
-        found = labels_on_sensor(camera, _read(labels), beyond)
+        found = labels_on_sensor(camera, read_labels(labels), beyond)
         if file.suffix.lower() == ".npy":
             np.save(file, found)
         else:
@@ -31,15 +31,3 @@ def run(camera_name: str, labels: Path, out: Path, beyond: float) -> None:
                     f"a PNG cannot hold these labels: {error}", field="--out", allowed=".npy"
                 ) from None
     print(out)
-
-
-def _read(path: Path) -> np.ndarray:
-    allowed = "an array, .npy (rows, cols), or a .png"
-    if not path.is_file():
-        raise UserError("no such map of labels", file=path, allowed=allowed)
-    try:
-        if path.suffix.lower() == ".npy":
-            return read_npy(path)
-        return np.asarray(Image.open(path))
-    except (OSError, ValueError) as error:
-        raise UserError(f"no map of labels: {error}", file=path, allowed=allowed) from None

@@ -15,7 +15,7 @@ import gpusim
 from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.errors import UserError
-from gpusim.metrics.picture import Plane, read_picture
+from gpusim.metrics.picture import Plane, most_frequent, read_picture
 from gpusim.metrics.regions import find_regions
 from gpusim.metrics.sfr import Edge, measure_sfr
 from gpusim.report.drawing import png
@@ -56,7 +56,7 @@ def sfr(
     else:
         with screen.progress_bar() as progress:
             searched = find_regions(
-                planes[_searched(planes)], lambda done, total: progress("edges", done, total)
+                planes[most_frequent(planes)], lambda done, total: progress("edges", done, total)
             )
         regions = [one.box for one in searched]
         if not regions:
@@ -119,13 +119,6 @@ def channels_of(planes: dict[str, Plane], channels: str | None, path: Path) -> l
                 allowed=", ".join(planes),
             )
     return names
-
-
-def _searched(planes: dict[str, Plane]) -> str:
-    """Return the channel in which edges are sought: of a filter array the most frequent."""
-    return max(
-        planes, key=lambda name: 1.0 if planes[name].sites is None else planes[name].sites.mean()
-    )
 
 
 def region_of(text: str) -> tuple[int, int, int, int]:

@@ -83,6 +83,13 @@ def read_picture(path: Path, *, linear: bool = False) -> dict[str, Plane]:
         ) from None
 
 
+def most_frequent(planes: dict[str, Plane]) -> str:
+    """Return the channel of the most photosites: of a picture without a filter array the first."""
+    return max(
+        planes, key=lambda name: 1.0 if planes[name].sites is None else planes[name].sites.mean()
+    )
+
+
 def _filters(signal: np.ndarray, pattern: tuple[str, ...], span: float) -> dict[str, Plane]:
     letters = np.array([list(row) for row in pattern])
     names = list(dict.fromkeys(letters.ravel()))
