@@ -67,6 +67,7 @@ DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds a
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
+NOT_HERE = 15  # in place of the channel of a site that has none of the tables
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 PIECE_S = 0.25  # of the device's time in one go: as long as a person who interrupts it waits
 STEP_UM = 1e-3  # of differences of the chief-ray map, which is known to 1e-9 um
@@ -405,7 +406,6 @@ class Splat:
         self.device, self.bank, self.sensor = device, bank, sensor
         planes = planes_of(sensor)
         self.period, self.planes = planes.period, len(planes.channels)
-        self.site_channels = packed_channels(planes.channels)
         half_um = np.array([sensor.cols, sensor.rows]) * sensor.pixel_pitch_um / 2
         # As far as light can come from; some highlights there still miss all pixels.
         reach_um = bank.psf.shape[-1] * bank.pitch_um + bank.lateral_um
@@ -413,29 +413,23 @@ class Splat:
         finer = np.sqrt(1e-3 / tolerance)
         self.squares = squares_on_sensor(bank, sensor, highlights, reach_um, CHANGE / finer)
         self.groups: list[np.ndarray] = []
+        self.shares: list[Share] = []
         if not len(self.squares.light):
             return
         squares = self.squares
         sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
         self.kernels = kernels = Tables(bank, sensor, spectra, sides.max(), wavelengths_nm)
-        self.fours = -(-len(spectra) // 4)
         self.across, self.down = (
             -(-count // (self.period * SQUARE)) for count in (sensor.cols, sensor.rows)
         )
-        self.table_bytes = 16 * self.fours * len(sensor.channels) * kernels.side**2
+        channels = len(sensor.channels)
+        self.table_bytes = 16 * -(-len(spectra) // 4) * channels * kernels.side**2
         self.bins = max(FEWEST, math.ceil(BINS * finer))
         mixed = mixture(places, squares, self.bins, kernels.turns)
         while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * self.table_bytes > TABLE_BYTES:
             self.bins = max(FEWEST, self.bins // 2)
             mixed = mixture(places, squares, self.bins, kernels.turns)
         self.mixed = mixed
-        self.kernel = Kernel(
-            "optics/splat",
-            S=self.planes,
-            PERIOD=self.period,
-            C=len(sensor.channels),
-            N=kernels.side,
-        )
         self.used, self.tables = distinct(mixed.keys)
         self.opposite = np.isin(self.used[:, 0], places.opposite)
         # The map changes slowly: those that share a table share the mean of their shapes in it.
@@ -445,7 +439,10 @@ class Splat:
         self.shapes /= np.bincount(self.tables.ravel())[:, None, None]
         self.position = squares.real_um / sensor.pixel_pitch_um
         self.position += np.array([sensor.cols, sensor.rows]) / 2
-        self.groups = groups(self.tables, self.table_bytes)
+        own = 16 * kernels.side**2 * self.tables.shape[1]
+        self.shares = shares(channels, len(spectra), DISPATCH_BYTES // own)
+        largest = max(len(c) * -(-len(m) // 4) for c, m in self.shares)
+        self.groups = groups(self.tables, 16 * largest * kernels.side**2)
 
     def work(self) -> dict[str, float]:
         """Return the samples of all tables by wavelength, and the highlights' pixels."""
@@ -491,19 +488,21 @@ class Splat:
             fresh = np.setdiff1d(self.tables[own], held)
             total += len(fresh) + sum(map(len, pieces))
             held = np.unique(self.tables[own])
+        total *= len(self.shares)
         done = itertools.count(1)
 
         def advance() -> None:
             if progress is not None:
                 progress(next(done), total)
 
-        made: dict[int, np.ndarray] = {}
-        for own, starts, listed, pieces in work:
-            made = self._made(np.unique(self.tables[own]), made, advance)
-            with self._on_device(own, starts, listed, made) as arrays:
-                for tile, found, rects in zip(cells, light, pieces, strict=True):
-                    if rects:
-                        self._add(arrays, tile, rects, found, advance)
+        for share in self.shares:
+            made: dict[int, np.ndarray] = {}
+            for own, starts, listed, pieces in work:
+                made = self._made(share, np.unique(self.tables[own]), made, advance)
+                with self._on_device(share, own, starts, listed, made) as arrays:
+                    for tile, found, rects in zip(cells, light, pieces, strict=True):
+                        if rects:
+                            self._add(share, arrays, tile, rects, found, advance)
         return light
 
     def _reaches(self, own: np.ndarray, cells: Sequence[Rect]) -> np.ndarray:
@@ -546,7 +545,11 @@ class Splat:
         return found
 
     def _made(
-        self, needed: np.ndarray, before: dict[int, np.ndarray], advance: Callable[[], None]
+        self,
+        share: Share,
+        needed: np.ndarray,
+        before: dict[int, np.ndarray],
+        advance: Callable[[], None],
     ) -> dict[int, np.ndarray]:
         """Return tables by number; those that were made before are taken over."""
         lacking = [number for number in needed.tolist() if number not in before]
@@ -563,7 +566,9 @@ class Splat:
             # Beyond the axis everything is half a turn on: aperture and square are as they are.
             half = np.pi * self.opposite[number]
             angle = np.pi / 2 * self.used[number, 1] / self.bins + half
-            weights = self.kernels.weights_at(of_field, angle)
+            weights = self.kernels.weights_at(of_field, angle)[
+                np.ix_(share.channels, share.spectra)
+            ]
             table = self.kernels.table(*by_field[of_field], weights, angle, self.shapes[number])
             table = half_turned(table) if half else table
             return np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1)
@@ -581,7 +586,12 @@ class Splat:
 
     @contextmanager
     def _on_device(
-        self, own: np.ndarray, starts: np.ndarray, near: np.ndarray, made: dict[int, np.ndarray]
+        self,
+        share: Share,
+        own: np.ndarray,
+        starts: np.ndarray,
+        near: np.ndarray,
+        made: dict[int, np.ndarray],
     ) -> Iterator[dict[str, Resident]]:
         """Bring squares, their lists and their tables onto the device for a while."""
         needed, local = np.unique(self.tables[own], return_inverse=True)
@@ -597,7 +607,7 @@ class Splat:
         arrays = {
             "highlights": rows.view(np.uint32),
             "parts": parts.view(np.uint32),
-            "radiance": in_fours(self.squares.light[own]),
+            "radiance": in_fours(self.squares.light[own][:, share.spectra]),
             "starts": starts,
             "near": near,
             "tables": np.stack([made[number] for number in needed.tolist()]),
@@ -613,6 +623,7 @@ class Splat:
 
     def _add(
         self,
+        share: Share,
         arrays: dict[str, Resident],
         tile: Rect,
         rects: list[Rect],
@@ -621,11 +632,22 @@ class Splat:
     ) -> None:
         """Add the light of squares on the device to that of a tile of CFA cells (S, rows, cols)."""
         row0, col0, rows, cols = tile
+        kernel = Kernel(
+            "optics/splat",
+            S=self.planes,
+            PERIOD=self.period,
+            C=len(share.channels),
+            N=self.kernels.side,
+        )
+        local = [
+            share.channels.index(one) if one in share.channels else NOT_HERE
+            for one in planes_of(self.sensor).channels
+        ]
         rec = Recording(self.device)
         rates = rec.buffer("rates", light.shape, np.float32)
         rec.upload(rates, light)
         for top, left, high, wide in rects:
-            self.kernel.record(
+            kernel.record(
                 rec,
                 groups=(wide, high, self.planes),
                 params={
@@ -635,9 +657,9 @@ class Splat:
                     "across": self.across,
                     # Reaches from a table's middle to zeros, and no tap lies beyond its border.
                     "reach2": (self.kernels.support + 2) ** 2,
-                    "fours": self.fours,
+                    "fours": -(-len(share.spectra) // 4),
                     "mixed": self.mixed.shares.shape[1],
-                    "site_channels": self.site_channels,
+                    "site_channels": packed_channels(local),
                 },
                 **arrays,
                 rates=rates,
@@ -646,6 +668,27 @@ class Splat:
         label = rec.download(rates)
         result = rec.run(lambda done, total: advance() if done <= len(rects) else None)
         light[...] = result[label]
+
+
+class Share(NamedTuple):
+    """Numbers of the colour channels and of the scene's spectra whose light is added at once."""
+
+    channels: list[int]
+    spectra: list[int]
+
+
+def shares(channels: int, spectra: int, most: int) -> list[Share]:
+    """Return as few shares as there must be of all light, where a dispatch binds `most` tables.
+
+    Each of one channel and four spectra; at least one table is bound.
+    """
+    fours = max(most // channels, 1)
+    together = channels if most >= channels else max(most, 1)
+    return [
+        Share([*range(c, min(c + together, channels))], [*range(m, min(m + 4 * fours, spectra))])
+        for c in range(0, channels, together)
+        for m in range(0, spectra, 4 * fours)
+    ]
 
 
 def in_fours(values: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@
 
 override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
-override C: u32 = 3u;         // colour channels
+override C: u32 = 3u;         // colour channels that the tables are of; sites with numbers beyond take no light
 override N: u32 = 320u;       // side of a table, samples
 
 struct Params {
@@ -100,6 +100,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_id) local
     let site = group.z;
     let pixel = cell * i32(PERIOD) + vec2i(i32(site % PERIOD), i32(site / PERIOD % PERIOD));
     let channel = channel_of(site);
+    if (channel >= C) {
+        return;
+    }
     let list = square.y * params.across + square.x;
     var sum = 0.0;
     for (var n = starts[list]; n < starts[list + 1u]; n++) {

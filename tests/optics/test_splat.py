@@ -397,6 +397,25 @@ def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkey
     assert_close(on_sensor(device, camera, many()), whole.copy(), rtol=30 * 2 * ULP)
 
 
+@pytest.mark.parametrize("most", [3, 2, 1, 0])
+def test_spectra_and_channels_too_many_for_one_dispatch_take_turns(device, monkeypatch, most):
+    """A table of one channel and four spectra, `most` times over, is bound at once."""
+    six = np.concatenate([SPECTRA, SPECTRA[::-1] * np.linspace(0.5, 1.5, SPECTRA.shape[1])])
+    camera, seen = sensor(), many()
+    seen = replace(seen, excess=np.concatenate([seen.excess, seen.excess[:, ::-1]], axis=1))
+    whole = Splat(device, LENS, camera, seen, six, 1e-3)
+    one = 16 * whole.kernels.side**2 * whole.tables.shape[1]
+    monkeypatch.setattr(module, "DISPATCH_BYTES", most * one)
+    parts = Splat(device, LENS, camera, seen, six, 1e-3)
+    assert len(whole.shares) == 1 and len(parts.shares) == {3: 2, 2: 4}.get(most, 6)
+    tile = [(0, 0, camera.rows, camera.cols)]
+    calls = []
+    found, expected = parts.light(tile, lambda *done: calls.append(done)), whole.light(tile)
+    # The order of the sums is another; what a cubic takes below zero is cut off for each part.
+    assert_close(found[0], expected[0], rtol=1e-5, atol=1e-6 * expected[0].max())
+    assert calls[-1][0] == calls[-1][1] == len(calls)
+
+
 def test_highlights_that_no_pixel_sees_are_left_out(device: Device):
     camera = sensor()
     far = Highlights(np.array([[300.0, 0.0], [1e6, 1e6]]), PITCH, np.ones((2, 3)))
