@@ -14,10 +14,12 @@ from gpusim.camera import load_camera
 from gpusim.cli import screen
 from gpusim.report.drawing import png
 from gpusim.tolerance.budget import Budget
-from gpusim.tolerance.page import facts_of, figure_of, page_of, rows_of
+from gpusim.tolerance.page import facts_of, figure_of, page_of, raws_figure, rows_of
+from gpusim.tolerance.rendered import both
 from gpusim.tolerance.study import Study, run
 
 FILES = ("tolerance.html", "tolerance.png", "tolerance.json", "cameras.parquet")
+RAWS = "raws.png"
 OFFENDERS_SHOWN = 5
 
 
@@ -28,11 +30,15 @@ def run_tolerance(camera: str, budget: Path, out: Path, *, resume: bool, as_json
     with screen.progress_bar() as progress:
         study.progress = progress
         found = run(study)
-    facts = facts_of(found)
+        raws = both(found) if study.budget.raws else None
+    facts = facts_of(found, raws)
     with whole(out / "tolerance.png") as part:
         part.write_bytes(png(figure_of(found)))
+    if raws is not None:
+        with whole(out / RAWS) as part:
+            part.write_bytes(png(raws_figure(found, raws)))
     with whole(out / "tolerance.html") as part:
-        part.write_text(page_of(found), encoding="utf-8")
+        part.write_text(page_of(found, raws), encoding="utf-8")
     with whole(out / "cameras.parquet") as part:
         write_rows(rows_of(found), part, {"gpusim.tolerance": json.dumps(facts["budget"])})
     with whole(out / "tolerance.json") as part:
@@ -70,5 +76,11 @@ def _show(facts: dict[str, Any], out: Path) -> None:
             f"{own['traced']}: MTF50 within {own['mtf50_most_cy_px']:.4f} cy/px, wavefront "
             f"{own['wavefront_rms_waves']:.3f} waves RMS",
         )
-    for name in FILES:
+    for one in facts.get("raws", ()):
+        say(
+            f"raw of {one['camera']}",
+            f"MTF50 within {one['apart_most_cy_px']:.4f} cy/px of the study, certificate "
+            f"{one['certificate_total_rms']:.1e}",
+        )
+    for name in (*FILES, RAWS) if "raws" in facts else FILES:
         console.print(str(out / name), markup=False, highlight=False, soft_wrap=True)

@@ -41,6 +41,8 @@ class Budget(Strict):
         Samples whose wavefront is traced too, to say how well the differentials agree.
     required_cy_px : float, optional
         Least MTF50 of a camera's worst edge that passes.
+    raws : bool
+        Whether the design and the camera below which five in a hundred lie are rendered.
     """
 
     tolerances: dict[str, Axis] = Field(min_length=1)
@@ -51,6 +53,7 @@ class Budget(Strict):
     field: Annotated[float, Field(gt=0, le=1)] = 0.8
     traced_percent: Annotated[float, Field(ge=0, le=100)] = 5.0
     required_cy_px: Annotated[float, Field(gt=0, lt=1)] | None = None
+    raws: bool = True
 
     @model_validator(mode="after")
     def _known(self) -> Self:

@@ -12,12 +12,14 @@ from matplotlib.figure import Figure
 
 from gpusim.report.drawing import STYLE, svg
 from gpusim.report.page import document
+from gpusim.tolerance.rendered import Rendered
 from gpusim.tolerance.study import Found
 
+Raws = tuple[Rendered, Rendered]  # of the design, and of the camera below which five percent lie
 OFFENDERS_SHOWN = 15
 
 
-def facts_of(found: Found) -> dict[str, Any]:
+def facts_of(found: Found, raws: Raws | None) -> dict[str, Any]:
     """Return the study as plain data for JSON."""
     study, worst = found.study, found.worst
     percentiles = (0, 5, 25, 50, 75, 95, 100)
@@ -46,7 +48,44 @@ def facts_of(found: Found) -> dict[str, Any]:
     }
     if need is not None:
         facts["yield"] = {"required_cy_px": need, "share": round(float((worst >= need).mean()), 4)}
+    if raws is not None:
+        facts["raws"] = [
+            {
+                "camera": name,
+                "mtf50_cy_px": one.mtf50.round(5).tolist(),
+                "studied_mtf50_cy_px": studied.round(5).tolist(),
+                "apart_most_cy_px": round(float(np.abs(one.mtf50 - studied).max()), 5),
+                "certificate_total_rms": one.total_rms,
+            }
+            for name, studied, one in _named(found, raws)
+        ]
     return facts
+
+
+def _named(found: Found, raws: Raws) -> list[tuple[str, np.ndarray, Rendered]]:
+    """Return what is rendered by name, beside the MTF50 of the study."""
+    studied = found.design, found.mtf50[found.fifth]
+    return list(zip(("design", f"camera {found.fifth}"), studied, raws, strict=True))
+
+
+def raws_figure(found: Found, raws: Raws) -> Figure:
+    """Return the developed pieces of both cameras, and their MTF50 against the study's."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+        *pictures, scatter = figure.subplots(1, 3)
+        for axes, (name, studied, one) in zip(pictures, _named(found, raws), strict=True):
+            axes.imshow(one.picture)
+            axes.set(title=f"{name}: nine places", xticks=[], yticks=[])
+            scatter.plot(studied.ravel(), one.mtf50.ravel(), "o", ms=3.5, label=name)
+        ends = [f(one) for one in [scatter.get_xlim(), scatter.get_ylim()] for f in (min, max)]
+        scatter.plot([min(ends), max(ends)], [min(ends), max(ends)], color="#5d6773", linewidth=0.8)
+        scatter.set(
+            title="Edges in the raw against the study",
+            xlabel="MTF50 of the study [cycles/px]",
+            ylabel="MTF50 measured in the raw [cycles/px]",
+        )
+        scatter.legend()
+    return figure
 
 
 def rows_of(found: Found) -> list[dict[str, Any]]:
@@ -119,9 +158,9 @@ def _offenders(axes: Axes, found: Found) -> None:
     axes.set(title="Worst offenders, one standard deviation", xlabel="worst edge loses [cycles/px]")
 
 
-def page_of(found: Found) -> str:
+def page_of(found: Found, raws: Raws | None) -> str:
     """Return the page as HTML."""
-    facts = facts_of(found)
+    facts = facts_of(found, raws)
     budget = found.study.budget
     passed = f"; yield {facts['yield']['share']:.1%}" if "yield" in facts else ""
     summary = (
@@ -134,6 +173,7 @@ def page_of(found: Found) -> str:
         "Tolerances",
         summary,
         f"<section><h2>Cameras</h2>{svg(figure_of(found))}</section>",
+        "" if raws is None else f"<section><h2>Raws</h2>{svg(raws_figure(found, raws))}</section>",
         _agreement(facts),
     )
 
@@ -147,5 +187,10 @@ def _agreement(facts: dict[str, Any]) -> str:
             f"{own['mtf50_most_cy_px']:.4f} cycles/px (RMS {own['mtf50_rms_cy_px']:.4f}), "
             f"wavefront within {own['wavefront_rms_waves']:.3f} waves RMS"
         )
+    rows += [
+        f"edges in the raw of {one['camera']}: MTF50 within {one['apart_most_cy_px']:.4f} "
+        f"cycles/px of the study; certificate {one['certificate_total_rms']:.1e} RMS"
+        for one in facts.get("raws", ())
+    ]
     items = "".join(f"<li>{escape(row)}</li>" for row in rows)
     return f"<section><h2>Agreement</h2><ul>{items}</ul></section>" if rows else ""

@@ -38,21 +38,20 @@ class Channel:
     pitch_mm: float
 
 
-def channel_of(sensor: Sensor) -> Channel:
-    """Return the most frequent channel of a sensor; of equals the first."""
+def channel_of(sensor: Sensor, first_nm: float = 400.0, last_nm: float = 700.0) -> Channel:
+    """Return the most frequent channel of a sensor, of equals the first, for light in a band."""
     sites = sensor.site_channels()
     name = max(dict.fromkeys(sites), key=sites.count)
-    fine = np.arange(400.0, 701.0, 5.0)
+    fine = np.arange(first_nm, last_nm + 1.0, 5.0)
     # Photons, not power: wavelength times radiance.
     electrons = {
         one: fine * illuminant(ILLUMINANT, fine) * curve
         for one, curve in sensor.qe_at(fine).items()
     }
-    # Lines in the middle of equal shares of the channel's electrons.
-    share = (np.arange(LINES) + 0.5) / LINES
-    total = np.concatenate([[0.0], np.cumsum(electrons[name])])
-    rising = total / total[-1] + 1e-12 * np.arange(len(total))
-    middles = np.interp(share, rising, [*(fine - 2.5), fine[-1] + 2.5])
+    # Gauss's places in the band, each with the electrons of the light around it.
+    at, width = np.polynomial.legendre.leggauss(LINES)
+    lines_nm = first_nm + (last_nm - first_nm) * (at + 1) / 2
+    weight = width * np.interp(lines_nm, fine, electrons[name])
     signal = {one: float(curve.sum()) for one, curve in electrons.items()}
     turn = np.radians(EDGE_DEG)
     transfer = []
@@ -60,7 +59,7 @@ def channel_of(sensor: Sensor) -> Channel:
         at = nx * FREQUENCY_CY_PX, ny * FREQUENCY_CY_PX
         transfer.append(_aperture(sensor, *at) * _crosstalk(sensor, name, signal, *at))
     pitch = 1e-3 * sensor.pixel_pitch_um
-    return Channel(name, middles, np.full(LINES, 1 / LINES), np.array(transfer), pitch)
+    return Channel(name, lines_nm, weight / weight.sum(), np.array(transfer), pitch)
 
 
 def _aperture(sensor: Sensor, fx: np.ndarray, fy: np.ndarray) -> np.ndarray:

@@ -21,8 +21,19 @@ from gpusim.lens.perturb import perturbed
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import sample_rays
+from gpusim.plan.accuracy import Accuracy
+from gpusim.plan.band import band_of
+from gpusim.scene import make_scene
 from gpusim.tolerance.budget import Budget, Mounted, step_of
-from gpusim.tolerance.sfr import FREQUENCY_CY_PX, Channel, channel_of, mtf50, otfs, through_focus
+from gpusim.tolerance.sfr import (
+    FREQUENCY_CY_PX,
+    ILLUMINANT,
+    Channel,
+    channel_of,
+    mtf50,
+    otfs,
+    through_focus,
+)
 from gpusim.tolerance.wave import Wave, wave_of
 
 PARTS = "parts"
@@ -30,6 +41,7 @@ STUDY = "study.json"
 # Focus is sought about the least variance of the wavefront: so many steps of a quarter of the depth
 # of focus either way, by the mean SFR where the design's is one half.
 FOCUS_STEPS = 6
+BAND_TOLERANCE = 1e-3  # light beyond the eye's counts as far as a render to it would take it
 WORST_SHARE = 0.05  # of the cameras lie below the one that is named
 
 Progress = Callable[[str, int, int], None]
@@ -70,8 +82,11 @@ class Study:
 
     @cached_property
     def channel(self) -> Channel:
-        """The photosites that are measured."""
-        return channel_of(self.camera.sensor)
+        """The photosites that are measured, and the light that a render would have."""
+        camera = self.camera
+        grey = make_scene("grey", illuminant=ILLUMINANT, frame=camera.frame)
+        band = band_of(self.lens, camera.sensor, grey, Accuracy(BAND_TOLERANCE))
+        return channel_of(camera.sensor, *band.wavelengths_nm[[0, -1]])
 
     @cached_property
     def draws(self) -> list[dict[str, float]]:
@@ -86,24 +101,44 @@ class Study:
     @cached_property
     def places(self) -> list[Place]:
         """Nine places: 3 x 3 over the sensor, from its upper left corner, row by row."""
-        sensor = self.camera.sensor
-        radius = _radii(self.lens)
-        found = []
-        for down in (-1, 0, 1):
-            for right in (-1, 0, 1):
-                x = right * self.budget.field * sensor.cols / 2
-                y = -down * self.budget.field * sensor.rows / 2
-                height = 1e-3 * sensor.pixel_pitch_um * math.hypot(x, y)
-                if height > radius[1][-1]:
-                    raise UserError(
-                        "the lens's field does not reach the places",
-                        field="field",
-                        value=self.budget.field,
-                        allowed=f"up to {self.budget.field * radius[1][-1] / height:.2g}",
-                    )
-                theta = float(np.interp(height, radius[1], radius[0]))
-                found.append(Place(x, y, theta, math.atan2(x, y) if height else 0.0))
-        return found
+        sensor, share = self.camera.sensor, self.budget.field
+        return [
+            self.place(right * share * sensor.cols / 2, -down * share * sensor.rows / 2)
+            for down in (-1, 0, 1)
+            for right in (-1, 0, 1)
+        ]
+
+    def place(self, x_px: float, y_px: float) -> Place:
+        """Return a place of the sensor: pixels from its middle, x right and y up.
+
+        Raises
+        ------
+        UserError
+            The lens does not see so far.
+        """
+        height = 1e-3 * self.camera.sensor.pixel_pitch_um * math.hypot(x_px, y_px)
+        angles, heights = self._radii
+        if height > heights[-1]:
+            raise UserError(
+                "the lens's field does not reach the places",
+                field="field",
+                value=self.budget.field,
+                allowed=f"up to {self.budget.field * heights[-1] / height:.2g}",
+            )
+        theta = float(np.interp(height, heights, angles))
+        return Place(x_px, y_px, theta, math.atan2(x_px, y_px) if height else 0.0)
+
+    @cached_property
+    def _radii(self) -> tuple[np.ndarray, np.ndarray]:
+        """Field angles, rad, and the image heights of their chief rays, mm."""
+        system = build(self.lens)
+        index = system.index(np.array([self.lens.reference_nm]))
+        angles = np.radians(np.linspace(0, self.lens.max_field_deg, 33))
+        zero = np.zeros(1)
+        heights = [
+            float(sample_rays(system, index, one, zero, zero).chief_y_mm[0]) for one in angles
+        ]
+        return angles, np.array(heights)
 
     @cached_property
     def waves(self) -> list[Wave]:
@@ -121,7 +156,7 @@ class Study:
     def digest(self) -> str:
         """What the parts depend on."""
         about = [self.lens.model_dump_json(), self.camera.sensor.model_dump_json()]
-        text = "".join([*about, self.budget.model_dump_json()])
+        text = "".join([*about, self.budget.model_dump_json(exclude={"raws"})])
         return hashlib.blake2b(text.encode(), digest_size=12).hexdigest()
 
     def prepare(self, resume: bool) -> None:
@@ -243,11 +278,12 @@ class Study:
     @cached_property
     def _criterion_cy_mm(self) -> float:
         """Where the design's SFR is one half, over all places; cycles/mm."""
-        zero = np.zeros((1, len(self.waves), *self._shape))
+        zero = np.zeros((1, len(self.waves), *self.shape))
         return float(mtf50(self.sfrs(zero, np.zeros(1))).mean()) / self.channel.pitch_mm
 
     @property
-    def _shape(self) -> tuple[int, int]:
+    def shape(self) -> tuple[int, int]:
+        """Lines, and coefficients of each."""
         lines = self.waves[0].lines
         return len(lines), len(lines[0].basis)
 
@@ -255,16 +291,6 @@ class Study:
         """Return the focus (S,), mm, and MTF50 (S, 9, 2), cycles/px, of lenses."""
         focus = self.focus(coefficients, phase)
         return focus, mtf50(self.sfrs(coefficients, focus))
-
-
-def _radii(lens: Prescription) -> tuple[np.ndarray, np.ndarray]:
-    """Return field angles, rad, and the image heights of their chief rays, mm."""
-    system = build(lens)
-    index = system.index(np.array([lens.reference_nm]))
-    angles = np.radians(np.linspace(0, lens.max_field_deg, 33))
-    zero = np.zeros(1)
-    heights = [float(sample_rays(system, index, one, zero, zero).chief_y_mm[0]) for one in angles]
-    return angles, np.array(heights)
 
 
 def _without_tilt(gamma: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -290,8 +316,10 @@ class Found:
     Attributes
     ----------
     study : Study
+    design_focus_mm : float
+        Where the image plane of the unchanged camera is best.
     design : ndarray (9, 2)
-        MTF50 of the unchanged camera, cycles/px.
+        Its MTF50, cycles/px.
     focus_mm : ndarray (S,)
     mtf50 : ndarray (S, 9, 2)
         MTF50 of each sample, across upright and level edges.
@@ -303,6 +331,7 @@ class Found:
     """
 
     study: Study
+    design_focus_mm: float
     design: np.ndarray
     focus_mm: np.ndarray
     mtf50: np.ndarray
@@ -332,14 +361,15 @@ class Found:
 def run(study: Study) -> Found:
     """Do a study: differentials, samples, each number alone, and the traced samples."""
     started = time.perf_counter()
-    shape = (1, len(study.waves), *study._shape)
-    _, design = study.evaluated(np.zeros(shape), "design's focus")
+    shape = (1, len(study.waves), *study.shape)
+    design_focus, design = study.evaluated(np.zeros(shape), "design's focus")
     focus, found = study.evaluated(study.modelled(study.draws), "samples")
     axes = study.budget.axes(study.lens)
     single = [{n: s * step_of(axis)} for n, axis in axes.items() for s in (-1, 1)]
     _, alone = study.evaluated(study.modelled(single), "each alone")
     return Found(
         study,
+        float(design_focus[0]),
         design[0],
         focus,
         found,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ from command_line import gpusim
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
+from gpusim.tolerance import rendered as module
 from gpusim.tolerance.budget import Budget
-from gpusim.tolerance.study import PARTS
+from gpusim.tolerance.rendered import AROUND_PX, SIDE_PX, rendered
+from gpusim.tolerance.study import PARTS, Study
 
 BUDGET = {
     "tolerances": {
@@ -22,6 +25,7 @@ BUDGET = {
     "samples": 6,
     "traced_percent": 10,
     "required_cy_px": 0.1,
+    "raws": False,
 }
 
 
@@ -81,3 +85,24 @@ def test_all_stands_for_each_and_a_name_alone_counts_first():
     axes = budget.axes(lens)
     assert len(axes) == len(lens.surfaces) - 1
     assert {name for name, axis in axes.items() if axis.normal == (0, 0.01)} == {"2.thickness"}
+
+
+@pytest.mark.slow
+def test_edges_in_a_rendered_raw_are_as_sharp_as_the_study_says(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "PROBES", 1)
+    camera = load_camera("machine-vision")
+    small = replace(camera, sensor=camera.sensor.roi(360, 480))
+    study = Study(
+        small, Budget(**BUDGET | {"tolerances": {"1.thickness": {"normal": [0, 0.1]}}}), tmp_path
+    )
+    (tmp_path / PARTS).mkdir()
+    focus, design = study.evaluated(np.zeros((1, 9, *study.shape)), "design")
+    raw = rendered(study, study.lens.defocused(1e3 * float(focus[0])), "design")
+    # Seven lines stand for the band: 1.1e-3 (15 lines); half a pixel of edges apart from the place;
+    # and the certificate's 1e-3 of the signal, over a slope of two a cycle and pixel.
+    assert np.abs(raw.mtf50 - design[0]).max() < 4e-3
+    assert raw.total_rms < 3e-3
+    side = 3 * (SIDE_PX + 2 * AROUND_PX)
+    assert raw.picture.shape == (side, side, 3) and raw.picture.std() > 40
+    # What is there is read: no lens is needed any more.
+    assert (rendered(study, None, "design").mtf50 == raw.mtf50).all()
