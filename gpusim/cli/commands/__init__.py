@@ -1,0 +1,1 @@
+"""What each command takes. Its work is in `gpusim.cli`, imported when it runs: help is quick."""
