@@ -29,7 +29,7 @@ def facts_of(found: Found, raws: Raws | None) -> dict[str, Any]:
         "digest": study.digest,
         "budget": study.budget.model_dump(mode="json", exclude_none=True),
         "channel": study.channel.name,
-        "places_px": [[one.x_px, -one.y_px] for one in study.places],
+        "places_px": [[one.x_px, one.y_px] for one in study.places],
         "design_mtf50_cy_px": found.design.round(5).tolist(),
         "worst_edge_mtf50_cy_px": {
             f"p{p}": round(float(np.percentile(worst, p)), 5) for p in percentiles

@@ -87,7 +87,7 @@ def write_chart(study: Study) -> Path:
     squares = []
     for place in squares_of(study):
         away = distance_px * math.tan(place.theta)
-        at = [away * math.sin(place.azimuth), -away * math.cos(place.azimuth)]
+        at = [away * math.sin(place.azimuth), away * math.cos(place.azimuth)]
         squares.append(
             {
                 "shape": "rectangle",
@@ -166,7 +166,7 @@ def _tiles(study: Study) -> Iterator[tuple[int, int, int, int]]:
     sensor = study.camera.sensor
     side = SIDE_PX + 2 * AROUND_PX
     for place in squares_of(study):
-        middle = sensor.rows / 2 - place.y_px, sensor.cols / 2 + place.x_px
+        middle = sensor.rows / 2 + place.y_px, sensor.cols / 2 + place.x_px
         row, col = (
             min(max(2 * round((at - side / 2) / 2), 0), most - side)
             for at, most in zip(middle, (sensor.rows, sensor.cols), strict=True)

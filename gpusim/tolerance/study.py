@@ -49,7 +49,10 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Place:
-    """Where edges are measured: pixels from the sensor's middle, x right and y up; field in rad."""
+    """Where edges are measured: pixels from the sensor's middle, and the field in rad.
+
+    x points right and y down, as the lens's own axes do in a bank (`gpusim.psf.plane_bank`).
+    """
 
     x_px: float
     y_px: float
@@ -103,13 +106,13 @@ class Study:
         """Nine places: 3 x 3 over the sensor, from its upper left corner, row by row."""
         sensor, share = self.camera.sensor, self.budget.field
         return [
-            self.place(right * share * sensor.cols / 2, -down * share * sensor.rows / 2)
+            self.place(right * share * sensor.cols / 2, down * share * sensor.rows / 2)
             for down in (-1, 0, 1)
             for right in (-1, 0, 1)
         ]
 
     def place(self, x_px: float, y_px: float) -> Place:
-        """Return a place of the sensor: pixels from its middle, x right and y up.
+        """Return a place of the sensor: pixels from its middle, x right and y down.
 
         Raises
         ------

@@ -7,6 +7,7 @@ import pytest
 
 from gpusim.camera import load_camera
 from gpusim.lens.perturb import perturbed
+from gpusim.psf.plane_bank import compute_plane_bank
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.tolerance.budget import Mounted
 from gpusim.tolerance.sfr import FREQUENCY_CY_PX, channel_of, mtf50, otfs, through_focus
@@ -95,3 +96,39 @@ def test_pixel_and_crosstalk_lower_the_transfer():
 def test_mtf50_of_a_straight_fall():
     falling = np.maximum(1 - FREQUENCY_CY_PX / 0.66, 0)
     assert mtf50(np.stack([falling, np.ones_like(falling)])) == pytest.approx([0.33, 1.0])
+
+
+PLACE_DEG, LINE_NM = 8.0, np.array([550.0])
+
+
+@pytest.fixture(scope="module")
+def tilted(lens):
+    """A lens with an element that is tilted, and its PSFs to all sides."""
+    for name, value in {"element.1-2.tilt_x_deg": 0.25, "element.1-2.tilt_y_deg": 0.15}.items():
+        lens = perturbed(lens, name, value, name)
+    ends = np.array([-PLACE_DEG, 0.0, PLACE_DEG])
+    return lens, compute_plane_bank(lens, LINE_NM, ends, ends, reference_nm=LINE_NM[0])
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 90, 180, 270])
+def test_places_lie_as_in_a_bank_and_so_in_a_raw(tilted, azimuth_deg):
+    """The wavefront at a place against the PSF that a bank has there."""
+    lens, bank = tilted
+    # x right, y down: the azimuth goes from y towards x.
+    at = {0: (2, 1), 90: (1, 2), 180: (0, 1), 270: (1, 0)}[azimuth_deg]
+    psf = bank.psf[at][0].astype(float)
+    samples = (np.arange(len(psf)) - len(psf) // 2) * 1e-3 * bank.pitch_um
+    turn = np.exp(-2j * np.pi * np.outer(CY_MM, samples))
+    expected = np.abs([turn @ psf.sum(axis=axis) for axis in (0, 1)]) / psf.sum()
+    chief_um = np.array([bank.chief_x_um[at][0], bank.chief_y_um[at][0]])
+    away = np.radians(azimuth_deg)
+    assert chief_um @ [np.sin(away), np.cos(away)] > 0.99 * np.hypot(*chief_um)
+
+    def seen(azimuth: float) -> np.ndarray:
+        one = wave_of(lens, np.radians(PLACE_DEG), azimuth, LINE_NM)
+        nothing = np.zeros((1, 1, len(one.lines[0].basis)))
+        return np.abs(otfs(one, np.ones(1), nothing, np.zeros(1), CY_MM)[0])
+
+    # The window of 128 um holds all but 1 % of the light.
+    assert seen(away) == pytest.approx(expected, abs=2e-2)
+    assert np.abs(seen(away + np.pi) - expected).max() > 4e-2
