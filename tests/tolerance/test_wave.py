@@ -103,7 +103,7 @@ PLACE_DEG, LINE_NM = 8.0, np.array([550.0])
 
 @pytest.fixture(scope="module")
 def tilted(lens):
-    """A lens with an element that is tilted, and its PSFs to all sides."""
+    """Return a lens with an element that is tilted, and its PSFs to all sides."""
     for name, value in {"element.1-2.tilt_x_deg": 0.25, "element.1-2.tilt_y_deg": 0.15}.items():
         lens = perturbed(lens, name, value, name)
     ends = np.array([-PLACE_DEG, 0.0, PLACE_DEG])
