@@ -30,9 +30,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("pictures", nargs="*", help="files of scenes beside the charts")
     parser.add_argument("--out", type=Path, required=True, help="the sheet: .jpg or .png")
+    parser.add_argument(
+        "--parts", type=Path, help="keep each picture here; what is there is not rendered again"
+    )
     given = parser.parse_args()
     camera, tiles, all_met = gs.Camera.load(CAMERA), [], True
     for name in (*CHARTS, *given.pictures):
+        part = None if given.parts is None else given.parts / f"{Path(name).name}.png"
+        if part is not None and part.exists():
+            tiles.append((Path(name).name, Image.open(part)))
+            print(f"{Path(name).name:24} from {part}", flush=True)
+            continue
         started = time.perf_counter()
         light = gs.expose(
             camera, make_scene(name, frame=camera.frame), TOLERANCE, probes=PROBES, best_effort=True
@@ -46,6 +54,9 @@ def main() -> int:
             flush=True,
         )
         all_met &= found.met
+        if part is not None:
+            given.parts.mkdir(parents=True, exist_ok=True)
+            picture.save(part)
         tiles.append((Path(name).name, picture))
         light.release()
     _sheet(tiles).save(given.out, quality=88)
