@@ -372,3 +372,9 @@ def _numbers(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
         body += f"<tr>{cells}</tr>"
     return f"""<div class="scroll"><table><thead><tr>{head}</tr></thead>
 <tbody>{body}</tbody></table></div>"""
+
+
+def body_of(page: str) -> str:
+    """Return what a document of `document` shows, without its title: to stand in another one."""
+    body = page.partition("</h1>")[2].partition("</body>")[0]
+    return f"<header>{body}"

@@ -22,6 +22,19 @@ measure = typer.Typer(
 )
 
 
+@measure.command(name="all")
+def everything(
+    path: Picture,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for all files.")],
+    linear: Linear = False,
+) -> None:
+    """Measure all that a picture shows (edges, lattice, colours, greys, glare), on one page."""
+    from gpusim.cli.everything import everything as run
+
+    if code := run(path, out, linear=linear):
+        raise typer.Exit(code)
+
+
 @measure.command()
 def noise(
     path: Annotated[

@@ -1,0 +1,83 @@
+"""``gpusim measure all``: whatever a picture shows that can be measured, on one page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+
+from gpusim.cli.colour import colour
+from gpusim.cli.distortion import distortion
+from gpusim.cli.files import staging
+from gpusim.cli.glare import glare
+from gpusim.cli.measured import say
+from gpusim.cli.sfr import sfr
+from gpusim.cli.shading import shading
+from gpusim.cli.snr import snr
+from gpusim.errors import UserError
+from gpusim.metrics.picture import read_picture
+from gpusim.report.page import body_of, document
+
+ILLUMINANT = "D65"
+Measure = Callable[[Path, Path], object]
+
+
+def everything(path: Path, out: Path, *, linear: bool) -> int:
+    """Measure a picture in every way that it allows; return the exit code: 1 where none does.
+
+    Glare in black spots, or the shading of an even field, is measured of pictures that show nothing
+    else: a chart's black is no light trap.
+    """
+    given = {"linear": linear, "as_json": False}
+    on_charts: dict[str, Measure] = {
+        "sfr": lambda file, to: sfr(
+            file, [], None, to, pitch_um=None, f_number=None, wavelength_nm=550.0, **given
+        ),
+        "distortion": lambda file, to: distortion(file, None, None, to, **given),
+        "colour": lambda file, to: colour(file, ILLUMINANT, None, to, **given),
+        "snr": lambda file, to: snr(file, [], None, to, **given),
+    }
+    on_fields: dict[str, Measure] = {
+        "glare": lambda file, to: glare(file, None, to, **given),
+        "shading": lambda file, to: shading(file, None, to, **given),
+    }
+    read_picture(path, linear=linear)  # one that cannot be read is told once
+    left_out = {name: _done(name, one, path, out) for name, one in on_charts.items()}
+    for name, one in on_fields.items():
+        if all(left_out.values()):
+            left_out[name] = _done(name, one, path, out)
+    shown = [name for name, why in left_out.items() if why is None]
+    missing = {name: why for name, why in left_out.items() if why is not None}
+    facts = {name: json.loads((out / f"{name}.json").read_text()) for name in shown}
+    with staging(out) as folder:
+        (folder / "all.html").write_text(_page(path.name, out, shown, missing))
+        text = json.dumps({**facts, "left_out": missing}, indent=1, allow_nan=False)
+        (folder / "all.json").write_text(text + "\n")
+    for name in ("all.html", "all.json"):
+        say(str(out / name))
+    return 0 if shown else 1
+
+
+def _page(title: str, out: Path, shown: list[str], missing: dict[str, str]) -> str:
+    links = ", ".join(f'<a href="#{name}">{name}</a>' for name in shown) or "nothing"
+    sections = [
+        f'<section id="{name}"><h2>{name}</h2>'
+        f"{body_of((out / f'{name}.html').read_text())}</section>"
+        for name in shown
+    ]
+    if missing:
+        items = "".join(f"<li>{name}: {escape(why)}</li>" for name, why in missing.items())
+        sections.append(f"<section><h2>Left out</h2><ul>{items}</ul></section>")
+    return document(escape(title), f"What it shows: {links}.", *sections)
+
+
+def _done(name: str, measure: Measure, path: Path, folder: Path) -> str | None:
+    """Measure a picture one way; return why not, or None."""
+    say(f"-- {name}")
+    try:
+        measure(path, folder)
+    except UserError as error:
+        say(f"left out: {error.problem}")
+        return error.problem
+    return None
