@@ -139,6 +139,19 @@ def test_fields_are_those_of_the_reference():
         assert_close(on_device(nodes * [1.0001, 1], TWO)[0], expected, atol=bound)
 
 
+def test_more_nodes_than_invocations_amid_the_cells():
+    """A third of the cells lies before the nodes, a sixth beyond; beta's steps are not alpha's."""
+    rng = np.random.default_rng(11)
+    nodes = np.stack([rng.uniform(-2, 2, (1, NA, 70)), rng.uniform(0.2, 0.4, (1, NA, 70))], axis=-1)
+    place = grid(first=(1 / 128, 1 / 4096), step=(1 / 64, 1 / 512))
+    found, sums = on_device(nodes, [place])
+    expected, expected_sums = twin(nodes, [place])
+    lit = np.flatnonzero((expected[0] != 0).any(axis=0))
+    assert 64 < lit[0] < 90 and 160 < lit[-1] < 180
+    assert_close(found, expected, atol=amplitude_bound(2.0))
+    assert_close(sums, expected_sums, atol=0)
+
+
 def test_cubics_are_met_exactly():
     # Even in alpha, so that the mirrored half continues it.
     place = grid()
