@@ -15,6 +15,7 @@ RATES = scaling.Rates(
     start_s=3.0,
     lens_s=20.0,
     light_s=5.0,
+    light_core_s=6.0,
     device_share=0.75,
     frame_s=0.04,
     frame_core_s=0.06,
@@ -30,7 +31,8 @@ def test_one_worker_takes_the_sum_of_its_parts():
 
 def test_workers_share_frames_lights_and_the_cores_of_their_machine():
     took = scaling.parts(RATES, 1000, 7, 2, cores=2)
-    assert took["lights"] == 20.0  # four of them, one after another
+    assert took["lights"] == 21.0  # two cores, 42 core seconds: not four of them in 20 s
+    assert scaling.parts(RATES, 1000, 7, 2, cores=4)["lights"] == 20.0
     assert took["frames"] == pytest.approx(30.0)  # two cores, 60 core seconds: not 20 s
     assert scaling.parts(RATES, 1000, 7, 2, cores=4)["frames"] == pytest.approx(20.0)
     # A disk of 100 MB/s takes 10 s for 1000 MB, which is hidden behind the reading until that is
