@@ -46,7 +46,7 @@ class Rates:
     light_s, light_core_s : float
         The optics of one scene; seconds of all cores together that it takes.
     device_share : float
-        Of light and lens: what the adapter does; the host does the rest.
+        What the adapter does of light and lens; the host does the rest.
     frame_s : float
         A frame read out and written.
     frame_core_s : float
@@ -75,7 +75,7 @@ def parts(
     rates : Rates
     frames, lights, workers : int
     cores : float
-        Of the machines of all workers together: they share a disk that all write to.
+        Those of all machines together, which share a disk that all workers write to.
     faster : float
         Speed of their adapters over the measured one's.
     """

@@ -60,7 +60,7 @@ class Crops(Strict):
         lit : (row, col, rows, cols)
             Where the frame's lit pixels lie in it.
         shape : (rows, cols)
-            Of the frame.
+            Size of the frame.
         seed, number : int
             The sweep's, and the frame's.
 

@@ -186,6 +186,14 @@ class Sweep(Strict):
                 value=", ".join(self.metrics),
                 allowed="the output raw beside it",
             )
+        for name in ("xy", "raw", "truth_dn"):
+            if name in self.labels:
+                raise UserError(
+                    "crops have something else of this name",
+                    field="labels",
+                    value=name,
+                    allowed="any other name",
+                )
         for pattern in self.labels.values():
             for scene in self.scene_names:
                 label_file(self.folder, pattern, scene)

@@ -40,6 +40,7 @@ KINDS = {
     "labels": "labels.npz",
     "crops": "crops.npz",
 }
+LABELLED = {"labels", "crops"}  # outputs that hold labels
 NOT_MEASURED = ".not_measured"  # after a measure's name: why it has no figures
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
@@ -129,7 +130,8 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
     light = _light(frame, out)
     lit_s = time.perf_counter() - started
     taken = _taken(frame, light)
-    labels = in_frame(_labels(frame, out), taken) if frame.sweep.labels else {}
+    wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
+    labels = in_frame(_labels(frame, out), taken) if wanted else {}
     files = []
     for kind in frame.sweep.outputs:
         name = f"{frame.name}.{KINDS[kind]}"

@@ -441,6 +441,12 @@ class Splat:
         self.position += np.array([sensor.cols, sensor.rows]) / 2
         own = 16 * kernels.side**2 * self.tables.shape[1]
         self.shares = shares(channels, len(spectra), DISPATCH_BYTES // own)
+        self.kernel_of = {
+            count: Kernel(
+                "optics/splat", S=self.planes, PERIOD=self.period, C=count, N=kernels.side
+            )
+            for count in {len(one.channels) for one in self.shares}
+        }
         largest = max(len(c) * -(-len(m) // 4) for c, m in self.shares)
         self.groups = groups(self.tables, 16 * largest * kernels.side**2)
 
@@ -632,13 +638,6 @@ class Splat:
     ) -> None:
         """Add the light of squares on the device to that of a tile of CFA cells (S, rows, cols)."""
         row0, col0, rows, cols = tile
-        kernel = Kernel(
-            "optics/splat",
-            S=self.planes,
-            PERIOD=self.period,
-            C=len(share.channels),
-            N=self.kernels.side,
-        )
         local = [
             share.channels.index(one) if one in share.channels else NOT_HERE
             for one in planes_of(self.sensor).channels
@@ -647,7 +646,7 @@ class Splat:
         rates = rec.buffer("rates", light.shape, np.float32)
         rec.upload(rates, light)
         for top, left, high, wide in rects:
-            kernel.record(
+            self.kernel_of[len(share.channels)].record(
                 rec,
                 groups=(wide, high, self.planes),
                 params={

@@ -152,6 +152,7 @@ def test_what_fails_in_the_thread_is_the_readers(folder: Path):
         ({"crops": None, "outputs": ["crops"]}, "outputs"),
         ({"labels": {}, "outputs": ["labels"]}, "outputs"),
         ({"labels": {"depth": "none/{scene}.npy"}}, "labels"),
+        ({"labels": {"raw": "{scene}-class.npy"}}, "labels"),
         ({"metrics": ["mtf"]}, "metrics"),
         ({"metrics": ["sfr"], "outputs": ["npz"]}, "metrics"),
     ],

@@ -149,7 +149,7 @@ def test_more_nodes_than_invocations_amid_the_cells():
     lit = np.flatnonzero((expected[0] != 0).any(axis=0))
     assert 64 < lit[0] < 90 and 160 < lit[-1] < 180
     assert_close(found, expected, atol=amplitude_bound(2.0))
-    assert_close(sums, expected_sums, atol=0)
+    assert_close(sums, expected_sums, atol=0)  # whole cells: integers
 
 
 def test_cubics_are_met_exactly():
