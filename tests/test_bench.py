@@ -274,6 +274,15 @@ def test_a_frame_is_certified_once_and_tells_what_it_took(
     assert facts["planes"] == 3 and facts["memory"]["peak_bytes"] < facts["peak_rss_bytes"]
 
 
+def test_a_frame_is_rendered(jobs: ModuleType, own_device: Device):
+    """By the renderer itself, which knows this lens by its bank alone."""
+    camera = jobs.FrameCamera(made.sensor(*SMALL), Lens())
+    render = jobs.FrameRender(own_device, camera, jobs.photograph(*SMALL))
+    render.error["measure"] = "not certified here"
+    capture = render(tile=(40, 40, 16, 16))
+    assert capture.raw.shape == (16, 16) and jobs.frame_facts(capture)["planes"] == 3
+
+
 def test_scaling_goes_by_the_pixel(jobs: ModuleType, monkeypatch: pytest.MonkeyPatch):
     """Four sizes of one lens: the first call, to warm up, renders a corner of each."""
     seen, tiles = [], []

@@ -277,9 +277,11 @@ class FrameRender:
         """
         started = time.perf_counter()
         # A lens that is known by its bank alone: nothing is traced while the clock runs.
-        title = SimpleNamespace(title=self.camera.lens.title)
         known = SimpleNamespace(
-            sensor=self.camera.sensor, bank=lambda progress: self.bank, lens=title
+            title="frame",
+            sensor=self.camera.sensor,
+            bank=lambda progress: self.bank,
+            lens=SimpleNamespace(title=self.camera.lens.title),
         )
         accuracy = Accuracy(FRAME_SIGMA, 0 if self.error else FRAME_PROBES, "sigma")
         renderer = Renderer(known, self.scene, accuracy, self.device, exposure_s=EXPOSURE_S)

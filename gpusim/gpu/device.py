@@ -371,8 +371,14 @@ class Device:
     def wait(self) -> None:
         """Wait until everything submitted so far is done.
 
-        ``queue.on_submitted_work_done`` fails in wgpu 0.32.0; mapping a buffer waits as well.
+        ``queue.on_submitted_work_done`` fails in wgpu 0.32.0. A buffer is mapped once the last
+        submission that uses it is done, and submissions end in their order: so one is made here.
+        Without it SwiftShader and NVIDIA's driver return at once, and lavapipe alone, which works
+        while it takes a submission, has nothing left to wait for.
         """
+        encoder = self.gpu.create_command_encoder(label="fence")
+        encoder.clear_buffer(self._fence)
+        self.gpu.queue.submit([encoder.finish()])
         self._fence.map_async("READ").sync_wait()
         self._fence.unmap()
 

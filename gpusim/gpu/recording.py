@@ -466,7 +466,7 @@ class _Run:
             self._device.fetch(staging, ticks)
             spans += zip(stages, spans_s(ticks, self._device.tick_s), strict=True)
         self._timed.clear()
-        if not all(0 < span <= elapsed_s for _, span in spans):
+        if not all(0 <= span <= elapsed_s for _, span in spans):
             self._device.timestamps = False
             self.clock = "wall"
             spans = [(stage, elapsed_s / len(spans)) for stage, _ in spans]
@@ -482,5 +482,9 @@ def _bound(memory: Memory, nbytes: int) -> Memory | dict[str, object]:
 
 
 def spans_s(ticks: np.ndarray, tick_s: float) -> list[float]:
-    """Return the seconds between the two ticks of each pass; negative if they are disordered."""
-    return [(int(end) - int(begin)) * tick_s for begin, end in ticks]
+    """Return the seconds between the two ticks of each pass.
+
+    Negative where they are disordered, and where one is 0, as it is while nobody has written it. A
+    pass may begin and end within one tick: those of NVIDIA's driver are 32 ns and longer.
+    """
+    return [(int(end) - int(begin)) * tick_s if begin and end else -tick_s for begin, end in ticks]

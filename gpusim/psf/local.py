@@ -82,8 +82,12 @@ def local_psfs(bank: FieldBank, sensor: Sensor, scene: Scene) -> LocalPsfs:
         places = chief[:, bank.reference]
         psfs = bank.psf[at].reshape(len(places), *bank.psf.shape[2:])
         moved = chief - places[:, None]
-    middle = slice(whole // 2 - half, whole // 2 + half)
+    # What is shown, and what colours that land elsewhere bring in from around it.
+    wide = min(half + math.ceil(float(np.abs(moved).max()) / pitch) + 1, whole // 2)
+    around = slice(whole // 2 - wide, whole // 2 + wide)
+    psfs = psfs[..., around, around]
     light = np.stack([_seen(*one, seen, pitch) for one in zip(psfs, moved, strict=True)])
+    middle = slice(wide - half, wide + half)
     light = light[:, middle, middle]
     return LocalPsfs(
         places, isinstance(bank, Bank), light[..., 0] if len(seen) == 1 else light, 2 * half * pitch

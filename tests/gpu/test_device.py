@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -158,3 +159,29 @@ def test_other_errors_are_not_taken_for_a_loss(device: Device):
     with pytest.raises(RuntimeError, match="something else"), device.telling_of_loss():
         raise RuntimeError("something else")
     assert not device.lost
+
+
+def test_after_waiting_there_is_nothing_left_to_wait_for(device: Device):
+    """Seen red on SwiftShader; lavapipe works while it takes a submission, and passes always."""
+    source = """
+        struct Params { turns: u32, }
+        @group(0) @binding(0) var<uniform> params: Params;
+        @group(0) @binding(1) var<storage, read_write> to: array<f32>;
+        @compute @workgroup_size(64, 1, 1)
+        fn main(@builtin(global_invocation_id) id: vec3u) {
+            var x = f32(id.x);
+            for (var turn = 0u; turn < params.turns; turn++) { x = fract(x * 1.7 + 0.3); }
+            to[id.x] = x;
+        }
+    """
+    kernel = Kernel.from_text("work", source)
+    to = device.empty("work", 64 * 64, np.float32)
+    rec = Recording(device)
+    kernel.record(rec, (64, 1, 1), {"turns": 100_000}, to=to)
+    rec.run()  # compiled
+    started = time.perf_counter()
+    rec.run()
+    worked_s = time.perf_counter() - started
+    started = time.perf_counter()
+    device.read(to)
+    assert time.perf_counter() - started < worked_s / 2
