@@ -19,11 +19,12 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
+import scipy.linalg
 from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Device, Kernel, Recording, Resident
@@ -54,10 +55,12 @@ SQUARE = 16  # CFA cells along a side of the squares for which highlights are li
 # tolerance of 1e-3: one PSF is taken of all of it, and larger ones are cut up. What is too much on
 # one half is too little on the other: next to the highlight this errs by a tenth of it.
 CHANGE = 0.01
-# Angles in 90 degrees at which tables are made, for a tolerance of 1e-3. Mixing between them errs
-# by 1e-3 to 2e-3 of a highlight next to it, and by 4e-5 rms of its light elsewhere (double Gauss at
-# f/2.8, squares of 1 to 2 pixels); with the square of the step.
-BINS = 16
+# Share of the tolerance by which mixing between angles may err, of the largest value of a
+# highlight's light. Corners of aperture and square move most, and where they are far apart for the
+# PSF's width it errs most: by 6e-4 with 16 angles in 90 degrees (double Gauss at f/2.8, pixels of
+# 1.55 um) for squares of 3 um, by 5e-3 for squares of 6 um; and with the square of the step.
+MIXING = 0.5
+TRIED = 16  # angles with which that is found out
 # Parts of the spline's spectrum that its samples fold onto their own frequencies, as multiples of
 # the samples' rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely
 # enough.
@@ -67,6 +70,8 @@ DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds a
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
+SMALLER = 0.75  # each time that squares are cut up further for want of memory
+ALIKE = 0.1  # of the tolerance: what a highlight may differ by from a sum of others' spectra
 NOT_HERE = 15  # in place of the channel of a site that has none of the tables
 SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 PIECE_S = 0.25  # of the device's time in one go: as long as a person who interrupts it waits
@@ -174,16 +179,19 @@ def squares_on_sensor(
     highlights: Highlights,
     reach_um: float,
     change: float = math.inf,
+    most_um: float = math.inf,
 ) -> Squares:
     """Place highlights on the real plane; those that no pixel sees are left out.
 
-    They are cut up into squares across which at most the share `change` of a PSF changes.
+    They are cut up into squares across which at most the share `change` of a PSF changes, and that
+    are `most_um` wide at most.
     """
     pitch = sensor.pixel_pitch_um
     cuts = np.ones(len(highlights), int)
     if change < math.inf:
-        most_um = largest_um(bank, change, real_points(bank, highlights.centre_um)[0])
-        cuts = np.maximum(np.ceil(highlights.size_um / most_um), 1).astype(int)
+        of_psf = largest_um(bank, change, real_points(bank, highlights.centre_um)[0])
+        most = np.minimum(of_psf, most_um)
+        cuts = np.maximum(np.ceil(highlights.size_um / most), 1).astype(int)
     ideal, size, excess = [], [], []
     for count in np.unique(cuts):
         own = np.flatnonzero(cuts == count)
@@ -224,6 +232,7 @@ class Tables:
         wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
     ) -> None:
         self.bank = bank
+        self.largest_um = largest_um
         self.aperture_um = sensor.response_um
         per_radiance = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
         self.weights = np.einsum("clw,mw->cml", per_radiance, spectra)
@@ -411,24 +420,37 @@ class Splat:
         reach_um = bank.psf.shape[-1] * bank.pitch_um + bank.lateral_um
         self.fields, places = bank.places(float(np.hypot(*half_um)) + reach_um)
         finer = np.sqrt(1e-3 / tolerance)
-        self.squares = squares_on_sensor(bank, sensor, highlights, reach_um, CHANGE / finer)
+        change = CHANGE / finer
+        squares = squares_on_sensor(bank, sensor, highlights, reach_um, change)
         self.groups: list[np.ndarray] = []
         self.shares: list[Share] = []
-        if not len(self.squares.light):
+        self.squares = squares
+        if not len(squares.light):
             return
-        squares = self.squares
-        sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
-        self.kernels = kernels = Tables(bank, sensor, spectra, sides.max(), wavelengths_nm)
+        channels = len(sensor.channels)
+        while True:
+            few, light = of_few_spectra(squares.light, ALIKE * tolerance)
+            self.squares = squares = replace(squares, light=light)
+            sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
+            given = bank, sensor, few @ spectra, sides.max(), wavelengths_nm
+            self.kernels = kernels = Tables(*given)
+            self.table_bytes = 16 * -(-len(few) // 4) * channels * kernels.side**2
+            seen = {0, len(self.fields) // 2, len(self.fields) - 1}
+            error = mixing_error(kernels, [bank.field(self.fields[n]) for n in sorted(seen)])
+            asked = TRIED * math.sqrt(error / (MIXING * tolerance))
+            self.bins = max(FEWEST, math.ceil(asked))
+            mixed = mixture(places, squares, self.bins, kernels.turns)
+            if self._holds(mixed) or self.bins == FEWEST or sides.max() <= sensor.pixel_pitch_um:
+                break
+            # Smaller ones need fewer angles, and those that come of one highlight share tables.
+            most_um = squares.size_um.max() * SMALLER
+            squares = squares_on_sensor(bank, sensor, highlights, reach_um, change, most_um)
+        while self.bins > FEWEST and not self._holds(mixed):
+            self.bins = max(FEWEST, self.bins // 2)
+            mixed = mixture(places, squares, self.bins, kernels.turns)
         self.across, self.down = (
             -(-count // (self.period * SQUARE)) for count in (sensor.cols, sensor.rows)
         )
-        channels = len(sensor.channels)
-        self.table_bytes = 16 * -(-len(spectra) // 4) * channels * kernels.side**2
-        self.bins = max(FEWEST, math.ceil(BINS * finer))
-        mixed = mixture(places, squares, self.bins, kernels.turns)
-        while self.bins > FEWEST and len(distinct(mixed.keys)[0]) * self.table_bytes > TABLE_BYTES:
-            self.bins = max(FEWEST, self.bins // 2)
-            mixed = mixture(places, squares, self.bins, kernels.turns)
         self.mixed = mixed
         self.used, self.tables = distinct(mixed.keys)
         self.opposite = np.isin(self.used[:, 0], places.opposite)
@@ -440,7 +462,7 @@ class Splat:
         self.position = squares.real_um / sensor.pixel_pitch_um
         self.position += np.array([sensor.cols, sensor.rows]) / 2
         own = 16 * kernels.side**2 * self.tables.shape[1]
-        self.shares = shares(channels, len(spectra), DISPATCH_BYTES // own)
+        self.shares = shares(channels, len(few), DISPATCH_BYTES // own)
         self.kernel_of = {
             count: Kernel(
                 "optics/splat", S=self.planes, PERIOD=self.period, C=count, N=kernels.side
@@ -449,6 +471,10 @@ class Splat:
         }
         largest = max(len(c) * -(-len(m) // 4) for c, m in self.shares)
         self.groups = groups(self.tables, 16 * largest * kernels.side**2)
+
+    def _holds(self, mixed: Mixture) -> bool:
+        """Return whether the memory for tables holds those of a mixture."""
+        return len(distinct(mixed.keys)[0]) * self.table_bytes <= TABLE_BYTES
 
     def work(self) -> dict[str, float]:
         """Return the samples of all tables by wavelength, and the highlights' pixels."""
@@ -695,6 +721,50 @@ def in_fours(values: np.ndarray) -> np.ndarray:
     fill = -values.shape[-1] % 4
     padded = np.pad(values.astype(np.float32), [(0, 0)] * (values.ndim - 1) + [(0, fill)])
     return padded.reshape(*values.shape[:-1], -1, 4)
+
+
+def of_few_spectra(light: np.ndarray, alike: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return spectra (R, M) of some highlights, and all light (N, M) as sums of them, (N, R).
+
+    Lamps of a scene of 16 bands may have three colours: then there are tables of three spectra and
+    not of sixteen. The spectra are those that differ most from the ones before them (a QR
+    decomposition with column pivoting; Golub and Van Loan 2013, algorithm 5.4.1), so that tables
+    hold no negative light. All of them come back as they are where no fewer will do.
+    """
+    total = light.sum(axis=1, keepdims=True)
+    lit = np.flatnonzero(total[:, 0] > 0)
+    if not len(lit):
+        return np.eye(light.shape[1]), light
+    colours = light[lit] / total[lit]
+    lengths = np.linalg.norm(colours, axis=1)
+    _, triangle, order = scipy.linalg.qr(colours.T, mode="economic", pivoting=True)
+    rank = int(np.sum(np.abs(np.diag(triangle)) > alike * lengths.min()))
+    if rank >= light.shape[1]:
+        return np.eye(light.shape[1]), light
+    few = colours[np.sort(order[:rank])]
+    return few, np.linalg.lstsq(few.T, light.T, rcond=None)[0].T
+
+
+def mixing_error(kernels: Tables, fields: Sequence[FieldPsfs]) -> float:
+    """Return by how much mixing half-way between two of TRIED angles errs, of the largest value.
+
+    For the largest squares, in the light of the reference wavelength, at the worst of some fields.
+    """
+    bank = kernels.bank
+    line = slice(bank.reference, bank.reference + 1)
+    square = kernels.largest_um * np.eye(2)
+    half = np.pi / 4 / TRIED
+    errors = []
+    for field in fields:
+        one = FieldPsfs(field.psf[line], field.shift_um[line], field.relative_illumination[line])
+        spectra = kernels.spectra(one)
+        before, between, after = (
+            kernels.table(one, spectra, np.ones((1, 1, 1)), angle, square)
+            for angle in (np.pi / 8 - half, np.pi / 8, np.pi / 8 + half)
+        )
+        largest = max(float(between.max()), np.finfo(float).tiny)
+        errors.append(float(np.abs((before + after) / 2 - between).max()) / largest)
+    return max(errors)
 
 
 class Mixture(NamedTuple):
