@@ -70,6 +70,9 @@ DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds a
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
+# Squares that are cut up further for want of memory: 16,000 take 8 s by SPLAT_NS (a window of 64 um
+# before pixels of 1.55 um).
+MOST_CUT = 1 << 13
 SMALLER = 0.75  # each time that squares are cut up further for want of memory
 ALIKE = 0.1  # of the tolerance: what a highlight may differ by from a sum of others' spectra
 NOT_HERE = 15  # in place of the channel of a site that has none of the tables
@@ -440,7 +443,8 @@ class Splat:
             asked = TRIED * math.sqrt(error / (MIXING * tolerance))
             self.bins = max(FEWEST, math.ceil(asked))
             mixed = mixture(places, squares, self.bins, kernels.turns)
-            if self._holds(mixed) or self.bins == FEWEST or sides.max() <= sensor.pixel_pitch_um:
+            enough = self._holds(mixed) or self.bins == FEWEST
+            if enough or sides.max() <= sensor.pixel_pitch_um or len(light) > MOST_CUT:
                 break
             # Smaller ones need fewer angles, and those that come of one highlight share tables.
             most_um = squares.size_um.max() * SMALLER
