@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.optics.angular import PlaceWeights
-from gpusim.optics.splat import squares_on_sensor
+from gpusim.optics.highlight_squares import squares_on_sensor
 from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster

@@ -18,27 +18,22 @@ from scipy.interpolate import BSpline
 from gpusim.gpu import Device, Kernel
 from gpusim.optics import splat as module
 from gpusim.optics.fold import spectral_weights
-from gpusim.optics.splat import (
-    CHANGE,
-    FEWEST,
-    HIGHLIGHT,
-    PART,
-    TRIED,
-    Splat,
-    Tables,
-    boxes,
-    distinct,
-    groups,
-    in_fours,
+from gpusim.optics.highlight_squares import (
     largest_um,
-    lists,
-    mixing_error,
-    mixture,
     of_few_spectra,
     real_points,
     squares_on_sensor,
+)
+from gpusim.optics.highlight_tables import (
+    TRIED,
+    Tables,
+    boxes,
+    distinct,
+    mixing_error,
+    mixture,
     turned,
 )
+from gpusim.optics.splat import CHANGE, FEWEST, HIGHLIGHT, PART, Splat, groups, in_fours, lists
 from gpusim.reference.splat import splat
 from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights

@@ -10,7 +10,7 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, sensor
 
-from gpusim.optics import splat
+from gpusim.optics import highlight_tables as tables
 from gpusim.plan import Accuracy
 from gpusim.reference.truth import Truth
 from gpusim.render import Capture, Renderer, renderer
@@ -120,9 +120,8 @@ def test_the_splat_adds_to_what_the_rest_of_the_scene_gives(monkeypatch):
     planes = scenery(1e9)
     filled = Raster(planes).split.planes
     plain, _ = shot(filled, tolerance=1e-2)
-    monkeypatch.setattr(
-        splat, "spectral_weights", lambda *some, **grid: np.zeros((3, 3, WAVELENGTHS_NM.size))
-    )
+    none = np.zeros((3, 3, WAVELENGTHS_NM.size))
+    monkeypatch.setattr(tables, "spectral_weights", lambda *some, **grid: none)
     dimmed, placed = shot(planes, tolerance=1e-2)
     assert len(placed.highlights) == 81
     assert_close(dimmed.rate, plain.rate, atol=0)
@@ -147,7 +146,7 @@ def test_the_suns_energy_is_conserved():
     planes = scenery(1e9)
     with rendering(planes, camera, tolerance=1e-2) as one:
         found = one.capture(0.01, keep=("rate",)).rate.sum(dtype=float)
-        even = splat.spectral_weights(lens, camera.sensor)[0].sum(axis=0) @ SPECTRA.sum(axis=0)
+        even = tables.spectral_weights(lens, camera.sensor)[0].sum(axis=0) @ SPECTRA.sum(axis=0)
     centre = (
         np.array(SUN) + 0.5 - np.array([camera.sensor.rows, camera.sensor.cols]) / 2
     ) * camera.sensor.pixel_pitch_um

@@ -1,0 +1,292 @@
+"""Kernels of highlights, tabulated in the frame of the PSFs, and how they are mixed.
+
+Tables are made at the fields of the bank, and mixed as the truth mixes these. Behind a lens with an
+axis, the aperture of the pixel and the highlight's square stand at an angle in it, the azimuth
+modulo 90 degrees: tables are made at so many angles, and mixed linearly between the nearest two.
+
+Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
+give it (`gpusim.psf.lines`): what aperture and square blur follows the streak between the chief
+rays as closely as cubics do.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.fft
+
+from gpusim.optics.angular import AngularResponse, PlaceWeights
+from gpusim.optics.fold import spectral_weights
+from gpusim.optics.highlight_squares import Squares
+from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.places import FieldPsfs, Places
+from gpusim.scene.spectra import WAVELENGTHS_NM
+from gpusim.sensor.aperture import Response
+from gpusim.sensor.sensor import Sensor
+
+# Parts of the spline's spectrum that its samples fold onto their own frequencies, as multiples of
+# the samples' rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely
+# enough.
+ALIASES = (0, -1, 1, -2, 2)
+SLIGHT = 1e-5
+SMALL = 1e-7  # an angle whose sine is the angle
+TRIED = 16  # angles in 90 degrees with which it is found out what mixing errs
+
+
+class Tables:
+    """Kernels of squares, by field of the bank, angle and shape of the square.
+
+    Parameters
+    ----------
+    bank : FieldBank
+    sensor : Sensor
+    spectra : ndarray (M, K)
+    largest_um : float
+        Side of the squares on the real plane, where it is largest.
+    wavelengths_nm : ndarray (K,)
+        Samples of the spectra.
+    """
+
+    def __init__(
+        self,
+        bank: FieldBank,
+        sensor: Sensor,
+        spectra: np.ndarray,
+        largest_um: float,
+        wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
+    ) -> None:
+        self.bank = bank
+        self.largest_um = largest_um
+        self.aperture_um = sensor.response_um
+        per_radiance = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
+        self.weights = np.einsum("clw,mw->cml", per_radiance, spectra)
+        self.elsewhere = None
+        if sensor.eqe_map is not None:
+            response = AngularResponse(bank, sensor, wavelengths_nm)
+            alike = np.ones((1, 1, wavelengths_nm.size))
+            even = spectral_weights(bank, sensor, alike, wavelengths_nm)[0]
+            self.elsewhere = PlaceWeights(response, even, spectra, 0.0)
+        aperture_um = self.aperture_um
+        if isinstance(aperture_um, Response):
+            aperture_um = 2 * aperture_um.reach
+        # From the middle of aperture and square to their corners, and lateral colour.
+        corner = (aperture_um + largest_um) / np.sqrt(2) + bank.lateral_um
+        n = bank.psf.shape[-1]
+        at = np.arange(n) - n // 2
+        psf_lit = bank.psf.reshape(-1, n, n).any(axis=0)
+        self.support = np.hypot(at, at[:, None])[psf_lit].max() + 2 + corner / bank.pitch_um
+        self.side = scipy.fft.next_fast_len(2 * math.ceil(self.support + 5), real=True)
+        self.side += self.side % 2
+
+    @property
+    def reach_um(self) -> float:
+        """Distance beyond which a square gives no light."""
+        return self.support * self.bank.pitch_um
+
+    def spectra(self, field: FieldPsfs) -> np.ndarray:
+        """Return the spectra (L, side, side / 2 + 1) of a field's PSFs, as density per um^2.
+
+        Samples of the cubic B-spline have the transform (2 + cos) / 3 in each direction. It is
+        divided out twice: once the PSF's samples become spline coefficients, and once what is
+        tabulated does.
+        """
+        n, side = field.psf.shape[-1], self.side
+        before = side // 2 - n // 2
+        psf = field.psf.astype(np.float64) / self.bank.pitch_um**2
+        padded = np.pad(psf, ((0, 0), *[(before, side - n - before)] * 2))
+        line = (2 + np.cos(2 * np.pi * scipy.fft.fftfreq(side))) / 3
+        return scipy.fft.rfft2(padded) / (line[:, None] * line[: side // 2 + 1]) ** 2
+
+    @property
+    def turns(self) -> int:
+        """Quarters of a turn after which kernels are the same again."""
+        turning = self.elsewhere is not None and self.elsewhere.response.turning
+        return 4 if turning or isinstance(self.aperture_um, Response) else 1
+
+    def weights_at(self, number: int, angle: float) -> np.ndarray:
+        """Return electrons/s (C, M, L) of the scene's spectra at a field of the bank."""
+        if self.elsewhere is None:
+            return self.weights
+        return self.elsewhere.of_field_at(number, angle).swapaxes(0, 1)
+
+    def table(
+        self,
+        field: FieldPsfs,
+        spectra: np.ndarray,
+        weights: np.ndarray,
+        angle: float,
+        square: np.ndarray,
+    ) -> np.ndarray:
+        """Return spline coefficients (C, M, side, side) of a field's kernels at one angle.
+
+        Electrons/s per um^2 of the square on the real plane and unit of the scene's spectra.
+
+        Parameters
+        ----------
+        field : FieldPsfs
+        spectra : ndarray
+            As `spectra` returns them.
+        weights : ndarray (C, M, L)
+            As `weights_at` returns them.
+        angle : float
+            Azimuth, radians: that of the PSFs' x axis.
+        square : ndarray (2, 2)
+            Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
+        """
+        shifts, pitch_um = field.shift_um / self.bank.pitch_um, self.bank.pitch_um
+        spread = spectra * boxes(self.side, pitch_um, self.aperture_um, shifts, angle, square)
+        mixed = np.tensordot(weights * field.relative_illumination, spread, axes=1)
+        table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
+        at = np.arange(self.side) - self.side // 2
+        # Beyond lies rounding; and where the PSF is cut off, its spline swings below zero.
+        table[..., np.hypot(at, at[:, None]) > self.support] = 0.0
+        return np.maximum(table, 0.0)
+
+
+def boxes(
+    side: int,
+    pitch_um: float,
+    aperture_um: float | Response,
+    shifts: np.ndarray,
+    angle: float,
+    square: np.ndarray,
+) -> np.ndarray:
+    """Return spectra of the cubic B-spline averaged over aperture and square.
+
+    (L, side, side / 2 + 1), in the frame of the PSFs, whose samples are the pitch apart; each
+    wavelength (L, 2) lies where lateral colour moves it, samples. What is known in between, the
+    transform of samples folds onto their own frequencies: sinc^4 of the spline, with a sinc for
+    each side of aperture and square. ``angle`` and ``square``: see `Tables.table`.
+    """
+    fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
+    # Columns are the PSFs' x and y axis.
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    result = np.zeros((len(shifts), side, len(fx)), np.complex128)
+    for down, across in itertools.product(ALIASES, ALIASES):
+        y, x = fy + down, fx + across
+        of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
+        if of_y.max() * of_x.max() < SLIGHT:
+            continue
+        one = _turned_box(turn @ square.T / pitch_um, x, y)
+        if isinstance(aperture_um, Response):
+            aperture = aperture_um / pitch_um
+            one = one * aperture.spectrum(
+                turn[0, 0] * x + turn[0, 1] * y[:, None],
+                turn[1, 0] * x + turn[1, 1] * y[:, None],
+            )
+        else:
+            one *= _turned_box(aperture_um / pitch_um * turn, x, y)
+        one *= of_x
+        one *= of_y[:, None]
+        for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
+            found += np.exp(-2j * np.pi * (across * moved_x + down * moved_y)) * one
+    for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
+        found *= np.exp(-2j * np.pi * moved_x * fx)
+        if moved_y:
+            found *= np.exp(-2j * np.pi * moved_y * fy)[:, None]
+    return result
+
+
+def _turned_box(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the spectrum (Y, X) of an even parallelogram at frequencies x (X,) and y (Y,).
+
+    `sides` (2, 2): its sides as rows; sinc of each one's product with the frequency.
+    """
+    found = 1.0
+    for of_x, of_y in np.pi * sides:
+        a, b = of_x * x, (of_y * y)[:, None]
+        # sin(a + b) from those of its parts: two lines instead of a plane of them.
+        sine = np.sin(a) * np.cos(b)
+        sine += np.cos(a) * np.sin(b)
+        total = a + b
+        small = np.abs(total) < SMALL
+        total[small] = 1.0
+        sine /= total
+        sine[small] = 1.0
+        found = found * sine
+    return found
+
+
+def mixing_error(kernels: Tables, fields: Sequence[FieldPsfs]) -> float:
+    """Return by how much mixing half-way between two of TRIED angles errs, of the largest value.
+
+    For the largest squares, in the light of the reference wavelength, at the worst of some fields.
+    """
+    bank = kernels.bank
+    line = slice(bank.reference, bank.reference + 1)
+    square = kernels.largest_um * np.eye(2)
+    half = np.pi / 4 / TRIED
+    errors = []
+    for field in fields:
+        one = FieldPsfs(field.psf[line], field.shift_um[line], field.relative_illumination[line])
+        spectra = kernels.spectra(one)
+        before, between, after = (
+            kernels.table(one, spectra, np.ones((1, 1, 1)), angle, square)
+            for angle in (np.pi / 8 - half, np.pi / 8, np.pi / 8 + half)
+        )
+        largest = max(float(between.max()), np.finfo(float).tiny)
+        errors.append(float(np.abs((before + after) / 2 - between).max()) / largest)
+    return max(errors)
+
+
+class Mixture(NamedTuple):
+    """How the kernels of squares are made.
+
+    Attributes
+    ----------
+    keys : ndarray (N, K, 3) of int
+        Tables, by place of their field in the list, by angle, and by the number of the size.
+    shares : ndarray (N, K)
+        Shares of the tables; sum 1.
+    axis : ndarray (N, 2)
+        Direction of the PSFs' x axis.
+    """
+
+    keys: np.ndarray
+    shares: np.ndarray
+    axis: np.ndarray
+
+
+def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixture:
+    """Mix fields as the truth does, and, linearly, angles where PSFs are turned.
+
+    Tables are the same again after `turns` quarters of a turn.
+    """
+    around = turns * bins
+    found, axis = [], np.empty((len(squares.real_um), 2))
+    sizes = np.unique(squares.size_um, return_inverse=True)[1].tolist()
+    for own, (x, y), size in zip(axis, squares.real_um, sizes, strict=True):
+        blend = places.at(x, y)
+        angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % float(turns) * bins
+        before = int(angle)
+        two = ((before % around, 1 - (angle - before)), ((before + 1) % around, angle - before))
+        found.append(
+            [
+                ((field, bin_, size), weight * share)
+                for field, weight in zip(blend.fields, blend.weights, strict=True)
+                for bin_, share in two
+                if weight * share != 0
+            ]
+        )
+        own[:] = blend.cos, blend.sin
+    most = max(len(parts) for parts in found)
+    # Those that need fewer take nothing of the first once more.
+    keys = [[key for key, _ in parts] + [parts[0][0]] * (most - len(parts)) for parts in found]
+    shares = [[share for _, share in parts] + [0.0] * (most - len(parts)) for parts in found]
+    return Mixture(np.array(keys), np.array(shares), axis)
+
+
+def turned(slopes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return slopes (N, 2, 2) in the frames whose x axis is `axis` (N, 2)."""
+    frame = np.stack([axis, np.stack([-axis[:, 1], axis[:, 0]], axis=1)], axis=1)
+    return frame @ slopes @ frame.swapaxes(1, 2)
+
+
+def distinct(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the keys (T, 3) that occur among (N, K, 3), in order, and where each is (N, K)."""
+    used, where = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
+    return used, where.reshape(keys.shape[:2])
