@@ -247,6 +247,40 @@ def shading(
 
 
 @measure.command()
+def texture(
+    path: Picture,
+    roi: Annotated[
+        str | None,
+        typer.Option(metavar="X,Y,W,H", help="Region of leaves, pixels; by default the middle."),
+    ] = None,
+    leaves: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MIN,MAX",
+            help="Radii of the leaves in the picture, pixels; by default those of the chart "
+            "dead-leaves as high as the picture.",
+        ),
+    ] = None,
+    second: Annotated[
+        Path | None,
+        typer.Option(metavar="PICTURE", help="The scene once more: takes the noise off."),
+    ] = None,
+    even: Annotated[
+        str | None,
+        typer.Option("--noise", metavar="X,Y,W,H", help="An even patch: takes the noise off."),
+    ] = None,
+    channel: Channels = None,
+    out: OutFolder = None,
+    linear: Linear = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure texture: the MTF of dead leaves, what is left of fine detail after denoising."""
+    from gpusim.cli.texture import texture as run
+
+    run(path, roi, leaves, second, even, channel, out, linear=linear, as_json=as_json)
+
+
+@measure.command()
 def glare(
     path: Picture,
     channel: Channels = None,
