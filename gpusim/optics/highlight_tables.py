@@ -256,28 +256,30 @@ def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixt
 
     Tables are the same again after `turns` quarters of a turn.
     """
-    around = turns * bins
-    found, axis = [], np.empty((len(squares.real_um), 2))
-    sizes = np.unique(squares.size_um, return_inverse=True)[1].tolist()
-    for own, (x, y), size in zip(axis, squares.real_um, sizes, strict=True):
-        blend = places.at(x, y)
-        angle = np.arctan2(blend.sin, blend.cos) / (np.pi / 2) % float(turns) * bins
-        before = int(angle)
-        two = ((before % around, 1 - (angle - before)), ((before + 1) % around, angle - before))
-        found.append(
-            [
-                ((field, bin_, size), weight * share)
-                for field, weight in zip(blend.fields, blend.weights, strict=True)
-                for bin_, share in two
-                if weight * share != 0
-            ]
-        )
-        own[:] = blend.cos, blend.sin
-    most = max(len(parts) for parts in found)
-    # Those that need fewer take nothing of the first once more.
-    keys = [[key for key, _ in parts] + [parts[0][0]] * (most - len(parts)) for parts in found]
-    shares = [[share for _, share in parts] + [0.0] * (most - len(parts)) for parts in found]
-    return Mixture(np.array(keys), np.array(shares), axis)
+    fields, weights, cos, sin = places.blends(*squares.real_um.T)
+    angle = np.arctan2(sin, cos) / (np.pi / 2) % float(turns) * bins
+    before = angle.astype(int)
+    two = np.stack([before, before + 1], axis=1) % (turns * bins)
+    near = np.stack([1 - (angle - before), angle - before], axis=1)
+    size = np.unique(squares.size_um, return_inverse=True)[1]
+    parts = len(fields), fields.shape[1], 2
+    keys = np.stack(
+        [
+            np.broadcast_to(fields[:, :, None], parts),
+            np.broadcast_to(two[:, None], parts),
+            np.broadcast_to(size[:, None, None], parts),
+        ],
+        axis=-1,
+    ).reshape(len(fields), -1, 3)
+    shares = (weights[:, :, None] * near[:, None]).reshape(len(fields), -1)
+    # What counts comes first; where a square needs fewer tables, nothing of its first once more.
+    none = shares == 0
+    order = np.argsort(none, axis=1, kind="stable")
+    keys = np.take_along_axis(keys, order[..., None], axis=1)
+    shares = np.take_along_axis(shares, order, axis=1)
+    most = int((~none).sum(axis=1).max())
+    keys = np.where(shares[..., None] == 0, keys[:, :1], keys)
+    return Mixture(keys[:, :most], shares[:, :most], np.stack([cos, sin], axis=1))
 
 
 def turned(slopes: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -54,6 +54,23 @@ class Blend(NamedTuple):
     sin: float
 
 
+class Blends(NamedTuple):
+    """How PSFs at N points are made: see `Blend`.
+
+    Attributes
+    ----------
+    fields : ndarray (N, K) of int
+    weights : ndarray (N, K)
+        Sum 1; 0 for fields that do not count.
+    cos, sin : ndarray (N,)
+    """
+
+    fields: np.ndarray
+    weights: np.ndarray
+    cos: np.ndarray
+    sin: np.ndarray
+
+
 class Places(Protocol):
     """Where a list of fields lies.
 
@@ -80,6 +97,9 @@ class Places(Protocol):
 
     def at(self, x_um: float, y_um: float) -> Blend:
         """Return how the PSF at a real image point is made."""
+
+    def blends(self, x_um: np.ndarray, y_um: np.ndarray) -> Blends:
+        """Return the same at many points (N,)."""
 
 
 def half_turned(images: np.ndarray) -> np.ndarray:
@@ -190,6 +210,23 @@ class Heights:
         numbers, weights = self.blended(radius)
         return Blend(tuple(numbers.tolist()), tuple(weights.tolist()), cos, sin)
 
+    def blends(self, x_um: np.ndarray, y_um: np.ndarray) -> Blends:
+        """Return the same at many points (N,)."""
+        radius = np.hypot(x_um, y_um)
+        off = radius > 0
+        cos, sin = np.where(off, x_um, 1.0), np.where(off, y_um, 0.0)
+        cos[off] /= radius[off]
+        sin[off] /= radius[off]
+        last = len(self.radius_um) - 1
+        before, edge = self.radius_um[-2:]
+        numbers, weights = self.blended(np.minimum(radius, edge))
+        beyond = radius > edge
+        t = np.minimum((radius[beyond] - before) / (edge - before), 2.0)
+        numbers[beyond], weights[beyond] = last, 0.0
+        numbers[beyond, 0] = last - 1
+        weights[beyond, 0], weights[beyond, 1] = 1 - t, t
+        return Blends(numbers, weights, cos, sin)
+
 
 @dataclass(frozen=True)
 class FieldGrid:
@@ -236,6 +273,10 @@ class FieldGrid:
         """Return how the PSF at a real image point is made."""
         numbers, weights = self.blended(x_um, y_um)
         return Blend(tuple(numbers.tolist()), tuple(weights.tolist()), 1.0, 0.0)
+
+    def blends(self, x_um: np.ndarray, y_um: np.ndarray) -> Blends:
+        """Return the same at many points (N,)."""
+        return Blends(*self.blended(x_um, y_um), np.ones(len(x_um)), np.zeros(len(x_um)))
 
     def blended(self, x_um: np.ndarray, y_um: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return numbers and weights (..., up to 16) of the fields at real image points (...)."""

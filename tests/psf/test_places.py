@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from gpusim.formats.ready import load_ready
-from gpusim.psf.places import Heights, half_turned, lagrange
+from gpusim.psf.places import FieldGrid, Heights, half_turned, lagrange
 
 RADIUS = np.array([0.0, 30.0, 70.0, 100.0, 160.0, 200.0])
+GRID = FieldGrid(np.linspace(-2, 2, 7), np.linspace(-1, 1, 5), lambda x, y: (x / 100, y / 150))
 
 
 def test_cubics_come_out_as_they_are_and_the_nearest_four_make_them():
@@ -37,6 +38,22 @@ def test_heights_hold_what_is_even_and_what_is_odd(count: int):
         found = np.dot(blend.weights, signed[list(blend.fields)])
         assert found == pytest.approx(radius, abs=1e-9)
     assert heights.opposite == (count,)
+
+
+@pytest.mark.parametrize("places", [Heights(RADIUS), Heights(RADIUS[:2]), GRID])
+def test_many_points_at_once_are_the_same_one_by_one(places: Heights | FieldGrid):
+    """The axis, the fields themselves, and points beyond the last among them."""
+    rng = np.random.default_rng(2)
+    x, y = np.concatenate([rng.uniform(-250, 250, (60, 2)), [[0, 0], [30, 0], [0, -70]]]).T
+    found = places.blends(x, y)
+    for number, point in enumerate(zip(x, y, strict=True)):
+        one = places.at(*point)
+        counts = dict.fromkeys(one.fields, 0.0)
+        for field, weight in zip(found.fields[number], found.weights[number], strict=True):
+            if weight:
+                counts[field] += weight
+        np.testing.assert_allclose(list(counts.values()), one.weights, atol=1e-15)
+        assert (found.cos[number], found.sin[number]) == (one.cos, one.sin)
 
 
 def test_what_is_even_has_no_cusp_on_the_axis():
