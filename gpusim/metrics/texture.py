@@ -90,7 +90,7 @@ def covariance(distance_px: np.ndarray, radii_px: tuple[float, float]) -> np.nda
     """
     low, high = radii_px
     radius = np.geomspace(low, high, RADII)
-    at = np.linspace(0, 2 * high, 4096)
+    at = 2 * high * np.linspace(0, 1, 4096) ** 2  # finer where it is steep
     half = at[:, None] / 2
     inside = half < radius
     share = np.where(inside, half / radius, 1.0)
@@ -155,7 +155,7 @@ def measure_texture(
     UserError
         A region leaves the picture or is too small, radii do not rise, or there is no texture.
     """
-    if not 0 < radii_px[0] < radii_px[1]:
+    if not 0 < radii_px[0] < radii_px[1] < math.inf:
         raise UserError(
             "The radii of the leaves do not rise.",
             field="--leaves",
@@ -164,22 +164,8 @@ def measure_texture(
         )
     values, step = _samples(plane, box, "--roi")
     tile = _tile(values.shape, box, "--roi")
-    own = _tiles(values, tile)
-    if second is not None:
-        other = _tiles(_samples(second, box, "--roi")[0], tile)
-        powers = (own * other.conj()).real
-        noise = "by the second picture"
-    else:
-        powers, noise = np.abs(own) ** 2, "not taken off"
     bins, frequency = _bins(tile)
-    found = np.stack([_averaged(one, bins) for one in powers])
-    if second is None and even is not None:
-        patch = _samples(plane, even, "--noise")[0]
-        small = _tile(patch.shape, even, "--noise")
-        own_bins, at = _bins(small)
-        grain = np.mean([_averaged(np.abs(one) ** 2, own_bins) for one in _tiles(patch, small)], 0)
-        found = found - np.interp(frequency, at, grain)
-        noise = "by an even patch"
+    found, noise = _without_noise(plane, box, values, tile, second, even)
     whole = target_power(tile, (radii_px[0] / step, radii_px[1] / step))
     target, folded = (_averaged(one, bins) for one in whole)
     power = found.mean(axis=0)
@@ -228,6 +214,26 @@ def measure_texture(
         noise,
         clipped,
     )
+
+
+def _without_noise(
+    plane: Plane, box: Box, values: np.ndarray, tile: int, second: Plane | None, even: Box | None
+) -> tuple[np.ndarray, str]:
+    """Return the power of each tile by rings (N, B), and how noise was taken off."""
+    own = _tiles(values, tile)
+    bins, frequency = _bins(tile)
+    if second is not None:
+        other = _tiles(_samples(second, box, "--roi")[0], tile)
+        crossed = (own * other.conj()).real
+        return np.stack([_averaged(one, bins) for one in crossed]), "by the second picture"
+    found = np.stack([_averaged(one, bins) for one in np.abs(own) ** 2])
+    if even is None:
+        return found, "not taken off"
+    patch = _samples(plane, even, "--noise")[0]
+    small = _tile(patch.shape, even, "--noise")
+    own_bins, at = _bins(small)
+    grain = [_averaged(np.abs(one) ** 2, own_bins) for one in _tiles(patch, small)]
+    return found - np.interp(frequency, at, np.mean(grain, axis=0)), "by an even patch"
 
 
 def _samples(plane: Plane, box: Box, field: str) -> tuple[np.ndarray, int]:

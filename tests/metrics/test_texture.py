@@ -124,6 +124,8 @@ def test_what_cannot_be_measured_is_refused():
         ({"box": (10, 0, SIDE, SIDE)}, "--roi"),
         ({"box": (0, 0, 60, 200)}, "--roi"),
         ({"radii_px": (5.0, 5.0)}, "--leaves"),
+        ({"radii_px": (np.nan, 5.0)}, "--leaves"),
+        ({"radii_px": (1.0, np.inf)}, "--leaves"),
         ({"even": (0, 0, 20, 20)}, "--noise"),
     ):
         whole = {"plane": plane(), "channel": "Y", "box": BOX, "radii_px": RADII} | given
