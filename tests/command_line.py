@@ -45,7 +45,7 @@ def process(*arguments: object, **variables: object) -> Ran:
     """Run the command line as a user does, in a process of its own."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "200"}
     done = subprocess.run(
-        [sys.executable, "-m", "gpusim.cli", *map(str, arguments)],
+        [sys.executable, "-m", "gpusim", *map(str, arguments)],
         env={**environment, **{name: str(value) for name, value in variables.items()}},
         capture_output=True,
         text=True,

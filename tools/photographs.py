@@ -44,7 +44,7 @@ COLUMNS = (
 def measured(camera: str, picture: Path, out: Path, cache: Path) -> list[str]:
     """Render a picture through a camera; return its row of the table."""
     busy = os.getloadavg()[0] > QUIET_LOAD
-    words = [sys.executable, "-m", "gpusim.cli", "render", camera, str(picture), "--out", str(out)]
+    words = [sys.executable, "-m", "gpusim", "render", camera, str(picture), "--out", str(out)]
     done = run(words, None, cache)
     row = [camera, picture.stem]
     report = out / "report.json"

@@ -30,7 +30,7 @@ from gpusim.optics.highlight_tables import (
     turned,
 )
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.places import FieldPsfs, half_turned
+from gpusim.psf.places import FieldPsfs, Heights, half_turned
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.planes import planes_of
@@ -123,8 +123,10 @@ class Splat:
             given = bank, sensor, few @ spectra, sides.max(), wavelengths_nm
             self.kernels = kernels = Tables(*given)
             self.table_bytes = 16 * -(-len(few) // 4) * channels * kernels.side**2
-            seen = {0, len(self.fields) // 2, len(self.fields) - 1}
-            error = mixing_error(kernels, [bank.field(self.fields[n]) for n in sorted(seen)])
+            error = 0.0  # of PSFs that are not turned
+            if isinstance(places, Heights):
+                some = {0, len(self.fields) // 2, len(self.fields) - 1}
+                error = mixing_error(kernels, [bank.field(self.fields[n]) for n in sorted(some)])
             asked = TRIED * math.sqrt(error / (MIXING * tolerance))
             self.bins = max(FEWEST, math.ceil(asked))
             mixed = mixture(places, squares, self.bins, kernels.turns)

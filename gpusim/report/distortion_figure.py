@@ -8,9 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gpusim.metrics.distortion import RADII, Distortion
-from gpusim.report.drawing import INK, SOFT, STYLE, absent, panel, titles, write
+from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, absent, panel, titles, write
 
-COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}
 MODELS = {
     "chosen": (INK, "-"),
     "3rd order": ("#2456b8", (0, (5, 2))),

@@ -16,6 +16,7 @@ DPI = 160
 INK, SOFT, LINE = "#1b1f24", "#5d6773", "#c9ced6"
 
 
+COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}  # of channels, by their first letter
 STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,

@@ -11,10 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from gpusim.metrics.glare import Spot
-from gpusim.report.drawing import INK, SOFT, STYLE, panel, titles, write
+from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
 from gpusim.report.sheet import sheet, table
 
-COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}
 UNITS = (
     "veiling glare index (ISO 9358, integral method): the middle of a black spot over the field "
     "around it; standard uncertainties (k = 1)"

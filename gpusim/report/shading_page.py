@@ -11,10 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gpusim.metrics.shading import Shading
-from gpusim.report.drawing import INK, SOFT, STYLE, panel, titles, write
+from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
 from gpusim.report.sheet import sheet, table
 
-COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}
 CORNERS = ("upper left", "upper right", "lower left", "lower right")
 UNITS = "means of 15 x 21 blocks over that of the middle one; standard uncertainties (k = 1)"
 

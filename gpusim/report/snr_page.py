@@ -13,10 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from gpusim.metrics.snr import Range
-from gpusim.report.drawing import INK, SOFT, STYLE, panel, titles, write
+from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
 from gpusim.report.sheet import sheet, table
 
-COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}
 UNITS = (
     "signal and noise in the picture's linear unit; the noise of one picture, temporal and fixed; "
     "dynamic range from SNR 1, by the law of the noise, to the highest signal; standard "

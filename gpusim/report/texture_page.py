@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gpusim.metrics.texture import Texture
-from gpusim.report.drawing import INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.shading_page import COLOURS
+from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
 from gpusim.report.sheet import sheet, table
 
 UNITS = "MTF of dead leaves, 1 at low frequencies; cycles per pixel; standard uncertainties (k = 1)"

@@ -209,7 +209,7 @@ def command(folder: Path, *words: object) -> list[str]:
     return [
         sys.executable,
         "-m",
-        "gpusim.cli",
+        "gpusim",
         "batch",
         str(folder / "sweep.yaml"),
         *map(str, words),

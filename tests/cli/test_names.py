@@ -116,7 +116,7 @@ def test_a_full_disk_behind_the_output_is_one_clear_error(arguments):
 
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "gpusim.cli", *arguments],
+            [sys.executable, "-m", "gpusim", *arguments],
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

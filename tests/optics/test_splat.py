@@ -487,6 +487,7 @@ def test_angles_are_as_many_as_the_tolerance_asks(device: Device, tolerance: flo
     assert stage.tables.shape == (1, 8) and len(stage.squares.light) == 1
     error = mixing_error(stage.kernels, [STILL.field(n) for n in range(len(STILL.psf))])
     errs = error * (TRIED / stage.bins) ** 2  # as the test above says
+    # Half of the tolerance is MIXING; one angle fewer would not hold it.
     assert errs <= tolerance / 2
     assert stage.bins == FEWEST or errs * (stage.bins / (stage.bins - 1)) ** 2 > tolerance / 2
     assert (stage.bins == FEWEST) == (tolerance > 1e-2)
@@ -508,6 +509,15 @@ def test_squares_are_cut_up_where_the_memory_does_not_hold_the_angles(device: De
     assert strict.bins == FEWEST and strict.squares.size_um.max() <= PITCH
 
 
+def test_squares_of_a_lens_without_an_axis_need_no_angles(device: Device, monkeypatch):
+    """Its PSFs are not turned: nothing is mixed, and nothing cut up for want of memory."""
+    monkeypatch.setattr(module, "TABLE_BYTES", 1)
+    stage = Splat(device, plane_bank(coma_um=0.0), monochrome(), WIDE, SPECTRA[:1], 1e-5)
+    whole = squares_on_sensor(stage.bank, monochrome(), WIDE, 200.0, CHANGE / 10)
+    assert len(stage.squares.light) == len(whole.light)
+    assert stage.bins == FEWEST and set(stage.used[:, 1]) == {0}
+
+
 def test_lamps_of_few_colours_need_tables_of_few_spectra(device: Device):
     """Sixteen bands, three colours of lamps and their mixtures: the light stays what it was."""
     rng = np.random.default_rng(3)
@@ -522,6 +532,7 @@ def test_lamps_of_few_colours_need_tables_of_few_spectra(device: Device):
     assert three.squares.light.shape[1] == 3
     tile = [(0, 0, camera.rows, camera.cols)]
     found, expected = stage.light(tile)[0], three.light(tile)[0]
+    # A tenth of the tolerance is what colours may differ by; the dark has the f32 of the bright.
     assert_close(found, expected, rtol=1e-4, atol=1e-6 * expected.max())
 
 
@@ -535,6 +546,7 @@ def test_spectra_that_are_no_sums_of_others_stay_as_they_are():
     light = np.array([[1e9, 0, 0], [2e9, 0, 0], [1.0, 1.0, 0]])
     few, shares = of_few_spectra(light, 1e-4)
     assert len(few) == 2
+    # Least squares in float64; of the faint one alone what `alike` allows.
     assert_close(shares @ few, light, rtol=1e-12, atol=1e-12 * light.max())
     assert_close(shares[2] @ few, light[2], rtol=1e-4)
 

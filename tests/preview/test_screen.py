@@ -265,7 +265,7 @@ def test_a_real_window_answers_mouse_and_keys_and_closes(tmp_path):
         ["Xvfb", display, "-screen", "0", "1600x900x24"], stderr=subprocess.DEVNULL
     )
     environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-m", "gpusim.cli", "preview", "mtf-only", "colorchecker"]
+    command = [sys.executable, "-m", "gpusim", "preview", "mtf-only", "colorchecker"]
     window = None
 
     def do(*words: object) -> str:

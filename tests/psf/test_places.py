@@ -52,6 +52,7 @@ def test_many_points_at_once_are_the_same_one_by_one(places: Heights | FieldGrid
         for field, weight in zip(found.fields[number], found.weights[number], strict=True):
             if weight:
                 counts[field] += weight
+        # The same products; a sum of four differs by its order, 4 roundings of 1e-16.
         np.testing.assert_allclose(list(counts.values()), one.weights, atol=1e-15)
         assert (found.cos[number], found.sin[number]) == (one.cos, one.sin)
 

@@ -1,5 +1,0 @@
-"""``python -m gpusim.cli`` is ``gpusim``."""
-
-from gpusim.cli import main
-
-main()
