@@ -91,14 +91,15 @@ class Reading:
         """Both."""
         return Camera(lens=self.lens, sensor=self.sensor, title=f"stand-in, {self.name}")
 
-    def weights(self, lamp: str = LAMP) -> tuple[np.ndarray, np.ndarray]:
-        """Return wavelengths (K,) and the electrons that the light makes in each, relative."""
-        nm = grid_nm(*BAND_NM)
-        white = make_scene("grey", LUMINANCE_CD_M2, lamp).on(nm).white
-        (qe,) = self.sensor.qe_at(nm).values()
-        ends = np.ones(nm.size)
-        ends[[0, -1]] = 0.5
-        return nm, white * nm * qe * ends
+
+def weights(sensor: Sensor, lamp: str = LAMP) -> tuple[np.ndarray, np.ndarray]:
+    """Return wavelengths (K,) and the electrons that the light makes in each, relative."""
+    nm = grid_nm(*BAND_NM)
+    white = make_scene("grey", LUMINANCE_CD_M2, lamp).on(nm).white
+    (qe,) = sensor.qe_at(nm).values()
+    ends = np.ones(nm.size)
+    ends[[0, -1]] = 0.5
+    return nm, white * nm * qe * ends
 
 
 READINGS = (
@@ -306,7 +307,7 @@ def read(
     reading: Reading, progress: Callable[[str, int, int], None] = lambda what, done, total: None
 ) -> Read:
     """Render and measure the targets of one reading."""
-    lens = LensData(reading.lens, *reading.weights())
+    lens = LensData(reading.lens, *weights(reading.sensor))
     total, captures, peaks = 1 + len(PERIODS_PX), {}, []
     progress(reading.name, 0, total)
     board = drawn(checkerboard(reading, lens), reading.sensor)

@@ -10,7 +10,7 @@ from gpusim.metrics.sfr import FREQUENCIES_CY_PX
 from gpusim.validate import kodak_figures as figures
 from gpusim.validate.edges import AXES, WINDOW_PX
 from gpusim.validate.kodak import BANDS, EFL_MM, REFERENCE, TOLERANCE, Edges
-from gpusim.validate.kodak_table import TABLE_1, Place
+from gpusim.validate.kodak_table import TABLE_1, Row
 from gpusim.validate.report import Report, Rows, Section
 
 TITLE = "Validation: Kodak's simulator with a lens model of PSFs"
@@ -62,7 +62,7 @@ def numbers(edges: Edges) -> dict[str, Any]:
     }
 
 
-def _paper(place: Place) -> dict[str, Any]:
+def _paper(place: Row) -> dict[str, Any]:
     """Return a row of the paper's table; None where it cannot be read."""
 
     def known(values: Sequence[float]) -> list[float | None]:

@@ -8,22 +8,33 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Place:
-    """A row of table 1 of the paper, pixels.
+    """Where the image of an edge lies.
 
     Attributes
     ----------
     number : int
+        Of the edge.
     x, y : float
-        Place of the edge's green image, from the sensor's centre.
+        Pixels from the sensor's centre, right and down.
+    """
+
+    number: int
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Row(Place):
+    """A row of table 1 of the paper, pixels; the place is that of the edge's green image.
+
+    Attributes
+    ----------
     position : tuple of float
         The paper's errors of R, G and B.
     red, blue : tuple of float
         The paper's position relative to green: predicted, measured, error.
     """
 
-    number: int
-    x: float
-    y: float
     position: tuple[float, float, float]
     red: tuple[float, float, float]
     blue: tuple[float, float, float]
@@ -32,7 +43,7 @@ class Place:
 NONE = math.nan  # where the scan of the table is not legible
 # fmt: off
 TABLE_1 = tuple(
-    Place(number, x, y, *(tuple(row[at : at + 3]) for at in (0, 3, 6)))
+    Row(number, x, y, *(tuple(row[at : at + 3]) for at in (0, 3, 6)))
     for number, x, y, *row in (
         (1, 0.0, 0.0, -0.059, -0.068, -0.065, 0.0, 0.009, 0.009, 0.0, 0.003, 0.003),
         (2, 62.9, 0.0, 0.01, 0.029, 0.033, -0.08, -0.1, -0.02, 0.138, 0.142, 0.003),

@@ -108,8 +108,8 @@ class Predictor:
         Wavelengths that are traced; between them a cubic spline about each one's own chief ray.
     passed : ndarray (L,)
         Share of the light that the surfaces pass there.
-    pupils : int
-        Fields at which pupils are traced.
+    pupils, chiefs : int
+        Fields at which pupils and chief rays are traced.
     diffracts : bool
         Whether light is a wave; else line spreads are those of the rays.
     """
@@ -122,10 +122,11 @@ class Predictor:
         passed: np.ndarray,
         *,
         pupils: int = FIELDS,
+        chiefs: int = CHIEF_FIELDS,
         diffracts: bool = True,
     ) -> None:
         self.tracer, self.nodes_nm, self._widest = tracer, nodes_nm, widest_rad
-        fields = np.linspace(0, widest_rad, CHIEF_FIELDS)
+        fields = np.linspace(0, widest_rad, chiefs)
         heights = np.stack([tracer.chief_mm(fields, float(nm)) for nm in nodes_nm])
         over_field = make_interp_spline(fields, heights.T, k=5)
         self._knots, self._heights = over_field.t, CubicSpline(nodes_nm, over_field.c.T)

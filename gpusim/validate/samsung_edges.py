@@ -175,12 +175,11 @@ def places_of(
     field = np.array([HALF_FIELD * math.radians(optics.full_deg / 2)])
     radius_px = 1e3 * float(predictor.tracer.chief_mm(field, LINES_NM[REFERENCE])[0])
     radius_px /= sensor.pixel_pitch_um
-    nothing = (math.nan,) * 3
     places = {}
     for number, (name, way) in enumerate(PLACES.items(), start=1):
         x, y = (radius_px * part for part in way)
         if y + ROI_PX < sensor.rows / 2:
-            places[name] = Place(number, x, y, nothing, nothing, nothing)
+            places[name] = Place(number, x, y)
     pitch, reference = sensor.pixel_pitch_um, band_of(REFERENCE)
     ideal = {
         place.number: predictor.ideal_um(np.array([place.x, place.y]) * pitch, reference)

@@ -4,12 +4,7 @@ An even scene is rendered on a sensor whose pixels answer by wavelength and angl
 library's `eqe-sample`, with micro-lenses shifted less than this lens asks for. At places of the
 picture each channel's electrons over the photons that arrive at a pixel are its mean quantum
 efficiency. The engine folds the map over the cone of rays and a decomposition over the azimuth;
-here it is averaged directly over an independent tracer's rays,
-
-    QE_c(x, y) = sum over l of N(l) <EQE_c(l, theta, phi)> / sum of N(l),
-
-N the photons of a wavelength, < > the mean over direction cosines inside the pupil as seen from
-the place, turned by the place's azimuth, less the sine for which micro-lenses are shifted.
+here it is averaged directly over an independent tracer's rays (`gpusim.validate.averaging`).
 """
 
 from __future__ import annotations
@@ -19,17 +14,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene import make_scene
-from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
+from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
+from gpusim.validate.averaging import Averaging, photons_per_s
 from gpusim.validate.bars import Bar
-from gpusim.validate.predict import Band, Predictor
+from gpusim.validate.predict import Predictor
 from gpusim.validate.samsung_camera import SENSOR, STANDARD, Certified, camera_of
 
 MAP = "eqe-sample"
@@ -38,7 +33,6 @@ EXPOSURE_S = 1 / 60
 SIDE_PX = 16  # of the tiles that are averaged: over them the efficiency is straight to 1e-6
 PLACES_MM = ((0, 0), (1.5, 0), (3, 0), (0, 1.1), (0, 2.2), (-1.5, 1.1), (-3, 2.2), (3, 2.2))
 CHANNELS = ("R", "Gr", "Gb", "B")
-H_J_S, C_M_S = 6.62607015e-34, 2.99792458e8
 QE_BAR = 1e-3
 SHOWN_NM = np.arange(400.0, 701.0, 10.0)
 
@@ -88,62 +82,13 @@ def angular_sensor() -> Sensor:
     return sensor.model_copy(update=changes | {"veiling_glare": 0.0})
 
 
-class Averaging:
-    """Direct averages of a sensor's map over the rays of a predictor."""
-
-    def __init__(self, sensor: Sensor, predictor: Predictor) -> None:
-        self.predictor, self.micro_lens = predictor, sensor.micro_lens
-        own = sensor.eqe_map
-        phi = np.array([*own.phi_deg, own.phi_deg[0] + 360.0])
-        self.tables, self.mapped_nm = {}, np.array(own.wavelengths_nm, float)
-        for name in CHANNELS:
-            eqe = np.array(own.eqe(name))
-            around = np.concatenate([eqe, eqe[:, :, :1]], axis=2)
-            grid = self.mapped_nm, np.array(own.theta_deg, float), phi
-            self.tables[name] = RegularGridInterpolator(grid, around)
-
-    def at(self, x_mm: float, y_mm: float, wavelengths_nm: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the mean efficiency (W,) of each channel at a place."""
-        nodes, mapped = self.predictor.nodes_nm, self.mapped_nm
-        away_mm = math.hypot(x_mm, y_mm)
-        out = np.array([1.0, 0.0]) if away_mm == 0 else np.array([x_mm, y_mm]) / away_mm
-        aside = np.array([-out[1], out[0]])
-        lens = self.micro_lens
-        shift = np.sin(np.radians(np.interp(away_mm, lens.heights_mm, lens.chief_ray_deg)))
-        means = {name: [] for name in CHANNELS}
-        for line, node in enumerate(nodes):
-            band = Band("", np.array([node]), np.ones(1))
-            ideal = self.predictor.ideal_um(1e3 * away_mm * out, band)
-            field = math.atan(1e-3 * math.hypot(*ideal) / self.predictor.tracer.efl_mm)
-            share, radial, across = self.predictor.cone(field, line).T
-            cosines = (radial - shift)[:, None] * out + across[:, None] * aside
-            theta = np.degrees(np.arcsin(np.hypot(*cosines.T)))
-            phi = np.degrees(np.arctan2(cosines[:, 1], cosines[:, 0])) % 360
-            for name, table in self.tables.items():
-                seen = [share @ table((nm, theta, phi)) for nm in mapped]
-                # The map is straight between its wavelengths, and so is its mean.
-                means[name].append(np.interp(wavelengths_nm, mapped, seen))
-        # A cone goes smoothly with the wavelength; the map does not, and is taken where it is.
-        weights = np.array([np.interp(wavelengths_nm, nodes, row) for row in np.eye(len(nodes))])
-        return {name: np.sum(weights * np.array(own), axis=0) for name, own in means.items()}
-
-
-def photons_per_s(predictor: Predictor, sensor: Sensor, away_mm: float) -> np.ndarray:
-    """Return photons (K,) that arrive at a pixel at a distance from the axis, per sample."""
-    scene, nm = make_scene("grey"), WAVELENGTHS_NM
-    # Through four nodes a cubic: solid angle and glass go smoothly with the wavelength.
-    light = predictor.shown(np.array([1e3 * away_mm]), nm)[:, 0]
-    energy_j = H_J_S * C_M_S / (nm * 1e-9)
-    area = (sensor.pixel_pitch_um * 1e-6) ** 2 * sensor.fill_factor
-    return scene.spectra[0] * light * QUADRATURE_NM * area / energy_j
-
-
 def measure_qe(lens: Prescription, predictor: Predictor) -> Efficiency:
     """Render an even scene, and average the map directly at places."""
     sensor = angular_sensor()
     accuracy = Accuracy(TOLERANCE, PROBES)
     camera = camera_of(STANDARD, lens, sensor)
-    renderer = Renderer(camera, make_scene("grey"), accuracy, noise=False)
+    scene = make_scene("grey")
+    renderer = Renderer(camera, scene, accuracy, noise=False)
     averaging, places, curves, certificate = Averaging(sensor, predictor), [], {}, None
     letters = np.array(sensor.cfa.pattern)
     try:
@@ -161,7 +106,7 @@ def measure_qe(lens: Prescription, predictor: Predictor) -> Efficiency:
                 (start + SIDE_PX / 2 - side / 2) * pitch_mm
                 for start, side in ((left, sensor.cols), (top, sensor.rows))
             )
-            photons = photons_per_s(predictor, sensor, math.hypot(x, y))
+            photons = photons_per_s(scene, predictor, sensor, math.hypot(x, y))
             found = averaging.at(x, y, WAVELENGTHS_NM)
             sites = np.tile(letters, (SIDE_PX // 2, SIDE_PX // 2))
             places.append(

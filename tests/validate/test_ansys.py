@@ -26,7 +26,7 @@ SUB = 4  # samples of a pixel along each side
 
 @pytest.fixture(scope="module")
 def lens():
-    return ansys.LensData(READING.lens, *READING.weights())
+    return ansys.LensData(READING.lens, *ansys.weights(READING.sensor))
 
 
 def ideal_places(lens, stretch=0.0):
@@ -77,6 +77,26 @@ def test_chief_rays_through_spheres_are_those_of_the_engine():
     assert own.chief_mm(fields, 550.0) == pytest.approx(other.chief_mm(fields, 550.0), abs=1e-8)
 
 
+def test_pupils_through_spheres_are_those_of_the_engine():
+    """Directions, paths and the light that enters, of a field 10 degrees off the axis."""
+    system, field, nm = build(READING.lens), np.radians(10.0), 550.0
+    found = SphereTracer(system).rays(field, nm)
+    # The engine's rays, through the points of the stop where these go.
+    other = OwnTracer(system).rays(field, nm)
+    assert found.chief_mm == pytest.approx(other.chief_mm, abs=1e-8)
+    assert found.chief_beta == pytest.approx(other.chief_beta, abs=1e-9)
+    fits = []
+    for one in (found, other):
+        near = np.hypot(one.alpha, one.beta - one.chief_beta) < 0.17  # the pupil's rim
+        x, y = one.alpha[near] / 0.17, (one.beta[near] - one.chief_beta) / 0.17
+        powers = np.polynomial.chebyshev.chebvander2d(x**2, y, [6, 12])
+        fits.append(np.linalg.lstsq(powers, one.wave_mm[near], rcond=None)[0])
+    at = np.array([[0.0, 0.1, 0.5, 0.3], [0.0, 0.6, -0.4, -0.7]])
+    powers = np.polynomial.chebyshev.chebvander2d(at[0] ** 2, at[1], [6, 12])
+    # mm: a thousandth of a wave.
+    np.testing.assert_allclose(powers @ fits[0], powers @ fits[1], rtol=0, atol=5.5e-7)
+
+
 def test_pictures_as_predicted_hold_every_bar(lens):
     assert not lost(lens, drawn(lens))
 
@@ -89,7 +109,7 @@ def test_lens_data_that_are_off_are_seen(lens):
     surfaces = list(READING.lens.surfaces)
     surfaces[3] = surfaces[3].model_copy(update={"radius": 1.02 * surfaces[3].radius})
     wrong = READING.lens.model_copy(update={"surfaces": tuple(surfaces)})
-    other = ansys.LensData(wrong, *READING.weights())
+    other = ansys.LensData(wrong, *ansys.weights(READING.sensor))
     assert "LGD at every radius" in lost(other, drawn(lens))
 
 
