@@ -63,7 +63,9 @@ ASPECT = (0.8, 0.6)  # 4:3, over the diagonal
 COMMON_UM = 20.0  # a multiple of every pitch: the same points are pixels' middles at each
 PROBES_UM = ((0, 0), (20, -20), (-20, 20), (20, 20), (-20, -20))
 TILE_PX = 64
-LINES = 13  # wavelengths of the judge; see docs/judge.md
+# Wavelengths of the judge, evenly spaced: more are traced while what those between them hide may be
+# more than half of the tolerance. The last are all of the scene's.
+LINES = (13, 31, 61)
 CERTIFICATE = 64  # probes of the certificate
 WHITE, GREY, BLACK = 0.80, 0.18, 0.05
 EDGE_RAD = math.radians(5.0)
@@ -93,7 +95,7 @@ class Spot:
     """Where on a lens's image the tile lies, for all pitches and scenes."""
 
     lens: Prescription
-    views: dict[int, View] = field(default_factory=dict)
+    views: dict[tuple[int, int], View] = field(default_factory=dict)
 
     @cached_property
     def system(self):
@@ -126,12 +128,13 @@ class Spot:
         """Return columns and rows of the sensor: odd, so that its middle is a pixel's."""
         return tuple(2 * int(FILL * self.circle_um * part / pitch_um) - 1 for part in ASPECT)
 
-    def view(self, number: int) -> View:
-        """Return what the image sees at a probe."""
-        if number not in self.views:
+    def view(self, number: int, lines: int = LINES[0]) -> View:
+        """Return what the image sees at a probe, at so many wavelengths."""
+        if (number, lines) not in self.views:
             point = tuple(a + b for a, b in zip(self.middle_um, PROBES_UM[number], strict=True))
-            self.views[number] = view(self.system, point, np.linspace(400, 700, LINES))
-        return self.views[number]
+            seen = view(self.system, point, np.linspace(400, 700, lines))
+            self.views[number, lines] = seen
+        return self.views[number, lines]
 
     def to_ideal(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the ideal plane's point of the tile's middle, and its change per um (2, 2)."""
@@ -239,18 +242,22 @@ def cell(spot: Spot, pitch_um: float, scene_name: str, tolerance: float, judged:
     if judged:
         started = time.perf_counter()
         judge = Judge(spot.system, sensor, scene, WAVELENGTHS_NM)
-        errors, bounds = [], []
+        errors, bounds, traced = [], [], []
         for number, offset in enumerate(PROBES_UM[:judged]):
             col, row = (at + round(off / pitch_um) for at, off in zip(middle, offset, strict=True))
-            seen = spot.view(number)
-            truth = judge.pixel(seen, row, col)
+            for lines in LINES:
+                truth = judge.pixel(spot.view(number, lines), row, col)
+                if truth.colours <= 0.5 * tolerance * truth.rate:
+                    break
             found = float(capture.rate[row - tile[1], col - tile[0]])
             errors.append(found / truth.rate - 1)
-            bounds.append(truth.bound / truth.rate)
+            bounds.append((truth.bound + truth.colours) / truth.rate)
+            traced.append(lines)
         rms = float(np.sqrt(np.mean(np.square(errors))))
         out |= {
             "errors": errors,
             "judge_rms": rms,
+            "judge_lines": traced,
             "judge_bound": float(np.sqrt(np.mean(np.square(bounds)))),
             "beyond": max(float(spot.view(n).beyond.max()) for n in range(judged)),
             "judge_s": round(time.perf_counter() - started, 2),

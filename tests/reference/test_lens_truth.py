@@ -236,3 +236,19 @@ def test_the_judge_does_not_hang_on_its_grids(gauss):
         seen = view(gauss, judge.point_um(row, col), lines, **more)
         found.append(judge.pixel(seen, row, col).rate)
     assert np.array(found[1:]) == pytest.approx(found[0], rel=1e-4)
+
+
+def test_what_splines_over_wavelengths_hide_is_told(gauss):
+    """Beside an edge, and with a filter that passes one of the table's wavelengths alone."""
+    subject = scene(Rect(1500 - 9.0 * PITCH_UM, -560.0, 400, 300, 0.1, 1))
+    table = WAVELENGTHS_NM[:33:4]
+    subject.spectra = subject.spectra[:, :33:4]
+    judge = Judge(gauss, sensor(table[3]), subject, table)
+    row, col = 60, 330
+    coarse, all_of_them = (
+        judge.pixel(view(gauss, judge.point_um(row, col), lines, nodes=256), row, col)
+        for lines in (table[::2], table)
+    )
+    assert all_of_them.colours == 0.0
+    error = abs(coarse.rate - all_of_them.rate)
+    assert 0 < error <= coarse.colours
