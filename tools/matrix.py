@@ -37,7 +37,7 @@ from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
 from gpusim.reference.lens_truth import Judge, View, view
-from gpusim.render import Renderer
+from gpusim.render import capture as render
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
@@ -222,13 +222,17 @@ def cell(spot: Spot, pitch_um: float, scene_name: str, tolerance: float, judged:
     tile = (middle[0] - TILE_PX // 2, middle[1] - TILE_PX // 2, TILE_PX, TILE_PX)
     started = time.perf_counter()
     try:
-        renderer = Renderer(camera, scene, Accuracy(tolerance, CERTIFICATE), noise=False)
+        capture = render(
+            camera,
+            scene,
+            exposure_s=0.01,
+            accuracy=Accuracy(tolerance, CERTIFICATE),
+            tile=tile,
+            keep=("rate",),
+            noise=False,
+        )
     except UserError as error:
         return {"verdict": "refused", "reason": error.problem}
-    try:
-        capture = renderer.capture(0.01, tile=tile, keep=("rate",))
-    finally:
-        renderer.release()
     certificate = capture.certificate
     out = {
         "predicted": predicted(capture.plan),
