@@ -8,6 +8,7 @@ the sine of the micro-lenses' angle is taken off, towards the axis. EQE is trili
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -38,10 +39,8 @@ class MeanQe:
             passed = np.interp(wavelengths_nm, one.wavelengths_nm, one.transmission)
             over = over * passed[:, None, None, None]
         # One theta stands for all, as far as the sensor's maker says.
-        self.table = RegularGridInterpolator(
-            (np.array(measured.theta_deg), phi), np.moveaxis(over, 0, -2)
-        )
-        self.first_phi = phi[0]
+        self.theta, self.phi = np.array(measured.theta_deg, float), phi
+        self.table = np.moveaxis(over, 0, -2)  # (thetas, phis, K, C)
         turns = len(phi) > 2 and np.ptp(cubes, axis=2).max() > 0
         self.turns = bool(turns) and not hasattr(bank, "field_x_deg")
 
@@ -58,12 +57,32 @@ class MeanQe:
             inwards = -np.sin(np.deg2rad(angle)) * place / height
         found = []
         for rays in cone.astype(np.float64):
+            rays = rays[rays[:, 2] > 0]
             direction = (rays[:, 0] + inwards[0]) + 1j * (rays[:, 1] + inwards[1])
-            direction = (direction * np.exp(1j * turn))[rays[:, 2] > 0]
+            direction = direction * np.exp(1j * turn)
             # Farther out than the map only beyond the sensor: there it goes on as it ends.
             theta = np.rad2deg(np.arcsin(np.minimum(np.abs(direction), 1)))
-            theta = np.minimum(theta, self.table.grid[0][-1])
-            phi = (np.rad2deg(np.angle(direction)) - self.first_phi) % 360.0 + self.first_phi
-            answers = self.table(np.stack([theta, phi], axis=-1))
-            found.append(np.tensordot(rays[rays[:, 2] > 0, 2], answers, axes=1))
-        return np.stack(found)
+            theta = np.minimum(theta, self.theta[-1])
+            phi = (np.rad2deg(np.angle(direction)) - self.phi[0]) % 360.0 + self.phi[0]
+            found.append(self._on_map(theta, phi, rays[:, 2]))
+        return np.tensordot(np.stack(found), self.table, axes=2)
+
+    def _on_map(self, theta: np.ndarray, phi: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Return shares of rays (R,) laid on the map's angles (thetas, phis), bilinearly.
+
+        The mean over rays is then one sum over the map, however many rays and wavelengths.
+        """
+        shape = len(self.theta), len(self.phi)
+        laid = np.zeros(math.prod(shape))
+        for i, of_theta in _around(self.theta, theta):
+            for j, of_phi in _around(self.phi, phi):
+                at = np.ravel_multi_index((i, j), shape)
+                laid += np.bincount(at, share * of_theta * of_phi, laid.size)
+        return laid.reshape(shape)
+
+
+def _around(grid: np.ndarray, at: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the values of a grid below and above places: their indices, and each one's weight."""
+    low = np.clip(np.searchsorted(grid, at, side="right") - 1, 0, len(grid) - 2)
+    weight = (at - grid[low]) / (grid[low + 1] - grid[low])
+    return [(low, 1 - weight), (low + 1, weight)]
