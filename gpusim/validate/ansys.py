@@ -94,8 +94,10 @@ class Reading:
 
 def weights(sensor: Sensor, lamp: str = LAMP) -> tuple[np.ndarray, np.ndarray]:
     """Return wavelengths (K,) and the electrons that the light makes in each, relative."""
-    nm = grid_nm(*BAND_NM)
-    white = make_scene("grey", LUMINANCE_CD_M2, lamp).on(nm).white
+    scene = make_scene("grey", LUMINANCE_CD_M2, lamp)
+    # Renders end where the lamp's own data do: D50 at 830 nm.
+    nm = grid_nm(BAND_NM[0], min(BAND_NM[1], *(one.last_nm for one in scene.known)))
+    white = scene.on(nm).white
     (qe,) = sensor.qe_at(nm).values()
     ends = np.ones(nm.size)
     ends[[0, -1]] = 0.5

@@ -238,6 +238,15 @@ class Predictor:
         total = (band.weight * light) @ about
         return LineSpread(frequency, total / total[0], float(total[0].real))
 
+    def spot_um(self, field_rad: float, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean (L,) and standard deviation (L,) of the rays along a normal, at the nodes.
+
+        About the chief ray's point; ``normal`` is (across the radius, along it).
+        """
+        found = [pupils.spot_um(field_rad, normal) for pupils in self._pupils]
+        mean, deviation = np.array(found).T
+        return mean, deviation
+
     def _transfer(
         self, field: float, normal: np.ndarray, line: int, frequency: np.ndarray
     ) -> np.ndarray:
@@ -337,6 +346,13 @@ class _Pupils:
         otf = np.zeros(frequency.size, complex)
         otf[reached] = own(frequency[reached])
         return otf
+
+    def spot_um(self, field: float, normal: np.ndarray) -> tuple[float, float]:
+        """Return mean and standard deviation of where rays land along a normal."""
+        share, light, path_mm, step = self.seen(field, normal)
+        weight, away_um = share * light, -1e3 * np.gradient(path_mm, step, axis=1)
+        mean = float((weight * away_um).sum() / weight.sum())
+        return mean, float(np.sqrt((weight * (away_um - mean) ** 2).sum() / weight.sum()))
 
     def ray_transfer(self, field: float, normal: np.ndarray, frequency: np.ndarray) -> np.ndarray:
         """Return the same of the rays alone."""

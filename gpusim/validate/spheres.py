@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.system import System, conjugates, first_order
-from gpusim.validate.tracers import Bundle
+from gpusim.validate.tracers import PLANE_NM, Bundle
 
 AIM_MM = 1e-11  # of the stop's radius, some 0.3 mm, 3e-11: 1e-8 um at the image
 STEP_MM = 1e-4  # of the slope for Newton's rule
@@ -60,7 +60,7 @@ class SphereTracer:
         paraxial = first_order(prescription)
         self.pupil_mm = paraxial.entrance_pupil_z_mm
         self.pupil_radius_mm = paraxial.entrance_pupil_diameter_mm / 2
-        self.efl_mm = conjugates(prescription).principal_distance_mm
+        self.efl_mm = conjugates(prescription, PLANE_NM).principal_distance_mm
         # A ray beyond any of these is stopped.
         self.clear_mm = np.array(system.semi_diameter_mm, float)
         self.clear_mm[self.stop] = min(self.clear_mm[self.stop], system.stop_radius_mm)

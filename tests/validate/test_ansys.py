@@ -6,60 +6,21 @@ is tested without the engine; the whole command runs behind the marker ``slow``.
 
 import json
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ansys_findings import READING, drawn, even, sharp
 from command_line import gpusim
-from scipy.ndimage import gaussian_filter
 
 from gpusim.lens.system import build
-from gpusim.metrics.distortion import measure_distortion
-from gpusim.metrics.picture import Plane
-from gpusim.validate import ansys
+from gpusim.validate import ansys, ansys_mtf
 from gpusim.validate.spheres import SphereTracer
 from gpusim.validate.tracers import OwnTracer
-
-READING = ansys.READINGS[0]
-SUB = 4  # samples of a pixel along each side
 
 
 @pytest.fixture(scope="module")
 def lens():
     return ansys.LensData(READING.lens, *ansys.weights(READING.sensor))
-
-
-def ideal_places(lens, stretch=0.0):
-    """Return x and y (N, N) of samples on the ideal plane, mm; radii stretched by a share."""
-    count = READING.pixels * SUB
-    at = (np.arange(count) + 0.5 - count / 2) * 1e-3 * READING.pitch_um / SUB
-    radius = np.hypot(at, at[:, None])
-    half = READING.pixels * READING.pitch_um * 5e-4
-    moved = radius * (1 + stretch * (radius / half) ** 2)
-    scale = np.interp(moved, lens.real_mm, lens.ideal_mm) / radius
-    return scale * at, scale * at[:, None]
-
-
-def pixels(samples):
-    """Return pixels of samples, slightly blurred as a lens does."""
-    soft = gaussian_filter(samples, 0.7 * SUB)
-    return soft.reshape(READING.pixels, SUB, READING.pixels, SUB).mean(axis=(1, 3))
-
-
-def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
-    """Return what a reading would give whose renders follow a lens."""
-    x, y = ideal_places(lens, stretch)
-    side = 2 * x.max() / 20
-    # Soft edges: hard ones between samples would move corners by hundredths of a pixel.
-    soft = np.tanh(6 * np.sin(np.pi * x / side) * np.sin(np.pi * y / side))
-    board = pixels((ansys.BRIGHT + ansys.DARK + (ansys.BRIGHT - ansys.DARK) * soft) / 2)
-    plane = Plane(board, None, (-math.inf, math.inf))
-    peaks = []
-    for period in ansys.PERIODS_PX:
-        wave = np.cos(2 * np.pi * frequency * x / (1e-3 * period * READING.pitch_um))
-        peaks.append(ansys.peak_of(pixels(wave), READING, lens, period))
-    captures = {"all": SimpleNamespace(certificate=SimpleNamespace(total_rms=rms))}
-    return board, measure_distortion({"W": plane}), peaks, captures
 
 
 def lost(predicted, pictures):
@@ -121,14 +82,34 @@ def test_a_certificate_that_is_not_met_is_seen(lens):
     assert lost(lens, drawn(lens, rms=1.1 * ansys.TOLERANCE)) == {"certificates"}
 
 
-@pytest.mark.slow
-def test_the_command_holds_all_bars(tmp_path):
-    """It takes minutes, so all is looked at in one test."""
+@pytest.mark.parametrize("share", [1.0, 1.1])
+def test_the_command_writes_its_pages_and_ends_with_1_where_a_bar_is_lost(
+    lens, tmp_path, monkeypatch, share
+):
+    board, distortion, peaks, captures = drawn(lens)
+    found = ansys.Read(READING, lens, distortion, board, peaks, captures)
+    monkeypatch.setattr(ansys, "read", lambda one, progress: found)
+    made = sharp(rms=share * ansys_mtf.TOLERANCE)
+    monkeypatch.setattr(ansys_mtf, "sharpness", lambda one, shifts_um, progress: made)
+    monkeypatch.setattr(ansys_mtf, "even_scene", lambda one: even())
     ended = gpusim("validate", "ansys", "--out", tmp_path)
     facts = json.loads((tmp_path / "ansys.json").read_text())
-    assert [bar["name"] for bar in facts["bars"] if not bar["held"]] == []
-    assert [len(one["peaks"]) for one in facts["readings"]] == [3, 3]
-    assert ended.code == 0
+    lost = [bar["name"] for bar in facts["bars"] if not bar["held"]]
+    assert bool(lost) == ended.code == (share > 1)
+    assert (tmp_path / "ansys.html").exists() and len(list(tmp_path.glob("*.png"))) == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reading", ansys.READINGS, ids=lambda one: one.name[:11])
+def test_rendered_distortion_and_waves_hold_their_bars(reading):
+    assert [bar.name for bar in ansys.read(reading).bars() if not bar.held] == []
+
+
+@pytest.mark.slow
+def test_rendered_edges_hold_their_bars():
+    """One reading, without focus, whose lens is prepared for each position of the image plane."""
+    found = ansys_mtf.sharpness(ansys.READINGS[-1])
+    assert [bar.name for bar in found.bars() if not bar.held] == []
 
 
 def test_a_tracer_of_spheres_refuses_other_lenses():

@@ -1,0 +1,95 @@
+"""The Ansys paper's equation 1: electrons of an even scene by a map of efficiencies over angle.
+
+    N = t sum over l of (l / h c) <EQE(l)> I(l) A,
+
+with I the irradiance at the pixel and < > the mean over the rays that arrive there. The engine
+folds the map over the lens's cone; here it is averaged directly over rays through spheres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gpusim.camera import Camera
+from gpusim.plan import Accuracy
+from gpusim.render import Capture, Renderer
+from gpusim.scene.scene import Scene
+from gpusim.validate.ansys import EXPOSURE_S, PROBES
+from gpusim.validate.averaging import Averaging, photons_per_s
+from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certified
+from gpusim.validate.predict import Band, Predictor
+
+EVEN_AT = ((0, 0), (0.5, 0), (0, 0.9), (0.9, 0.9))  # of the way to the sides, right and down
+EVEN = 8  # pixels of the tiles over which electrons are averaged
+BAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Electrons:
+    """Electrons of an even scene at a place, mm: rendered, and by equation 1 from rays."""
+
+    x_mm: float
+    y_mm: float
+    measured: float
+    predicted: float
+
+
+@dataclass(frozen=True, eq=False)
+class EvenScene:
+    """Electrons of an even scene at places of the picture, and a capture with its certificate."""
+
+    places: list[Electrons]
+    capture: Capture
+
+    def bars(self) -> list[Bar]:
+        """Return what has to hold."""
+        errors = [one.measured / one.predicted - 1 for one in self.places]
+        total = [self.capture.certificate.total_rms]
+        return [
+            Bar.largest("electrons by equation 1", errors, BAR, "of them"),
+            Bar.largest("certificate of the even scene, total RMS", total, BAR, "of the signal"),
+        ]
+
+
+def electrons_of(camera: Camera, scene: Scene, predictor: Predictor, band: Band) -> EvenScene:
+    """Return electrons of an even scene at places of a square picture.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its sensor has efficiencies by angle.
+    scene : Scene
+    predictor : Predictor
+        Of the whole picture.
+    band : Band
+        Whose wavelengths the sensor sees.
+    """
+    sensor, nm = camera.sensor, band.wavelengths_nm
+    pitch_mm, side = 1e-3 * sensor.pixel_pitch_um, sensor.cols
+    averaging, found = Averaging(sensor, predictor), []
+    tiles = [
+        (round(side / 2 * (1 + x) - EVEN / 2), round(side / 2 * (1 + y) - EVEN / 2), EVEN, EVEN)
+        for x, y in EVEN_AT
+    ]
+
+    def taken(renderer: Renderer, number: int) -> Capture:
+        return renderer.capture(EXPOSURE_S, tile=tiles[number], keep=("rate",))
+
+    renderer, first = certified(
+        Accuracy(BAR, PROBES),
+        lambda accuracy: Renderer(camera, scene, accuracy, noise=False),
+        lambda renderer: taken(renderer, 0),
+    )
+    try:
+        for number, (left, top, _, _) in enumerate(tiles):
+            capture = taken(renderer, number) if number else first
+            x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
+            photons = photons_per_s(scene.on(nm), predictor, sensor, math.hypot(x_mm, y_mm))
+            (share,) = averaging.at(x_mm, y_mm, nm).values()
+            measured = float(capture.rate.mean()) * EXPOSURE_S
+            found.append(Electrons(x_mm, y_mm, measured, float(photons @ share) * EXPOSURE_S))
+    finally:
+        renderer.release()
+    return EvenScene(found, first)

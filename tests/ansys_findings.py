@@ -1,0 +1,107 @@
+"""Findings of the Ansys validation without renders: from the rays of its lens and closed forms."""
+
+import functools
+import math
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.special import erf
+
+from gpusim.metrics.distortion import measure_distortion
+from gpusim.metrics.picture import Plane
+from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
+from gpusim.validate import ansys, ansys_mtf, ansys_noise
+from gpusim.validate.ansys_electrons import Electrons, EvenScene
+
+READING = ansys.READINGS[0]
+F = FREQUENCIES_CY_PX
+SUB = 4  # samples of a pixel along each side
+
+
+def ideal_places(lens, stretch=0.0):
+    """Return x and y (N, N) of samples on the ideal plane, mm; radii stretched by a share."""
+    count = READING.pixels * SUB
+    at = (np.arange(count) + 0.5 - count / 2) * 1e-3 * READING.pitch_um / SUB
+    radius = np.hypot(at, at[:, None])
+    half = READING.pixels * READING.pitch_um * 5e-4
+    moved = radius * (1 + stretch * (radius / half) ** 2)
+    scale = np.interp(moved, lens.real_mm, lens.ideal_mm) / radius
+    return scale * at, scale * at[:, None]
+
+
+def pixels(samples):
+    """Return pixels of samples, slightly blurred as a lens does."""
+    soft = gaussian_filter(samples, 0.7 * SUB)
+    return soft.reshape(READING.pixels, SUB, READING.pixels, SUB).mean(axis=(1, 3))
+
+
+def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
+    """Return what a reading would give whose renders follow a lens."""
+    x, y = ideal_places(lens, stretch)
+    side = 2 * x.max() / 20
+    # Soft edges: hard ones between samples would move corners by hundredths of a pixel.
+    soft = np.tanh(6 * np.sin(np.pi * x / side) * np.sin(np.pi * y / side))
+    board = pixels((ansys.BRIGHT + ansys.DARK + (ansys.BRIGHT - ansys.DARK) * soft) / 2)
+    plane = Plane(board, None, (-math.inf, math.inf))
+    peaks = []
+    for period in ansys.PERIODS_PX:
+        wave = np.cos(2 * np.pi * frequency * x / (1e-3 * period * READING.pitch_um))
+        peaks.append(ansys.peak_of(pixels(wave), READING, lens, period))
+    certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
+    captures = {"all": SimpleNamespace(certificate=certificate)}
+    return board, measure_distortion({"W": plane}), peaks, captures
+
+
+def frames_of(count, factor=1.0):
+    """Return a soft edge's mean and frames with shot and read noise; the noise times a factor."""
+    y, x = np.mgrid[:64, :64] + 0.5
+    mean = 3000 + 3000 * (0.5 + 0.5 * erf((x - 32 - math.tan(ansys_mtf.TILT_RAD) * (y - 32)) / 1.2))
+    draw = np.random.default_rng(8)
+    noise = [draw.poisson(mean) - mean + draw.normal(0, 5.0, mean.shape) for _ in range(count)]
+    return mean, [mean + factor * one for one in noise]
+
+
+@functools.cache
+def noise_of(count, factor=1.0):
+    mean, frames = frames_of(count, factor)
+    region = (0, 0, 64, 64)
+    clean = measure_sfr(mean, region)
+    given = clean.distance_px, clean.lsf, 3000.0, 6000.0, 5.0, 64 / math.cos(ansys_mtf.TILT_RAD)
+    expected = ansys_noise.sfr_deviation(*given, clean.rise_px)
+    curves = np.array([measure_sfr(one, region).sfr for one in frames])
+    reach = float(clean.distance_px[-1])
+    return ansys_noise.Noise(3, curves, clean.sfr, expected, reach)
+
+
+def sharp(**planted):
+    """Return a reading whose renders are as predicted, but for what is planted."""
+    curve = np.exp(-2 * F)
+    off = planted.get("sfr", 0.0)
+    edge = SimpleNamespace(
+        mtf_error=off, error_px=0.0, measured_mtf=curve + off * (F > 0.5), predicted_mtf=curve
+    )
+    edges = {(name, n): edge for name in ("electrons", "irradiance") for n in ansys_mtf.ROIS}
+    noise = dict.fromkeys(ansys_mtf.ROIS, noise_of(20, planted.get("noise", 1.0)))
+    focus = [
+        ansys_mtf.Focus(shift, np.exp(-(2 + abs(shift) / 20) * F) * (1 + 0 * F),
+                        np.exp(-(2 + planted.get("focus", 1.0) * abs(shift) / 20) * F))
+        for shift in (-10.0, 0.0, 10.0, 20.0)
+    ]  # fmt: skip
+    certificate = SimpleNamespace(
+        total_rms=planted.get("rms", 1e-4), total_worst=1e-3, met=True, probes=8
+    )
+    captures = {"all": SimpleNamespace(certificate=certificate)}
+    names = "diffraction limit", "rays alone", "lens", "lens and pixel", "Gaussian", "no colour"
+    models = dict.fromkeys((*names, "Gaussian, no colour"), np.ones(F.size))
+    boxes = {1: (0, 0, 5, 5), 3: (2, 2, 5, 5)}
+    return ansys_mtf.Sharpness(
+        READING, 2.88, edges, noise, focus, models, captures, np.zeros((8, 8)), boxes
+    )
+
+
+def even(off=0.0, rms=1e-4):
+    """Return an even scene whose electrons are off by a share."""
+    certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
+    places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0)]
+    return EvenScene(places, SimpleNamespace(certificate=certificate))

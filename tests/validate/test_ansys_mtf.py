@@ -1,0 +1,164 @@
+"""The Ansys report's sharpness: its closed forms, and its bars with errors planted.
+
+Pictures are drawn from predicted line spreads in place of renders; renders are compared in
+``test_ansys.py``, behind the marker ``slow``.
+"""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from ansys_findings import READING, F, even, noise_of, sharp
+from scipy.interpolate import BSpline
+
+from gpusim.validate import ansys_mtf, ansys_noise, ansys_pixel
+from gpusim.validate.edges import compare, predicted_lsf, region_of
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    side = {"rows": ansys_mtf.CROP_PX, "cols": ansys_mtf.CROP_PX}
+    return READING.sensor.model_copy(update=side)
+
+
+@pytest.fixture(scope="module")
+def predictor(sensor):
+    return ansys_mtf.predictor_of(READING.lens, sensor, 104)
+
+
+def test_what_splines_keep_of_white_noise():
+    """Against fits by least squares of a thousand white signals."""
+    knots_px, count = 2.0, 240
+    at = (np.arange(16 * count) + 0.5) * knots_px * 60 / (16 * count)
+    edges = np.arange(-3, 64) * knots_px
+    design = BSpline.design_matrix(at, edges, 3).toarray()
+    noise = np.random.default_rng(3).normal(size=(at.size, 1000))
+    fitted = design @ np.linalg.lstsq(design, noise, rcond=None)[0]
+    window = np.hanning(at.size)[:, None]
+    kept = []
+    for frequency in (0.05, 0.2, 0.25, 0.3, 0.4):
+        wave = np.exp(-2j * np.pi * frequency * at)
+        power = [np.mean(np.abs(wave @ (window * of)) ** 2) for of in (fitted, noise)]
+        kept.append(power[0] / power[1])
+    expected = ansys_noise.kept(np.array([0.05, 0.2, 0.25, 0.3, 0.4]), np.array([knots_px]))[:, 0]
+    # 1000 draws of a squared modulus: 3 %; the window's width in frequency on the slope the rest.
+    np.testing.assert_allclose(kept, expected, atol=0.06)
+    # At the knots' own Nyquist frequency half, less the waves beyond: 3^-8 of it.
+    assert expected[2] == pytest.approx(0.5, abs=1e-4)
+
+
+def test_the_noise_of_an_edge_is_that_of_the_closed_form():
+    noise = noise_of(40)
+    assert ansys_noise.bar_of("noise", [noise]).held
+    at = noise.judged
+    ratio = np.sqrt(np.mean((noise.sigma[at] / noise.expected[at]) ** 2))
+    # 40 draws at some 25 frequencies: 1 / sqrt(2 x 39 x 25) = 2.3 %, three times that; the edge's
+    # own angle is found anew in each frame, which adds up to 5 %.
+    assert ratio == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6])
+def test_noise_of_another_size_is_seen(factor):
+    assert not ansys_noise.bar_of("noise", [noise_of(20, factor)]).held
+
+
+def test_where_the_response_vanishes_nothing_is_judged():
+    noise = noise_of(20)
+    flat = replace(noise, clean=np.where(F > 0.4, 0.0, 1.0))
+    assert F[flat.judged].max() <= 0.4
+    assert (np.diff(F[flat.judged]) * flat.reach_px > 0.99).all()
+
+
+def test_the_pixel_has_the_published_efficiency_along_the_normal(sensor):
+    own = ansys_pixel.angular(sensor)
+    nm = ansys_pixel.MAPPED_NM
+    np.testing.assert_allclose(own.qe_at(nm)["W"], sensor.qe_at(nm)["W"], rtol=1e-12)
+    optical = np.array(own.eqe_map.channels["W"].oe)
+    internal = np.array(own.eqe_map.channels["W"].iqe)
+    assert 0 <= optical.min() and optical.max() < 1 and internal.max() < 1
+    assert (np.diff(optical.mean(axis=(0, 2))) <= 0).all()  # less, the farther from the normal
+
+
+def test_the_coating_is_that_of_a_quarter_wave(monkeypatch):
+    """Born & Wolf 1999, eq. 1.6.61: R = ((n1 n3 - n2^2) / (n1 n3 + n2^2))^2."""
+    monkeypatch.setattr(ansys_pixel, "silicon", lambda nm: 4.0 + 0j)
+    at_nm = 4 * ansys_pixel.NITRIDE * ansys_pixel.COATING_NM
+    first, layer = ansys_pixel.RESIN, ansys_pixel.NITRIDE
+    coating = ((first * 4 - layer**2) / (first * 4 + layer**2)) ** 2
+    lens = ((1 - first) / (1 + first)) ** 2
+    found = ansys_pixel.into_silicon(at_nm, np.zeros(1))
+    assert found[0] == pytest.approx((1 - coating) * (1 - lens), rel=1e-12)
+
+
+def test_light_passes_the_opening_until_the_spot_meets_its_side():
+    shift = (ansys_pixel.OPENING - ansys_pixel.SPOT) / 2 / ansys_pixel.DEPTH
+    inside = math.sin(math.atan(shift))
+    theta = np.arcsin(ansys_pixel.RESIN * inside * np.array([0.99, 1.2]))
+    whole, cut = ansys_pixel.opening(theta, np.zeros(1))[:, 0]
+    assert whole == 1.0 and 0.9 > cut > 0.8  # a fifth of 0.15 of the pitch, of a spot of 0.3
+
+
+def drawn(sensor, predictor, number, seen=None):
+    """Return an edge of the square as a predictor's line spread and another sensor show it."""
+    place, target = ansys_mtf.edge_of(number, sensor, predictor)
+    left, top, width, height = region_of(place, target.axis, sensor)
+    y, x = np.mgrid[top : top + height, left : left + width] + 0.5
+    fine = np.arange(-60.0, 60.0, 1 / 32)
+    band = ansys_mtf.band_of(sensor)
+    lsf, normal = predicted_lsf(place, target, band, seen or sensor, predictor, fine)
+    rise = np.cumsum(lsf) / lsf.sum()
+    way = (x - sensor.cols / 2 - place.x) * normal[0] + (y - sensor.rows / 2 - place.y) * normal[1]
+    return place, target, band, 1 + np.interp(way, fine + 1 / 64, rise)
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_edges_as_predicted_are_found_so(sensor, predictor, number):
+    place, target, band, picture = drawn(sensor, predictor, number)
+    found = compare(place, target, band, picture, sensor, predictor)
+    assert found.mtf_error < 0.002 and abs(found.error_px) < 0.002
+
+
+def test_a_wrong_aperture_and_a_wrong_focus_are_seen(sensor, predictor):
+    smaller = sensor.model_copy(update={"fill_factor": 0.9})
+    given = drawn(sensor, predictor, 3, smaller)
+    found = compare(*given, sensor, predictor)
+    assert found.mtf_error > ansys_mtf.SFR_BAR
+    moved = ansys_mtf.predictor_of(READING.lens.defocused(15.0), sensor, 104)
+    *others, picture = drawn(sensor, predictor, 3)
+    assert compare(*others, picture, sensor, moved).mtf_error > ansys_mtf.SFR_BAR
+
+
+def test_simpler_models_lie_where_optics_puts_them(sensor, predictor):
+    place, target = ansys_mtf.edge_of(3, sensor, predictor)
+    square = SimpleNamespace(sensor=sensor, predictor=predictor, edges={3: (place, target)})
+    found = ansys_mtf.models_of(square, READING.lens)
+    assert all(curve[0] == pytest.approx(1, abs=1e-6) for curve in found.values())
+    # No lens passes more than the diffraction limit (Goodman 2005, sec. 6.4.3); 0.002 for the
+    # working f-number, which is that of the axis.
+    assert (found["lens"] <= found["diffraction limit"] + 0.002).all()
+    assert (found["lens and pixel"] <= found["lens"] + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("planted", "value"),
+    [("sfr", 0.011), ("noise", 1.6), ("focus", 1.05), ("rms", 5.5e-4)],
+)
+def test_each_planted_error_breaks_its_bar(planted, value):
+    names = {"sfr": "SFR of ROI", "noise": "sigma of SFR", "focus": "loss by focus",
+             "rms": "certificates of"}  # fmt: skip
+    assert all(bar.held for bar in sharp().bars())
+    (lost,) = [bar.name for bar in sharp(**{planted: value}).bars() if not bar.held]
+    assert lost.startswith(names[planted])
+
+
+def test_electrons_that_equation_1_does_not_have_are_seen():
+    assert all(bar.held for bar in even().bars())
+    assert [bar.held for bar in even(off=-1.1e-3).bars()] == [False, True]
+    assert [bar.held for bar in even(rms=1.1e-3).bars()] == [True, False]
+
+
+def test_q_is_the_papers_equation():
+    # 2 lambda N / p: 2 x 0.55 um x 2.88 / 3.959 um.
+    assert sharp().q == pytest.approx(0.8001, abs=1e-4)
