@@ -10,6 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
+from gpusim.batch.cost import Cost, cost_of
 from gpusim.batch.page import batch_page
 from gpusim.batch.run import Outcome, run, status
 from gpusim.batch.sweep import Sweep
@@ -39,7 +40,9 @@ def run_batch(
         raise UserError("no worker", field="--workers", value=workers, allowed="1 or more")
     sweep = Sweep.load(path)
     if dry_run:
-        _say(_plan(sweep, out), show)
+        with screen.progress_bar(show != "nothing") as progress:
+            cost = cost_of(sweep, progress)
+        _say(_plan(sweep, out, cost), show)
         return 0
     if only_status:
         found = status(sweep, out)
@@ -68,7 +71,7 @@ def run_batch(
     return 0 if not outcome.failed and not outcome.missing and not facts["unmet"] else 1
 
 
-def _plan(sweep: Sweep, out: Path) -> dict[str, Any]:
+def _plan(sweep: Sweep, out: Path, cost: Cost) -> dict[str, Any]:
     """Return what a sweep would do."""
     frames = sweep.frames
     read = frames[0].sensor().frame.read
@@ -79,6 +82,9 @@ def _plan(sweep: Sweep, out: Path) -> dict[str, Any]:
         "frames": len(frames),
         "lights": len({frame.light_key for frame in frames}),
         "pixels_a_frame": pixels,
+        "planned_s_a_light": round(cost.light_s, 3),
+        "planned_s_a_frame": round(cost.frame_s, 4),
+        "planned_s": round(cost.all_s, 3),
         "disk_at_most_MB": round(need / 1e6, 3),
         "disk_free_MB": round(shutil.disk_usage(folder).free / 1e6),
         "first": {"scene": frames[0].scene, **frames[0].settings},

@@ -83,6 +83,23 @@ def only(context: typer.Context, option: str, *allowed: str) -> None:
             )
 
 
+def folder_of(out: Path | None, *, needed: bool) -> Path:
+    """Return the folder for a command's files, this one where none is needed and none is given.
+
+    Raises
+    ------
+    UserError
+        There is none, and the command writes files.
+    """
+    if out is None and needed:
+        raise UserError(
+            "there is no folder for the files",
+            field="--out",
+            allowed="a folder, which is made if need be; --dry-run needs none",
+        )
+    return out or Path()
+
+
 def choose_adapter(name: str | None) -> None:
     """Make the named adapter the one that this process opens."""
     if name is not None:

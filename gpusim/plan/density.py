@@ -69,7 +69,7 @@ ROUNDS = 3  # of halving
 # quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
 # the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
 COARSE = 512
-MOST_SAMPLES = 2**27  # of all PSFs: half a GiB
+MOST_SAMPLES = 2**28  # of all PSFs: a GiB
 # Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
 # t = -1/2 and 1/2 over that half-way.
 MEAN = 0.5167
@@ -150,7 +150,7 @@ class Density:
         fields, lines = len(self.field_deg), len(self.wavelengths_nm)
         return (
             f"between {fields} fields and {lines} wavelengths the lens's PSFs are interpolated, "
-            f"which errs by {self.worst:.1e}, and a bank takes no more than half a GiB"
+            f"which errs by {self.worst:.1e}, and a bank takes no more than a GiB"
         )
 
     @property

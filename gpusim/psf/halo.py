@@ -29,6 +29,7 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import map_coordinates
+from scipy.sparse import csr_array
 
 from gpusim.lens.wavefront import Pupil
 
@@ -493,18 +494,28 @@ def _far_rays(
     """Return shares (M,) of the light and landing points (2, M) of rays beyond a radius."""
     if not wave.lands_beyond(radius_um):
         return np.zeros(0), np.zeros((2, 0))
-    rows, cols = wave.light.shape
-    fine = (np.arange(RAYS_PER_NODE) + 0.5) / RAYS_PER_NODE - 0.5
-    at = np.meshgrid(
-        (np.arange(rows)[:, None] + fine).ravel(),
-        (np.arange(cols)[:, None] + fine).ravel(),
-        indexing="ij",
-    )
-    light = map_coordinates(wave.light, at, order=1, mode="constant")
+    down, across = (_finer(count) for count in wave.light.shape)
     # Straight lines: beyond the rim slopes run wild, and a spline of them all would ring inside.
-    landing = np.stack([-map_coordinates(one, at, order=1) for one in slope])
+    light, *landing = (down @ (across @ one.T).T for one in (wave.light, *slope))
+    landing = -np.stack(landing)
     there = (light > 0) & (np.hypot(*landing) > 0.8 * radius_um)
     return light[there] / light.sum(), landing[:, there]
+
+
+def _finer(count: int) -> csr_array:
+    """Return what leads from nodes to `RAYS_PER_NODE` places about each, along straight lines.
+
+    0 at places beyond the outer nodes.
+    """
+    each = (np.arange(RAYS_PER_NODE) + 0.5) / RAYS_PER_NODE - 0.5
+    at = (np.arange(count)[:, None] + each).ravel()
+    between = (at >= 0) & (at <= count - 1)
+    low = np.clip(np.floor(at).astype(int), 0, max(count - 2, 0))
+    part = at - low
+    rows = np.tile(np.arange(len(at)), 2)
+    weights = np.concatenate([(1 - part) * between, part * between])
+    cols = np.concatenate([low, np.minimum(low + 1, count - 1)])
+    return csr_array((weights, (rows, cols)), shape=(len(at), count))
 
 
 def _deposited(light: np.ndarray, place: np.ndarray) -> np.ndarray:

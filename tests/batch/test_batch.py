@@ -187,11 +187,23 @@ def test_a_frame_that_fails_is_told_and_the_others_are_there(folder: Path):
     assert len(status(sweep, out).done) == 2
 
 
-def test_the_dry_run_counts(folder: Path):
-    done = run(written(folder), "--out", folder / "out", "--dry-run", "--json")
+def test_the_dry_run_counts_and_plans(folder: Path):
+    before = set(folder.iterdir())
+    axes = {"seed": {"range": [0, 6]}, "luminance_cd_m2": [100, 200]}
+    done = run(written(folder, axes=axes), "--dry-run", "--json")
     facts = json.loads(done.output)
-    assert facts["frames"] == 12 and facts["lights"] == 1 and facts["pixels_a_frame"] == 32 * 48
-    assert not (folder / "out").exists()
+    assert facts["frames"] == 12 and facts["lights"] == 2 and facts["pixels_a_frame"] == 32 * 48
+    light, frame = (facts[f"planned_s_a_{what}"] for what in ("light", "frame"))
+    # All three are rounded: to 1 ms, 0.1 ms and 1 ms.
+    assert facts["planned_s"] == pytest.approx(2 * light + 12 * frame, abs=2.2e-3)
+    assert light > 0
+    assert set(folder.iterdir()) == before | {folder / "sweep.yaml"}
+
+
+def test_frames_need_a_folder(folder: Path):
+    done = run(written(folder))
+    assert isinstance(done.exception, UserError) and done.exception.field == "--out"
+    assert "--dry-run" in done.exception.allowed
 
 
 def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folder: Path):

@@ -229,10 +229,10 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
     camera = made.StubCamera(made.bank(), made.sensor(96, 128))
     monkeypatch.setattr(render, "load_camera", lambda *named: camera)
-    out = tmp_path / "out"
-    ran = gpusim("render", "demo", "demo", "--out", out, "--no-noise", "--dry-run")
+    monkeypatch.chdir(tmp_path)
+    ran = gpusim("render", "demo", "demo", "--no-noise", "--dry-run")
     assert ran.code == 0, ran.err
-    assert not asked and not out.exists()
+    assert not asked and not list(tmp_path.iterdir())
     assert max(map(len, ran.out.splitlines())) <= 100
     words = " ".join(ran.out.split())
     for shown in ("run paint", "skip noise", "noise is switched off", "chosen ", "too dear"):

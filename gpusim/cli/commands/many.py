@@ -11,12 +11,18 @@ from gpusim.cli.options import (
     Adapter,
     BestEffort,
     choose_adapter,
+    folder_of,
 )
 
 
 def batch(
     sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="A YAML file: see docs/batch.md.")],
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for frames, table and page.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder for frames, table and page; --dry-run needs none."
+        ),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with the frames that are in the folder.")
     ] = False,
@@ -31,7 +37,10 @@ def batch(
         bool, typer.Option("--fail-fast", help="End with the first frame that fails.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Count frames, lights and disk; render nothing.")
+        bool,
+        typer.Option(
+            "--dry-run", help="Count frames, lights, disk and the planner's time; render nothing."
+        ),
     ] = False,
     status: Annotated[
         bool, typer.Option("--status", help="Say how many frames are there; render nothing.")
@@ -52,7 +61,7 @@ def batch(
     choose_adapter(adapter)
     if code := run_batch(
         sweep,
-        out,
+        folder_of(out, needed=not dry_run),
         resume=resume,
         workers=workers,
         scheduler=scheduler,

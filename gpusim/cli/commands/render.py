@@ -16,6 +16,7 @@ from gpusim.cli.options import (
     FocusShift,
     ObjectDistance,
     choose_adapter,
+    folder_of,
     only,
 )
 from gpusim.errors import UserError
@@ -23,7 +24,6 @@ from gpusim.errors import UserError
 
 def render(
     context: typer.Context,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the files.")],
     camera: Annotated[
         str | None, typer.Argument(metavar="CAMERA", help="A preset name or a YAML file.")
     ] = None,
@@ -34,6 +34,10 @@ def render(
             help="A chart name, a chart's .yaml, or a picture; or the .npz of an irradiance, in "
             "place of scene and lens.",
         ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the files; --dry-run needs none."),
     ] = None,
     recipe: Annotated[
         Path | None,
@@ -193,6 +197,7 @@ def render(
 
     choose_adapter(adapter)
     show = "json" if as_json else "nothing" if quiet else "table"
+    out = folder_of(out, needed=not dry_run)
     if recipe is not None:
         from gpusim.cli import again
 
