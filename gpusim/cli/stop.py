@@ -22,6 +22,9 @@ from gpusim.cli.files import UNFINISHED
 GRACE_S = 0.4  # for the main thread to end; then files are removed, well below a second in all
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 SHOW_CURSOR = "\x1b[?25h"
+# Python's own process that removes what others leave, semaphores of a batch's workers, complains of
+# each run that ends so. It takes its filters from here when it starts.
+QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
 
 
 class Stopped(BaseException):
@@ -38,6 +41,8 @@ def stopping() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    if QUIET not in sys.warnoptions:
+        sys.warnoptions.append(QUIET)
     read, write = os.pipe()
     os.set_blocking(write, False)
     before = {number: signal.signal(number, _raise) for number in SIGNALS}

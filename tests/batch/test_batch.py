@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from gpusim.batch import work as worker
 from gpusim.batch.run import prepared, status, tasks_of
 from gpusim.batch.sweep import Sweep
-from gpusim.batch.work import rendered, work
+from gpusim.batch.work import LIGHTS, rendered, work
 from gpusim.cli.app import app
 from gpusim.errors import UserError
 
@@ -257,6 +257,21 @@ def test_a_batch_that_is_killed_ends_with_the_same_bytes(folder: Path):
     numbers = [one["number"] for one in status(Sweep.load(sweep), cut).done]
     assert numbers == list(range(60))
     assert not list(cut.glob(".*-frame-*")) and not (cut / ".lights").exists()
+
+
+@pytest.mark.slow
+def test_an_interrupt_says_one_line(folder: Path):
+    written(folder, axes={"seed": {"range": [0, 60]}})
+    out = folder / "out"
+    process = subprocess.Popen(
+        command(folder, "--out", out, "-q"), env=environment(), stderr=subprocess.PIPE, text=True
+    )
+    ends = time.monotonic() + 120
+    while not (out / LIGHTS).exists() and time.monotonic() < ends:  # a worker is at work
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=60)[1].strip() == "stopped by SIGINT"
+    assert process.returncode != 0
 
 
 @pytest.mark.slow
