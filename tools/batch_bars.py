@@ -255,9 +255,10 @@ def main() -> None:
     found = []
     for name in names:
         with tempfile.TemporaryDirectory() as folder:
-            found += PARTS[name](Path(folder))
-        for one in found[-4:]:
+            new = PARTS[name](Path(folder))
+        for one in new:
             print(name, one, flush=True)
+        found += new
     if set(names) == set(PARTS):
         PAGE.write_text(page(found))
     sys.exit(0 if all(one.held for one in found) else 1)

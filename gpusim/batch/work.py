@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ import gpusim
 from gpusim.batch.labels import in_frame, labels_of
 from gpusim.errors import UserError
 from gpusim.library.again import recipe_of_frame
+from gpusim.library.frame import TOGETHER, read_frames
 from gpusim.library.light import Light, expose
 from gpusim.metrics.picture import read_picture
 from gpusim.metrics.summary import summary
@@ -28,6 +30,7 @@ from gpusim.scene.exr import write_exr
 if TYPE_CHECKING:
     from gpusim.batch.sweep import Frame, Sweep
     from gpusim.library import frame as library
+    from gpusim.sensor.readout import Shot
 
 LIGHTS, SIDECAR = ".lights", ".json"
 # What a frame's file ends with, by output.
@@ -78,32 +81,31 @@ def work(task: Task) -> list[dict[str, Any]]:
     """
     out = Path(task.out)
     frames = _SWEEPS.setdefault(task.sweep.digest, task.sweep).frames
-    found = []
-    for number in task.numbers:
-        frame = frames[number]
+    found, left = [], []
+    for frame in (frames[number] for number in task.numbers):
         sidecar = out / f"{frame.name}{SIDECAR}"
         if sidecar.exists():
             found.append(json.loads(sidecar.read_text()))
-            continue
-        try:
-            found.append(_rendered(frame, out, datetime.fromtimestamp(task.taken, UTC)))
-        except UserError as error:
-            said = " ".join(
-                str(one) for one in (error.problem, error.field, error.value, error.allowed) if one
-            )
-            found.append({"number": number, "settings": frame.settings, "error": said})
-        except OSError as error:
-            found.append({"number": number, "settings": frame.settings, "error": str(error)})
-    return found
+        else:
+            left.append(frame)
+    return found + _rendered(left, out, datetime.fromtimestamp(task.taken, UTC))
 
 
 def rendered(frames: Sequence[Frame]) -> Iterator[tuple[Frame, library.Frame]]:
-    """Yield frames as they are rendered, in this process and without files."""
-    light, key = None, None
-    for frame in frames:
-        if frame.light_key != key:
-            light, key = exposed(frame), frame.light_key
-        yield frame, _taken(frame, light)
+    """Yield frames as they are rendered, in this process and without files.
+
+    Raises
+    ------
+    UserError
+        A frame that cannot be rendered.
+    """
+    for _, group in groupby(frames, key=lambda frame: frame.light_key):
+        own = list(group)
+        light = exposed(own[0])
+        for frame, taken in _taken(own, light):
+            if isinstance(taken, UserError):
+                raise taken
+            yield frame, taken
 
 
 def exposed(frame: Frame) -> Light:
@@ -120,16 +122,76 @@ def exposed(frame: Frame) -> Light:
     )
 
 
-def _taken(frame: Frame, light: Light) -> library.Frame:
-    return light.at(sensor=frame.sensor()).capture(**frame.read_out)
+def _taken(
+    frames: Sequence[Frame], light: Light
+) -> Iterator[tuple[Frame, library.Frame | UserError]]:
+    """Yield what frames of one light are, or why there is none."""
+    for first in range(0, len(frames), TOGETHER):
+        chunk = frames[first : first + TOGETHER]
+        ready = [_ready(frame, light) for frame in chunk]
+        taken = iter(read_frames([one for one in ready if isinstance(one, tuple)]))
+        for frame, one in zip(chunk, ready, strict=True):
+            yield frame, next(taken) if isinstance(one, tuple) else one
 
 
-def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
-    """Render one frame into files, its sidecar last: where that is, all are."""
+def _ready(frame: Frame, light: Light) -> tuple[Light, Shot] | library.Frame | UserError:
+    """Return what to read for a frame; the frame itself where no noise is drawn; or why not."""
+    try:
+        read_out = dict(frame.read_out)
+        seen = light.at(sensor=frame.sensor())
+        if read_out.pop("noise", True):
+            return seen.shot(**read_out)
+        return seen.capture(**read_out, noise=False)
+    except UserError as error:
+        return error
+
+
+def _rendered(frames: Sequence[Frame], out: Path, taken_at: datetime) -> list[dict[str, Any]]:
+    """Render frames of one light into files; return what is in their sidecars."""
+    if not frames:
+        return []
     started = time.perf_counter()
-    light = _light(frame, out)
-    lit_s = time.perf_counter() - started
-    taken = _taken(frame, light)
+    try:
+        light = _light(frames[0], out)
+    except (UserError, OSError) as error:
+        return [_failed(frame, error) for frame in frames]
+    found, lit_s = [], time.perf_counter() - started
+    for frame, taken in _taken(frames, light):
+        try:
+            if isinstance(taken, UserError):
+                raise taken
+            found.append(_written(frame, taken, out, taken_at, lit_s, started))
+        except (UserError, OSError) as error:
+            found.append(_failed(frame, error))
+        started, lit_s = time.perf_counter(), 0.0
+    return found
+
+
+def _failed(frame: Frame, error: UserError | OSError) -> dict[str, Any]:
+    """Return the account of a frame that is not there."""
+    said = str(error)
+    if isinstance(error, UserError):
+        parts = error.problem, error.field, error.value, error.allowed
+        said = " ".join(str(one) for one in parts if one)
+    return {"number": frame.number, "settings": frame.settings, "error": said}
+
+
+def _written(
+    frame: Frame, taken: library.Frame, out: Path, taken_at: datetime, lit_s: float, started: float
+) -> dict[str, Any]:
+    """Write one frame's files, its sidecar last: where that is, all are.
+
+    Parameters
+    ----------
+    frame, taken
+    out : Path
+    taken_at : datetime
+        The time in its raw.
+    lit_s : float
+        Seconds that its light took.
+    started : float
+        When the work on it began.
+    """
     wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
     labels = in_frame(_labels(frame, out), taken) if wanted else {}
     files = []
@@ -145,7 +207,7 @@ def _rendered(frame: Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
             else:
                 taken.save(part, taken=taken_at)
         files.append(name)
-    certificate = light.certificate
+    certificate = taken.certificate
     made = {}
     if "raw" in frame.sweep.outputs:
         name = f"{frame.name}.{KINDS['raw']}"

@@ -240,12 +240,37 @@ class Light:
         """
         from gpusim.library.frame import Frame
 
+        seen, shot = self.shot(exposure_s, iso, gain, seed, frame, temperature_c)
+        raw = seen.read({"dn": np.uint16}, shot, noise)["dn"]
+        return Frame(raw, seen, shot, noise)
+
+    def shot(
+        self,
+        exposure_s: float | None = None,
+        iso: int | None = None,
+        gain: float | None = None,
+        seed: int = 0,
+        frame: int = 0,
+        temperature_c: float | None = None,
+    ) -> tuple[Self, Shot]:
+        """Return the light at a gain, and what `capture` reads of it.
+
+        Parameters
+        ----------
+        exposure_s, iso, gain, seed, frame, temperature_c
+            As of `capture`.
+
+        Raises
+        ------
+        UserError
+            A value out of range.
+        """
         seen = self.at(iso=iso, gain=gain)
         if exposure_s is None:
             exposure_s = seen.white_exposure_s
         shot = Shot(exposure_s, seed, frame, temperature_c)
-        raw = seen.read({"dn": np.uint16}, shot, noise)["dn"]
-        return Frame(raw, seen, shot, noise)
+        _checked(shot, seen.sensor)
+        return seen, shot
 
     def burst(
         self,

@@ -79,16 +79,23 @@ def test_frames_that_share_a_light_are_exposed_once(folder: Path, monkeypatch):
 
 
 def test_the_frames_are_those_of_the_library(folder: Path):
-    sweep = Sweep.load(written(folder, axes={"seed": [3], "exposure_s": [0.005, 0.02]}))
+    axes = {"seed": [3], "iso": [100, 400], "noise": [True, False], "exposure_s": [0.005, 0.02]}
+    sweep = Sweep.load(written(folder, axes=axes))
     out = folder / "out"
     out.mkdir()
     for task in tasks_of(sweep, out, TAKEN):
         work(task)
     import rawpy
 
-    for frame, taken in rendered(sweep.frames[:2]):
+    light = worker.exposed(sweep.frames[0])
+    pairs = list(rendered(sweep.frames))
+    assert [frame.number for frame, _ in pairs] == list(range(8))
+    for frame, taken in pairs:
+        alone = light.at(sensor=frame.sensor()).capture(**frame.read_out)
+        assert (taken.raw == alone.raw).all()
+        assert taken.noise == frame.settings["noise"]
         with rawpy.imread(str(out / f"{frame.name}.dng")) as raw:
-            assert (raw.raw_image == taken.raw).all()
+            assert (raw.raw_image == alone.raw).all()
         assert taken.exposure_s == frame.settings["exposure_s"]
 
 
