@@ -258,3 +258,10 @@ def test_the_command_line_starts_without_the_heavy_libraries():
     loaded = set(done.stdout.split())
     assert "gpusim" in loaded
     assert loaded & set(HEAVY) == set()
+
+
+def test_a_render_starts_without_what_few_scenes_need():
+    """Importing scipy.stats takes a fifth of a start; photographs' halos and Sobol draws use it."""
+    code = "import sys, gpusim.batch.work, gpusim.batch.run; print('scipy.stats' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"

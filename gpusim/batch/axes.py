@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from gpusim.config.model import Strict
 from gpusim.errors import UserError
@@ -174,6 +173,8 @@ def _shares(names: list[str], samples: int, sampler: str, random_seed: int) -> n
     if sampler == "sobol":
         if not names:
             return np.zeros((samples, 0))
+        from scipy.stats import qmc  # slow to import, and few sweeps draw so
+
         rule = qmc.Sobol(len(names), rng=np.random.default_rng(random_seed))
         # Whole powers of two keep the sequence's balance; what is beyond is left.
         return rule.random_base2(max(samples - 1, 0).bit_length())[:samples]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import map_coordinates
-from scipy.signal import fftconvolve
 
 from gpusim.plan.accuracy import LARGEST, SMALLEST, Accuracy
 from gpusim.plan.stage import PlanStage
@@ -113,6 +112,9 @@ def _kernel(level: FieldBank, pitch_um: float) -> np.ndarray:
 
 def _blurred(values: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     """Return values convolved; beyond their border they stay."""
+    # It brings scipy.stats along, a fifth of every start: for photographs' halos alone.
+    from scipy.signal import fftconvolve
+
     around = np.pad(values, len(kernel) // 2, "edge")
     return np.maximum(fftconvolve(around, kernel, mode="valid"), 0.0)
 
