@@ -207,12 +207,6 @@ def test_the_dry_run_counts_and_plans(folder: Path):
     assert set(folder.iterdir()) == before | {folder / "sweep.yaml"}
 
 
-def test_frames_need_a_folder(folder: Path):
-    done = run(written(folder))
-    assert isinstance(done.exception, UserError) and done.exception.field == "--out"
-    assert "--dry-run" in done.exception.allowed
-
-
 def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folder: Path):
     sweep, out = Sweep.load(written(folder)), folder / "out"
     prepared(sweep, out, resume=False)

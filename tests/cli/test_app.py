@@ -77,7 +77,6 @@ def test_each_command_has_help(command: str):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("render", "demo", "demo"),
         ("render", "demo", "demo", "--out", "x", "--certify", "-1"),
         ("render", "demo", "demo", "--out", "x", "--seed", "-1"),
         ("render", "demo", "demo", "--out", "x", "--tile-size", "0"),
@@ -91,6 +90,11 @@ def test_wrong_usage_exits_with_2_and_without_a_traceback(arguments: tuple[str, 
     assert ran.code == 2
     assert "Usage" in ran.err
     assert "Traceback" not in ran.err
+
+
+@pytest.mark.parametrize("command", [("render", "demo", "demo"), ("batch", "sweep.yaml")])
+def test_files_need_a_folder(command: tuple[str, ...]):
+    assert_refused(gpusim(*command), "--out", "--dry-run")
 
 
 def test_no_command_shows_the_help():
