@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -207,7 +208,7 @@ class Sweep(Strict):
     def base(self) -> Camera:
         """The camera before any setting."""
         beside = self._folder / self.camera
-        camera = load_camera(beside if beside.suffix and beside.exists() else self.camera)
+        camera = load_camera(beside if beside.suffix and os.path.exists(beside) else self.camera)
         if self.rows is None and self.cols is None:
             return camera
         sensor = camera.sensor

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ def read_labels(path: Path) -> np.ndarray:
         There is no such file, or it is neither.
     """
     allowed = "an array, .npy (rows, cols), or a .png"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such map of labels", file=path, allowed=allowed)
     try:
         if path.suffix.lower() == ".npy":

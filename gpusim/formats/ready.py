@@ -16,6 +16,7 @@ names what is missing, and where to put it.
 from __future__ import annotations
 
 import contextlib
+import os
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -133,11 +134,11 @@ def is_ready(name_or_path: str | Path) -> bool:
     """Tell a ready-made lens from a prescription, by the name and what a YAML file lists."""
     path = mtf_presets().get(str(name_or_path), Path(name_or_path))
     suffix = path.suffix.lower()
-    if suffix in (".yaml", ".yml") and path.is_file():
+    if suffix in (".yaml", ".yml") and os.path.isfile(path):
         # A file that is no mapping is for the reader of prescriptions to refuse.
         with contextlib.suppress(UserError):
             return not {"mtf", "psf_files"}.isdisjoint(read_mapping(path, "the lens file"))
-    return path.is_dir() or suffix in (".nc", ".npz", ".txt")
+    return os.path.isdir(path) or suffix in (".nc", ".npz", ".txt")
 
 
 def load_ready(name_or_path: str | Path) -> ReadyLens:
@@ -151,12 +152,12 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
     """
     path = mtf_presets().get(str(name_or_path), Path(name_or_path))
     suffix = path.suffix.lower()
-    if path.is_dir():
+    if os.path.isdir(path):
         inside = [entry for entry in path.iterdir() if entry.name.lower() == ISETPARMS]
         if not inside:
             raise UserError("the folder holds no ISETPARMS.TXT", file=path, allowed=ACCEPTED)
         path, suffix = inside[0], ".txt"
-    if not path.exists():
+    if not os.path.exists(path):
         raise UserError("no such lens", field="lens", value=name_or_path, allowed=ACCEPTED)
     if suffix == ".nc":
         bank = load_plane_bank(path) if holds_plane_bank(path) else _netcdf(path)
@@ -224,7 +225,7 @@ def _netcdf(path: Path) -> Bank:
 def _npz(path: Path) -> Bank:
     """Read a bank from NumPy's arrays, and from the YAML file beside them."""
     beside = path.with_suffix(".yaml")
-    values = read_mapping(beside, "the file of the lens's fields") if beside.exists() else {}
+    values = read_mapping(beside, "the file of the lens's fields") if os.path.exists(beside) else {}
     try:
         values |= read_npz(path)
     except (

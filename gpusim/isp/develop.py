@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -48,7 +49,7 @@ def develop(
     UserError
         The file is missing or cannot be read, there is nothing to bin, or the settings do not fit.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such raw file", file=path)
     source = _read(path, binned=binned)
     if settings.like is not None:
@@ -61,7 +62,7 @@ def develop(
 
 
 def _like(source: Source, path: Path) -> Source:
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such raw file", file=path, field="--like")
     try:
         return like(source, _read(path, binned=False))

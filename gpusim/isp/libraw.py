@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def develop_by_libraw(path: Path, ev: float = 0.0, *, binned: bool = False) -> n
         no number of stops, or there is nothing to bin.
     """
     check_ev(ev)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such raw file", file=path)
     try:
         raw = read_raw(path)

@@ -8,6 +8,7 @@ linear between bands, which is the same tents.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
@@ -273,7 +274,7 @@ class Irradiance:
             There is none, or it is no irradiance.
         """
         path = Path(path)
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise UserError("no such irradiance", file=path, allowed=ALLOWED)
         try:
             arrays = read_npz(path)

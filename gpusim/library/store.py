@@ -71,7 +71,7 @@ def read_light(path: str | Path) -> dict[str, Any]:
     """Return the fields of a light from a file: see `Light.load`."""
     path = Path(path)
     allowed = "a file that Light.save wrote"
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such light", file=path, allowed=allowed)
     try:
         arrays = read_npz(path)

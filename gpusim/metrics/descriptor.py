@@ -14,6 +14,7 @@ What follows a ``#`` is a comment. Names may have backslashes between folders.
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 from gpusim.config.text import read_text
@@ -27,9 +28,9 @@ ALLOWED = "v RELEASE, n BITS COLUMNS ROWS, b NS PHOTONS, d NS, i FILE"
 
 def find_descriptor(path: Path) -> Path | None:
     """Return the list of a data set in this layout: the file, or that of a folder; None if none."""
-    if path.is_dir():
+    if os.path.isdir(path):
         path = path / NAME
-    return path if path.suffix.lower() == ".txt" and path.is_file() else None
+    return path if path.suffix.lower() == ".txt" and os.path.isfile(path) else None
 
 
 def read_descriptor(listed: Path) -> Frames:
@@ -53,7 +54,7 @@ def read_descriptor(listed: Path) -> Frames:
             raise _unread(listed, number, text)
         if kind == "i":
             file = listed.parent.joinpath(*given[0].replace("\\", "/").split("/"))
-            if key is None or not file.is_file():
+            if key is None or not os.path.isfile(file):
                 problem = "a frame is missing" if key else "a frame belongs to no level"
                 raise UserError(problem, file=file, field=f"line {number} of {listed.name}")
             groups.setdefault(key, []).append(file)

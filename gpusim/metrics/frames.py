@@ -21,6 +21,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,9 +88,9 @@ def find_frames(path: Path) -> Frames:
         No list, or none that can be read; a column that is missing or unknown; a number that is
         none; a frame that is missing, or alone where two are needed.
     """
-    if not path.exists():
+    if not os.path.exists(path):
         raise UserError("no such folder", file=path, allowed=f"a folder with {LIST}, or that file")
-    listed = path / LIST if path.is_dir() else path
+    listed = path / LIST if os.path.isdir(path) else path
     folder = listed.parent
     camera = _camera(folder / CAMERA)
     groups: dict[Key, list[Path]] = {}
@@ -103,7 +104,7 @@ def find_frames(path: Path) -> Frames:
                 value=row["file"],
                 allowed=", ".join(KINDS),
             )
-        if not file.is_file():
+        if not os.path.isfile(file):
             raise UserError("a frame is missing", file=file, field=f"file, line {number} of {LIST}")
         groups.setdefault(_key(row, number, listed, camera), []).append(file)
     if not groups:
@@ -222,7 +223,7 @@ _READERS = {
 
 def _camera(file: Path) -> dict:
     """Read what the camera is; nothing where the file is not there."""
-    if not file.is_file():
+    if not os.path.isfile(file):
         return {}
     camera = read_json(file, "the file of the camera")
     known = ("name", "pattern", "pixel_pitch_um")

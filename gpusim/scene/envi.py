@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,7 @@ def is_envi(path: Path) -> bool:
 
 def _header_of(path: Path) -> Path:
     beside = (path.with_suffix(".hdr"), path.with_name(path.name + ".hdr"))
-    return next((file for file in beside if file.is_file()), beside[0])
+    return next((file for file in beside if os.path.isfile(file)), beside[0])
 
 
 def read_envi(path: Path) -> Bands:
@@ -142,7 +143,7 @@ def _data_of(header: Path) -> Path:
     """Return the file of samples beside a header."""
     stem = header.with_suffix("")
     found = [stem.with_name(stem.name + end) for end in DATA]
-    there = next((file for file in found if file.is_file()), None)
+    there = next((file for file in found if os.path.isfile(file)), None)
     if there is None:
         raise UserError(
             "there is no file of samples beside the header",

@@ -90,7 +90,7 @@ def _parts(path: Path, **how: bool) -> list:
 
 def _open(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
     """Return the header of the first part that holds a picture, and its channels as stored."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such scene file", file=path)
     # The headers alone first: they say how much memory the samples need.
     headers = [part.header for part in _parts(path, header_only=True)]

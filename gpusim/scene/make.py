@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
@@ -161,7 +162,7 @@ def made_again(made_from: Mapping[str, Any]) -> Scene:
 def _found(name: str) -> str:
     """Return the whole path of a file, and a name as it is."""
     path = Path(name)
-    return str(path.resolve()) if path.suffix and path.is_file() else name
+    return str(path.resolve()) if path.suffix and os.path.isfile(path) else name
 
 
 def _lit(

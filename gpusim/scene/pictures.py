@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,7 @@ def picture_scene(
             allowed="with a TIFF or PNG",
         )
     method = check_upsampling(upsampling or MALLETT)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise UserError("no such scene file", file=path)
     bands = _bands(path, suffix, illuminant)
     if bands is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def wavelength_nm(channel: str) -> tuple[str, float] | None:
 
 def is_spectral(path: Path) -> bool:
     """Return whether a file is an EXR with spectral channels; False for one that is no EXR."""
-    if not path.is_file():
+    if not os.path.isfile(path):
         return False
     try:
         parts = _parts(path, header_only=True)

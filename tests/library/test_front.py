@@ -152,3 +152,20 @@ def test_a_spectral_array_is_linear_between_its_bands():
         gs.Scene.from_spectra(cube, [450.0, 450.0, 650.0])
     with pytest.raises(UserError, match="no band lies"):
         gs.Scene.from_spectra(cube, [1450.0, 1550.0, 1650.0])
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b"])
+@pytest.mark.parametrize(
+    "kind, suffix",
+    [
+        *(("Lens", suffix) for suffix in ("", ".zmx", ".nc", ".txt", ".yaml")),
+        *(("Scene", suffix) for suffix in ("", ".exr", ".png", ".hdr", ".mat", ".dng", ".yaml")),
+        *(("Camera", suffix) for suffix in ("", ".yaml")),
+        *(("Sensor", suffix) for suffix in ("", ".yaml", ".mat", ".json")),
+        ("Light", ".npz"),
+        ("Sweep", ".yaml"),
+    ],
+)
+def test_a_name_that_can_be_no_files_is_one_clear_error(kind: str, suffix: str, name: str):
+    with pytest.raises(gs.UserError):
+        getattr(gs, kind).load(name + suffix)
