@@ -348,20 +348,26 @@ class Light:
         """
         budget, planes = default_device().pool.budget, planes_of(self.sensor)
         tiles = tiles_of(self.rect, planes.period, budget, None, planes.layers)
-        together = strips(self.rect, budget // len(shots))
-        if self.sensor.is_ccd or len(tiles) > 1 or len(together) > 1:
+        fit = max(
+            (n for n in range(1, len(shots) + 1) if len(strips(self.rect, budget // n)) == 1),
+            default=1,
+        )
+        if self.sensor.is_ccd or len(tiles) > 1 or fit == 1:
             return [
                 self.at(sensor=sensor).read({"dn": np.uint16}, shot)["dn"]
                 for sensor, shot in zip(sensors, shots, strict=True)
             ]
         whole = aligned(lit_for(self.rect, self.sensor, sensor_runs(self.sensor)), planes.period)
-        return read_together(
-            [self._reader(sensor, sensor_runs(sensor), Recording.run) for sensor in sensors],
-            [_checked(shot, sensor) for sensor, shot in zip(sensors, shots, strict=True)],
-            self.rect,
-            self._resident(whole, planes.period),
-            whole,
-        )
+        raws: list[np.ndarray] = []
+        for first in range(0, len(shots), fit):
+            own = slice(first, first + fit)
+            readers = [
+                self._reader(sensor, sensor_runs(sensor), Recording.run) for sensor in sensors[own]
+            ]
+            checked = [_checked(*one) for one in zip(shots[own], sensors[own], strict=True)]
+            light = self._resident(whole, planes.period)
+            raws += read_together(readers, checked, self.rect, light, whole)
+        return raws
 
     def _reader(
         self,
