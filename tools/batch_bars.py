@@ -20,11 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import yaml
+from pyarrow import parquet
 
 import gpusim as gs
 from gpusim.batch.sweep import Sweep
@@ -82,9 +84,9 @@ class Batch:
             start_new_session=True,
         )
 
-    def whole(self, out: Path, *words: str) -> None:
+    def whole(self, out: Path) -> None:
         """Run it to its end."""
-        if self.start(out, *words).wait(timeout=LIMIT_S) != 0:
+        if self.start(out).wait(timeout=LIMIT_S) != 0:
             raise SystemExit(f"the batch in {out} failed")
 
 
@@ -107,9 +109,8 @@ def vga(folder: Path) -> list[Found]:
     batch = Batch(folder, camera="demo", scenes=["colorchecker"], rows=rows, cols=cols,
                   tolerance="1e-2", probes=8, axes={"seed": seeds}, outputs=["raw"])  # fmt: skip
     frames = Sweep.load(folder / "sweep.yaml").frames
-    light, times = None, []
+    times = []
     for frame, taken in rendered(frames):
-        light = taken.light if light is None else light
         taken.save(folder / f"{frame.name}.dng")
         times.append(time.perf_counter())
     alone = (len(times) - WARM - 1) / (times[-1] - times[WARM])
@@ -146,7 +147,8 @@ def small(folder: Path) -> list[Found]:
         time.sleep(0.25)
         for worker in workers_of(process):
             done = len(list(out.glob("frame-*.json")))
-            memory.append((done, worker.memory_info().rss / 2**20))
+            with suppress(psutil.Error):  # ended meanwhile
+                memory.append((done, worker.memory_info().rss / 2**20))
     if process.returncode != 0:
         raise SystemExit("the batch of small frames failed")
     order = sidecars(out)
@@ -202,7 +204,7 @@ def kills(folder: Path) -> list[Found]:
             process = batch.start(cut, "--resume")
     if process.wait(timeout=LIMIT_S) != 0:
         raise SystemExit("the batch that was killed did not end well")
-    numbers = [json.loads(path.read_text())["number"] for path in sidecars(cut)]
+    numbers = parquet.read_table(cut / "frames.parquet")["number"].to_pylist()
     lost = KILL_FRAMES - len(set(numbers))
     differing = sum(
         (cut / path.name).read_bytes() != path.read_bytes()
