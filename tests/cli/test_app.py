@@ -54,7 +54,7 @@ def test_help_answers_within_half_a_second():
 
 @pytest.mark.parametrize("command", ["lens", "sensor"])
 def test_a_name_too_long_for_a_file_is_one_screen(command: str):
-    assert_refused(process(command, "x" * 300), "name")
+    assert_refused(process(command, "x" * 300), f"field:   {command}", "allowed")
 
 
 def test_help_imports_none_of_the_heavy_packages():
