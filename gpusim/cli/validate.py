@@ -29,16 +29,9 @@ Progress = Callable[[str, int, int], None]
 def kodak(out: Path, *, own_tracer: bool) -> int:
     """Reproduce the Kodak paper's validation; return the exit code, 1 where a bar fails."""
     from gpusim.validate import kodak_page as page
-    from gpusim.validate.kodak import measure_edges, predictor_of, stand_in
+    from gpusim.validate.kodak_measured import measured
 
-    def made(progress: Progress) -> Report:
-        lens = stand_in()
-        progress("predictions", 0, 1)
-        predictor = predictor_of(lens, own=own_tracer)
-        progress("predictions", 1, 1)
-        return page.report(measure_edges(lens, predictor, progress))
-
-    return _written(out, made)
+    return _written(out, lambda progress: page.report(measured(progress, own=own_tracer)))
 
 
 def ansys(out: Path) -> int:

@@ -1,13 +1,49 @@
-"""Renderers that certify their first frame, and make others by the same plan."""
+"""Certificates of validations: renderers that certify their first frame, and what is told of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
+from gpusim.certify import Certificate
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer
 from gpusim.render.anew import planned_anew
+from gpusim.validate.bars import Bar
+
+CERTIFICATE_BAR = 1.0  # error over what is allowed
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The certificate of a render, and for which tolerance that was planned."""
+
+    certificate: Certificate
+    tolerance: float
+
+    @property
+    def share(self) -> float:
+        """Error over what is allowed, the worse of RMS and of the worst probe (ten times it)."""
+        one = self.certificate
+        return max(one.total_rms, one.total_worst / 10) / self.tolerance
+
+
+def certificate_bar(certificates: Mapping[str, Certified]) -> Bar:
+    """Return the bar of the certificates: total error over the tolerance."""
+    name = f"certificates of {len(certificates)} renders, total"
+    shares = [one.share for one in certificates.values()]
+    return Bar.largest(name, shares, CERTIFICATE_BAR, "of what is allowed")
+
+
+def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]:
+    """Return what the certificates say."""
+    names = ("total_rms", "total_worst", "met", "probes")
+    return {
+        render: {name: getattr(one.certificate, name) for name in names}
+        | {"tolerance": one.tolerance}
+        for render, one in certificates.items()
+    }
 
 
 def certified(

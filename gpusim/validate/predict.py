@@ -125,7 +125,7 @@ class Predictor:
         chiefs: int = CHIEF_FIELDS,
         diffracts: bool = True,
     ) -> None:
-        self.tracer, self.nodes_nm, self._widest = tracer, nodes_nm, widest_rad
+        self.tracer, self.nodes_nm, self.widest_rad = tracer, nodes_nm, widest_rad
         fields = np.linspace(0, widest_rad, chiefs)
         heights = np.stack([tracer.chief_mm(fields, float(nm)) for nm in nodes_nm])
         over_field = make_interp_spline(fields, heights.T, k=5)
@@ -238,6 +238,19 @@ class Predictor:
         total = (band.weight * light) @ about
         return LineSpread(frequency, total / total[0], float(total[0].real))
 
+    def point_spread(
+        self, field_rad: float, node_nm: float, pitch_um: float, samples: int
+    ) -> np.ndarray:
+        """Return the PSF (n, n) at a node about the chief ray, which lands on [n / 2, n / 2].
+
+        Share of the light of the window per sample; rows lie across the radius, columns along it,
+        outwards.
+        """
+        line = int(np.flatnonzero(self.nodes_nm == node_nm)[0])
+        at = (np.arange(samples) - samples / 2) * pitch_um
+        values = self._pupils[line].point_spread(field_rad, at)
+        return values / values.sum()
+
     def spot_um(self, field_rad: float, normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mean (L,) and standard deviation (L,) of the rays along a normal, at the nodes.
 
@@ -346,6 +359,16 @@ class _Pupils:
         otf = np.zeros(frequency.size, complex)
         otf[reached] = own(frequency[reached])
         return otf
+
+    def point_spread(self, field: float, at_um: np.ndarray) -> np.ndarray:
+        """Return the PSF (across, along the radius) at distances from the chief ray."""
+        share, light, path_mm, step = self.seen(field, np.array([0.0, 1.0]))
+        pupil = share * np.sqrt(light) * np.exp(2j * np.pi * path_mm * 1e3 / self.wave_um)  # (V, U)
+        u = (np.arange(SAMPLES) + 0.5) * step - self.reach
+        v = ((np.arange(ROWS) + 0.5) * 2 / ROWS - 1) * self.reach
+        along = np.exp(2j * np.pi * np.outer(u, at_um) / self.wave_um)
+        across = np.exp(2j * np.pi * np.outer(at_um, v) / self.wave_um)
+        return np.abs(across @ pupil @ along) ** 2
 
     def spot_um(self, field: float, normal: np.ndarray) -> tuple[float, float]:
         """Return mean and standard deviation of where rays land along a normal."""

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from gpusim.lens.system import build
 from gpusim.validate import samsung_figures as figures
-from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certificate_bar, certificate_numbers
 from gpusim.validate.report import Report, Rows, Section
-from gpusim.validate.samsung_camera import STANDARD, Certified, lens_of, predictor_of
+from gpusim.validate.samsung_camera import STANDARD, lens_of, predictor_of
 from gpusim.validate.samsung_colour import PATCHES, Colours, measure_colours
 from gpusim.validate.samsung_edges import LINES_NM, Edges, measure_edges
 from gpusim.validate.samsung_noise import Noise, measure_noise
@@ -35,7 +35,6 @@ TEXT = (
     "no capture of a real camera: simulated pictures are held against predictions that share no "
     "code with the engine."
 )
-CERTIFICATE_BAR = 1.0
 NODES_NM = np.array([400.0, 500.0, 600.0, 700.0])  # of the rays: glass goes smoothly between
 
 
@@ -105,23 +104,6 @@ def report(
     text = f"{TEXT} Rays are those of {edges.tracer}."
     who = edges.tracer, edges.independent
     return Report("samsung", TITLE, PAPER, text, bars, sections, numbers, *who)
-
-
-def certificate_bar(certificates: Mapping[str, Certified]) -> Bar:
-    """Return the bar of the certificates: total error over the tolerance."""
-    name = f"certificates of {len(certificates)} renders, total"
-    shares = [one.share for one in certificates.values()]
-    return Bar.largest(name, shares, CERTIFICATE_BAR, "of what is allowed")
-
-
-def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]:
-    """Return what the certificates say."""
-    names = ("total_rms", "total_worst", "met", "probes")
-    return {
-        render: {name: getattr(one.certificate, name) for name in names}
-        | {"tolerance": one.tolerance}
-        for render, one in certificates.items()
-    }
 
 
 def colour_numbers(colours: Colours) -> list[dict[str, Any]]:

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpusim.camera import Camera
-from gpusim.certify import Certificate
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order
@@ -49,20 +48,6 @@ LENSES = (
     Optics("tele", "telephoto", 14.7),
 )
 WIDE, STANDARD, TELE = LENSES
-
-
-@dataclass(frozen=True)
-class Certified:
-    """The certificate of a render, and for which tolerance that was planned."""
-
-    certificate: Certificate
-    tolerance: float
-
-    @property
-    def share(self) -> float:
-        """Error over what is allowed, the worse of RMS and of the worst probe (ten times it)."""
-        one = self.certificate
-        return max(one.total_rms, one.total_worst / 10) / self.tolerance
 
 
 def corner_mm(sensor: Sensor) -> float:

@@ -24,7 +24,8 @@ from gpusim.library.light import expose
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.samsung_camera import SENSOR, STANDARD, Certified, camera_of
+from gpusim.validate.certified import Certified
+from gpusim.validate.samsung_camera import SENSOR, STANDARD, camera_of
 from gpusim.validate.tracers import refracted_losses
 
 ROWS, COLS = 760, 1012  # a quarter of the sensor's sides: patches of 138 px

@@ -25,13 +25,12 @@ from gpusim.render import Capture, Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certified
+from gpusim.validate.certified import Certified, certified
 from gpusim.validate.edges import TILT_RAD, Target, normal_of, predicted_lsf
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
     LENSES,
-    Certified,
     Optics,
     camera_of,
     lens_of,

@@ -29,8 +29,9 @@ from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import Certified
 from gpusim.validate.predict import Predictor
-from gpusim.validate.samsung_camera import SENSOR, STANDARD, Certified, camera_of
+from gpusim.validate.samsung_camera import SENSOR, STANDARD, camera_of
 
 SIDE_PX = 128  # of the field: a channel's noise is known to 1.1 % from a pair
 TOLERANCE, PROBES, SEED = 2e-3, 8, 1288

@@ -24,8 +24,9 @@ from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.averaging import Averaging, photons_per_s
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import Certified
 from gpusim.validate.predict import Predictor
-from gpusim.validate.samsung_camera import SENSOR, STANDARD, Certified, camera_of
+from gpusim.validate.samsung_camera import SENSOR, STANDARD, camera_of
 
 MAP = "eqe-sample"
 TOLERANCE, PROBES = 1e-3, 8

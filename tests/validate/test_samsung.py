@@ -24,12 +24,12 @@ from gpusim.validate import samsung_colour as colour
 from gpusim.validate import samsung_edges as edges
 from gpusim.validate import samsung_noise as noise
 from gpusim.validate import samsung_qe as qe
+from gpusim.validate.certified import Certified, certificate_bar
 from gpusim.validate.edges import predicted_lsf
-from gpusim.validate.samsung import certificate_bar, report
+from gpusim.validate.samsung import report
 from gpusim.validate.samsung_camera import (
     LENSES,
     STANDARD,
-    Certified,
     corner_mm,
     lens_of,
     lines_sensor,

@@ -1,0 +1,73 @@
+"""All that the Kodak report measures, in the order in which it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certificate_bar
+from gpusim.validate.kodak import (
+    REFERENCE,
+    Edges,
+    measure_edges,
+    mono_sensor,
+    predictor_of,
+    stand_in,
+    targets,
+)
+from gpusim.validate.kodak_cost import Costs, measure_costs
+from gpusim.validate.kodak_effects import Effects, measure_effects
+from gpusim.validate.kodak_noise import Hues, Noises, measure_hues, measure_noises
+from gpusim.validate.kodak_psf import PointSpreads, measure_psfs
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What was measured, by part of the report."""
+
+    edges: Edges
+    psfs: PointSpreads
+    effects: Effects
+    hues: Hues
+    noises: Noises
+    costs: Costs
+
+    def bars(self) -> list[Bar]:
+        """Return what has to hold."""
+        parts = self.edges, self.psfs, self.costs, self.effects, self.hues, self.noises
+        bars = [bar for part in parts for bar in part.bars()]
+        return [*bars, certificate_bar(self.effects.certificates)]
+
+
+def measured(
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    *,
+    own: bool = False,
+) -> Measured:
+    """Measure all of it.
+
+    Parameters
+    ----------
+    progress : callable
+        Called with (what, done, total).
+    own : bool
+        Whether our tracer predicts, which is not independent.
+    """
+    lens = stand_in()
+    progress("predictions", 0, 2)
+    predictor = predictor_of(lens, own=own)
+    progress("predictions", 1, 2)
+    psfs = measure_psfs(lens, predictor)
+    progress("predictions", 2, 2)
+    edges = measure_edges(lens, predictor, progress)
+    vertical = targets(predictor, mono_sensor(REFERENCE))[0]
+    costs = measure_costs(lens, vertical, predictor, progress)
+    effects, light = measure_effects(lens, progress)
+    progress("read-out", 0, 2)
+    hues = measure_hues(light)
+    progress("read-out", 1, 2)
+    noises = measure_noises(light)
+    progress("read-out", 2, 2)
+    light.release()
+    return Measured(edges, psfs, effects, hues, noises, costs)
