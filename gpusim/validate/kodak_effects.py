@@ -194,7 +194,9 @@ def flare_effect(
     own, everywhere = sites(sensor, seen.shape), sites(sensor, off.shape)
     means = np.array([off[everywhere == k].mean() for k in range(len(BANDS))])
     flare = share * means[own]
-    bar = Bar.largest("flare against its law", (on - seen - flare) / flare, FLARE_BAR, "of it")
+    bar = Bar.largest(
+        "flare against its law", ((on - seen - flare) / flare).ravel(), FLARE_BAR, "of it"
+    )
     return Effect("flare", f"{share:.0%} of the mean, even over the frame", seen, on, bar)
 
 
