@@ -162,14 +162,14 @@ def draw_costs(costs: Costs) -> Figure:
     """Return error against run time at N samples a pixel."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.2, 4.9))
-        told = "two regions of 64 x 64 pixels, one band; the paper works with N = 2"
+        told = "a region of 64 x 64 pixels, one band; the paper works with N = 2"
         titles(figure, "Error against run time at N samples a pixel", [told], top=4.85)
         panels = [panel(figure, 0.85 + 3.55 * k, 0.75, 2.8, 2.95) for k in range(3)]
         seconds = [one.median_s for one in costs.found]
         spread = np.array([(min(one.seconds), max(one.seconds)) for one in costs.found])
         within = np.abs(spread.T - np.array(seconds))
         parts = {
-            "engine_rms": "engine against the exact model, RMS",
+            "grid_rms": "signal against N = 16, RMS",
             "mtf": "MTF to 1 cycle/px, largest",
             "position_px": "edge's position [px]",
         }
