@@ -1,4 +1,4 @@
-"""Each effect of the Kodak report keeps its law, and a planted error of a few per cent turns it red.
+"""Each effect of the Kodak report keeps its law; a planted error of a few per cent turns it red.
 
 A small region of the sensor behind a lens without prescription stands for the whole frame.
 """
@@ -91,7 +91,7 @@ def corner():
 
 
 def test_flare_is_a_share_of_the_mean_of_its_channel(corner):
-    sensor, bands, seen = corner
+    sensor, _, seen = corner
     own = effects.sites(sensor, seen.shape)
     means = np.array([seen[own == k].mean() for k in range(3)])
     sound = effects.flare_effect(seen, seen, seen + 0.02 * means[own], sensor, 0.02)

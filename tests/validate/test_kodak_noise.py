@@ -15,7 +15,9 @@ COLS = 64
 @pytest.fixture(scope="module")
 def light():
     camera = load_camera("mtf-only")
-    seen = Camera(camera.lens, plain_sensor().model_copy(update={"rows": 128, "cols": COLS}), "small")
+    seen = Camera(
+        camera.lens, plain_sensor().model_copy(update={"rows": 128, "cols": COLS}), "small"
+    )
     return expose(seen, make_scene("grey"), 1e-2, probes=0)
 
 
