@@ -19,6 +19,7 @@ from gpusim.validate.certified import certificate_bar, certificate_numbers
 from gpusim.validate.report import Report, Rows, Section
 from gpusim.validate.samsung_camera import STANDARD, lens_of, predictor_of
 from gpusim.validate.samsung_colour import PATCHES, Colours, measure_colours
+from gpusim.validate.samsung_corners import Corners, measure_corners
 from gpusim.validate.samsung_edges import LINES_NM, Edges, measure_edges
 from gpusim.validate.samsung_noise import Noise, measure_noise
 from gpusim.validate.samsung_qe import CHANNELS, Efficiency, measure_qe
@@ -53,6 +54,7 @@ def validated(
         Whether our tracer predicts, which is not independent.
     """
     edges = measure_edges(own, progress)
+    corners = measure_corners(own, progress)
     progress("efficiency", 0, 1)
     lens = lens_of(STANDARD)
     predictor = predictor_of(build(lens), math.radians(lens.max_field_deg), NODES_NM, own=own)
@@ -64,11 +66,12 @@ def validated(
     progress("noise", 0, 1)
     noise = measure_noise(lens, predictor)
     progress("noise", 1, 1)
-    return report(edges, efficiency, colours, noise)
+    return report(edges, corners, efficiency, colours, noise)
 
 
 def report(
     edges: Edges,
+    corners: Corners,
     efficiency: Efficiency,
     colours: Colours,
     noise: Noise,
@@ -76,16 +79,18 @@ def report(
     """Return the report of what was found."""
     certificates = {
         **edges.certificates,
+        **corners.certificates,
         "efficiency": efficiency.certified,
         "colour": colours.certified,
         "noise": noise.certified,
     }
     bars = [
-        *edges.bars(), *efficiency.bars(), *colours.bars(), *noise.bars(),
+        *edges.bars(), *corners.bars(), *efficiency.bars(), *colours.bars(), *noise.bars(),
         certificate_bar(certificates),
     ]  # fmt: skip
     sections = [
         edge_section(edges),
+        corner_section(corners),
         efficiency_section(efficiency),
         colour_section(colours),
         noise_section(noise),
@@ -95,6 +100,11 @@ def report(
             {"lens": one.optics.name, "place": one.where, "nm": LINES_NM[one.channel],
              "error": one.error, "from_rays": one.from_rays}
             for one in edges.found
+        ],
+        "corners": [
+            {"lens": one.optics.name, "place": one.where, "measured_px": one.measured,
+             "predicted_px": one.predicted, "chief_ray_px": one.chief}
+            for one in corners.found
         ],
         "efficiency": [dataclasses.asdict(one) for one in efficiency.places],
         "colour": colour_numbers(colours),
@@ -137,6 +147,25 @@ def edge_section(edges: Edges) -> Section:
     head = ("lens [deg]", "place", "nm", "error", "from rays alone")
     title = "Edge spread functions, as figure 9 of the paper"
     return Section(title, text, "edges", figures.draw_edges(edges), Rows(head, body))
+
+
+def corner_section(corners: Corners) -> Section:
+    """Return the section of the corners of a checkerboard (distortion)."""
+    text = (
+        "Where a corner of a checkerboard is found in the render, less where it is found in the "
+        "picture that the tracer's rays predict there: chief rays, PSF and pixel. The last column "
+        "says how far corners lie from their chief rays: coma moves them by a pixel, which a "
+        "comparison with chief rays alone would take for distortion."
+    )
+    body = [
+        [f"{one.optics.full_deg:g}", one.where, *(f"{at:.1f}" for at in one.chief),
+         *(f"{a - b:+.4f}" for a, b in zip(one.measured, one.predicted, strict=True)),
+         f"{one.from_chief_px:.3f}"]
+        for one in corners.found
+    ]  # fmt: skip
+    head = ("lens [deg]", "place", "x [px]", "y [px]", "error x", "error y", "from chief ray")
+    title = "Corners of a checkerboard, three lenses"
+    return Section(title, text, "corners", figures.draw_corners(corners), Rows(head, body))
 
 
 def efficiency_section(found: Efficiency) -> Section:

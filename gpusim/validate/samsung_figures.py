@@ -10,12 +10,14 @@ from gpusim.report.drawing import INK, LINE, SOFT, STYLE, panel, titles
 from gpusim.scene.spectra import colour_matching
 from gpusim.validate.samsung_camera import LENSES
 from gpusim.validate.samsung_colour import PATCHES, XY_BAR, Colours, xy
+from gpusim.validate.samsung_corners import CORNER_BAR_PX, Corners
 from gpusim.validate.samsung_edges import ESF_BAR, LINES_NM, PLACES, Edges
 from gpusim.validate.samsung_noise import ISOS, Noise
 from gpusim.validate.samsung_qe import CHANNELS, SHOWN_NM, Efficiency
 
 RED, BLUE, GREEN = "#c0342b", "#2456b8", "#1b8a6b"
 COLOURS = {"R": RED, "G": GREEN, "Gr": GREEN, "Gb": "#7a9a2e", "B": BLUE}
+ARROWS, CHIEF_ARROWS = 5e4, 200.0  # how much longer than the errors of corners
 SHOWN_PX = 6.0  # of the edges, on either side
 TITLES = {
     "axis": "axis",
@@ -47,6 +49,32 @@ def draw_edges(edges: Edges) -> Figure:
                 axes.set(xlim=(-SHOWN_PX, SHOWN_PX), xlabel="distance [px]", ylabel="ESF")
                 axes.legend(loc="lower right", title=f"largest error (bar {ESF_BAR:g})",
                             title_fontsize=7.5)  # fmt: skip
+    return figure
+
+
+def draw_corners(corners: Corners) -> Figure:
+    """Return where corners of a checkerboard are found, and their errors as arrows."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(11.2, 4.4))
+        told = f"red: measured less predicted, {ARROWS:g} times as long; blue: from the chief ray"
+        scale = f"that {CHIEF_ARROWS:g} times"
+        titles(figure, "Corners of a checkerboard", [told, scale], top=4.35)
+        for col, optics in enumerate(LENSES):
+            own = [one for one in corners.found if one.optics == optics]
+            axes = panel(figure, 0.75 + 3.55 * col, 0.6, 3.0, 2.4)
+            for one in own:
+                x, y = one.measured
+                axes.plot(x, y, "o", color=INK, markersize=3)
+                for other, color, times in (
+                    (one.chief, BLUE, CHIEF_ARROWS), (one.predicted, RED, ARROWS)
+                ):  # fmt: skip
+                    end = x + times * (x - other[0]), y + times * (y - other[1])
+                    axes.annotate("", end, (x, y), arrowprops={"arrowstyle": "->", "color": color})
+            title = f"{optics.full_deg:g} deg"
+            if own:
+                title += f": {corners.rms_px(optics):.4f} px RMS (bar {CORNER_BAR_PX:g})"
+            axes.set(title=title, xlim=(-300, 2300), ylim=(1500, -300), xlabel="x [px]")
+            axes.set_aspect("equal")
     return figure
 
 
