@@ -152,7 +152,8 @@ def corners_of(
         renderer.release()
     found = []
     for (where, chief), capture in zip(places.items(), captures, strict=True):
-        expected = predicted_picture(chief, sensor, predictor)
+        ideal_um = predictor.ideal_um(chief * sensor.pixel_pitch_um, line_band())
+        expected = predicted_picture(chief, ideal_um, sensor, predictor)
         measured, predicted = (
             corner_in(picture, chief, sensor) for picture in (capture.rate, expected)
         )
@@ -207,10 +208,13 @@ def corner_in(picture: np.ndarray, chief: np.ndarray, sensor: Sensor) -> tuple[f
     return float(found.x[0] + left), float(found.y[0] + top)
 
 
-def predicted_picture(chief: np.ndarray, sensor: Sensor, predictor: Predictor) -> np.ndarray:
-    """Return the picture (TILE_PX, TILE_PX) of the squares about a place, by rays.
+def predicted_picture(
+    chief: np.ndarray, ideal_um: np.ndarray, sensor: Sensor, predictor: Predictor
+) -> np.ndarray:
+    """Return the picture (TILE_PX, TILE_PX) about a place, px, of a corner, by rays.
 
-    It is made on axes along the radius and across it, as the PSF is.
+    The squares touch at a point (2,) of the ideal plane. The picture is made on axes along the
+    radius and across it, as the PSF is.
     """
     pitch, band = sensor.pixel_pitch_um, line_band()
     fine_um = pitch / FINE
@@ -227,9 +231,10 @@ def predicted_picture(chief: np.ndarray, sensor: Sensor, predictor: Predictor) -
     field = CubicSpline(heights, fields)(away)
     plane_um = 1e3 * predictor.tracer.efl_mm * np.tan(field)
     scale = np.divide(plane_um, away, out=np.ones_like(away), where=away > 0)
-    own = predictor.ideal_um(chief * pitch, band)
     # On which side of each edge: the product of both is the checkerboard.
-    sides = [_side(one * scale - centre, scale) for one, centre in zip((x, y), own, strict=True)]
+    sides = [
+        _side(one * scale - centre, scale) for one, centre in zip((x, y), ideal_um, strict=True)
+    ]
     board = 0.5 + 0.5 * sides[0] * sides[1]
     light = (BLACK + (WHITE - BLACK) * board) * predictor.flat_field(away, band)
     psf = predictor.point_spread(
@@ -250,10 +255,7 @@ def predicted_picture(chief: np.ndarray, sensor: Sensor, predictor: Predictor) -
     return map_coordinates(seen, where, order=3)
 
 
-def _side(distance_um: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return on which side of an edge cells lie, -1 to 1: by their share where it cuts them.
-
-    Distances are those of the ideal plane, which is ``scale`` times as large as the image.
-    """
-    cell = np.abs(np.gradient(distance_um)).sum(axis=0)
-    return np.clip(2 * distance_um / np.where(cell > 0, cell, scale), -1, 1)
+def _side(distance_um: np.ndarray) -> np.ndarray:
+    """Return on which side of an edge cells lie, -1 to 1: by their share where it cuts them."""
+    cell_um = np.abs(np.gradient(distance_um)).sum(axis=0)
+    return np.clip(2 * distance_um / cell_um, -1, 1)

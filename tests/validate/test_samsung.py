@@ -196,7 +196,7 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
 
 @pytest.fixture(scope="module")
 def cornered(standard, system):
-    """Return what predicts corners before the standard lens, and before one that is a little off."""
+    """Return what predicts corners before the standard lens, and before one a little off."""
     nodes = corners.REFERENCE_NM + np.array([-10.0, 0.0, 10.0])
     widest = math.radians(corners.REACH_OF_FIELD * STANDARD.full_deg / 2)
     with threadpool_limits(1):
@@ -210,8 +210,9 @@ def corner_between(true, predictor, where):
     """Return the corner at a place of a picture by one predictor, held against another's."""
     sensor = lines_sensor([["G"]], {"G": corners.REFERENCE_NM})
     chief = corners.places_of(STANDARD, predictor, sensor)[where]
+    ideal_um = predictor.ideal_um(chief * sensor.pixel_pitch_um, corners.line_band())
     measured, predicted = (
-        corners.corner_in(corners.predicted_picture(chief, sensor, one), chief, sensor)
+        corners.corner_in(corners.predicted_picture(chief, ideal_um, sensor, one), chief, sensor)
         for one in (true, predictor)
     )
     return corners.Corner(STANDARD, where, measured, predicted, tuple(chief))
