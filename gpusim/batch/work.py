@@ -7,6 +7,7 @@ import os
 import time
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -155,16 +156,29 @@ def _rendered(frames: Sequence[Frame], out: Path, taken_at: datetime) -> list[di
         light = _light(frames[0], out)
     except (UserError, OSError) as error:
         return [_failed(frame, error) for frame in frames]
-    found, lit_s = [], time.perf_counter() - started
-    for frame, taken in _taken(frames, light):
-        try:
-            if isinstance(taken, UserError):
-                raise taken
-            found.append(_written(frame, taken, out, taken_at, lit_s, started))
-        except (UserError, OSError) as error:
-            found.append(_failed(frame, error))
-        started, lit_s = time.perf_counter(), 0.0
-    return found
+    lit_s = time.perf_counter() - started
+    # The disk makes files last while the next frames are made.
+    with ThreadPoolExecutor(1) as disk:
+        waiting: list[tuple[Frame, Future[dict[str, Any]]]] = []
+        for frame, taken in _taken(frames, light):
+            made: Future[dict[str, Any]] = Future()
+            try:
+                if isinstance(taken, UserError):
+                    raise taken
+                made = disk.submit(_kept, *_written(frame, taken, out, taken_at, lit_s, started))
+            except (UserError, OSError) as error:
+                made.set_exception(error)
+            waiting.append((frame, made))
+            started, lit_s = time.perf_counter(), 0.0
+        return [_account(frame, made) for frame, made in waiting]
+
+
+def _account(frame: Frame, made: Future[dict[str, Any]]) -> dict[str, Any]:
+    """Return what is in the sidecar of a frame whose files are kept, or why there is none."""
+    try:
+        return made.result()
+    except (UserError, OSError) as error:
+        return _failed(frame, error)
 
 
 def _failed(frame: Frame, error: UserError | OSError) -> dict[str, Any]:
@@ -178,8 +192,10 @@ def _failed(frame: Frame, error: UserError | OSError) -> dict[str, Any]:
 
 def _written(
     frame: Frame, taken: library.Frame, out: Path, taken_at: datetime, lit_s: float, started: float
-) -> dict[str, Any]:
-    """Write one frame's files, its sidecar last: where that is, all are.
+) -> tuple[dict[str, Any], dict[Path, Path]]:
+    """Write one frame's files beside their places; return what its sidecar holds, and the places.
+
+    The sidecar comes last: where that is, all are.
 
     Parameters
     ----------
@@ -192,27 +208,57 @@ def _written(
     started : float
         When the work on it began.
     """
-    wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
-    labels = in_frame(_labels(frame, out), taken) if wanted else {}
-    files = []
-    for kind in frame.sweep.outputs:
-        name = f"{frame.name}.{KINDS[kind]}"
-        with whole(out / name) as part:
-            if kind == "truth":
-                write_exr(part, {"Y": taken.truth_dn})
-            elif kind == "labels":
-                _save_arrays(part, labels)
-            elif kind == "crops":
-                _save_arrays(part, crops_of(frame, taken, labels))
-            else:
-                taken.save(part, taken=taken_at)
-        files.append(name)
-    certificate = taken.certificate
-    made = {}
+    places: dict[Path, Path] = {}
+    try:
+        files = [f"{frame.name}.{KINDS[kind]}" for kind in frame.sweep.outputs]
+        for kind, name in zip(frame.sweep.outputs, files, strict=True):
+            part = beside(out / name)
+            places[part] = out / name
+            _write(kind, part, frame, taken, taken_at)
+        facts = _facts(frame, taken, out, taken_at)
+        facts |= {"files": files, "light_s": lit_s, "seconds": time.perf_counter() - started}
+        sidecar = out / f"{frame.name}{SIDECAR}"
+        part = beside(sidecar)
+        places[part] = sidecar
+        part.write_text(json.dumps(facts, default=_plain))
+    except BaseException:
+        for part in places:
+            part.unlink(missing_ok=True)
+        raise
+    return facts, places
+
+
+def _kept(facts: dict[str, Any], places: dict[Path, Path]) -> dict[str, Any]:
+    """Put files into their places, once they are on disk; return the facts."""
+    try:
+        for part, path in places.items():
+            _last(part, path)
+    finally:
+        for part in places:
+            part.unlink(missing_ok=True)
+    return facts
+
+
+def _write(kind: str, part: Path, frame: Frame, taken: library.Frame, taken_at: datetime) -> None:
+    """Write one output of a frame."""
+    if kind == "truth":
+        write_exr(part, {"Y": taken.truth_dn})
+    elif kind in LABELLED:
+        labels = in_frame(_labels(frame, part.parent), taken) if frame.sweep.labels else {}
+        arrays = labels if kind == "labels" else crops_of(frame, taken, labels)
+        _save_arrays(part, arrays)
+    else:
+        taken.save(part, taken=taken_at)
+
+
+def _facts(frame: Frame, taken: library.Frame, out: Path, taken_at: datetime) -> dict[str, Any]:
+    """Return what the sidecar says of the frame itself."""
+    certificate, made = taken.certificate, {}
     if "raw" in frame.sweep.outputs:
         name = f"{frame.name}.{KINDS['raw']}"
-        made["recipe"] = recipe_of_frame(taken, out / name, taken_at, light=_recipe_name(frame))
-    facts = {
+        part, light = beside(out / name), _recipe_name(frame)
+        made["recipe"] = recipe_of_frame(taken, part, taken_at, light=light) | {"raw": name}
+    return {
         "number": frame.number,
         "scene": frame.scene,
         "settings": frame.settings,
@@ -220,22 +266,16 @@ def _written(
         "iso": taken.iso,
         "seed": taken.shot.seed,
         "frame": taken.shot.frame,
-        "files": files,
         "mean_dn": float(taken.raw.mean()),
         "std_dn": float(taken.raw.std()),
         "saturated": float(taken.saturated.mean()),
         **_measured(frame, out),
         "certificate_rms": None if certificate is None else certificate.total_rms,
         "certificate_met": None if certificate is None else certificate.met,
-        "light_s": lit_s,
-        "seconds": time.perf_counter() - started,
         "gpusim": gpusim.__version__,
         "sweep": frame.sweep.digest,
         **made,
     }
-    with whole(out / f"{frame.name}{SIDECAR}") as part:
-        part.write_text(json.dumps(facts, default=_plain))
-    return facts
 
 
 def crops_of(
@@ -258,7 +298,7 @@ def _measured(frame: Frame, out: Path) -> dict[str, Any]:
     """Return figures of a frame's raw file, and why there are none."""
     if not frame.sweep.metrics:
         return {}
-    planes = read_picture(out / f"{frame.name}.{KINDS['raw']}")
+    planes = read_picture(beside(out / f"{frame.name}.{KINDS['raw']}"))
     figures, failed = summary(planes, frame.sweep.metrics)
     return figures | {f"{name}{NOT_MEASURED}": why for name, why in failed.items()}
 
@@ -271,15 +311,25 @@ def _plain(value: object) -> object:
     return value.item() if isinstance(value, np.generic) else str(value)
 
 
+def beside(path: Path) -> Path:
+    """Return the name under which a file is written, beside its place."""
+    return path.with_name(f".{os.getpid()}-{path.name}")
+
+
+def _last(part: Path, path: Path) -> None:
+    """Put a file into its place, once it is on disk."""
+    with part.open("rb") as file:
+        os.fsync(file.fileno())
+    os.replace(part, path)
+
+
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
     """Yield a name beside a file, which takes the file's place once it is written and on disk."""
-    part = path.with_name(f".{os.getpid()}-{path.name}")
+    part = beside(path)
     try:
         yield part
-        with part.open("rb") as file:
-            os.fsync(file.fileno())
-        os.replace(part, path)
+        _last(part, path)
     finally:
         part.unlink(missing_ok=True)
 

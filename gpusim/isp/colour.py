@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from gpusim.scene.spectra import (
@@ -59,11 +61,17 @@ def colour_matrix(camera_response: np.ndarray, illuminant: str) -> np.ndarray:
     ndarray (colours, 3)
         Scaled so that the white, at Y = 1, has 1 as its largest component.
     """
+    return _fitted(np.asarray(camera_response, np.float64).tobytes(), illuminant).copy()
+
+
+@lru_cache(maxsize=32)  # every frame of a camera asks for the same two
+def _fitted(camera_response: bytes, illuminant: str) -> np.ndarray:
+    response = np.frombuffer(camera_response).reshape(-1, WAVELENGTHS_NM.size)
     white = white_radiance(illuminant, 1.0)
     patches = np.stack(list(colorchecker().values())) * white
-    white_xyz, white_camera = xyz(white), camera_response @ white
+    white_xyz, white_camera = xyz(white), response @ white
     seen = xyz(patches) / white_xyz
-    counted = patches @ camera_response.T / white_camera
+    counted = patches @ response.T / white_camera
     # With white at (1, 1, 1) on both sides each row sums to 1: two unknowns are left in each.
     free, *_ = np.linalg.lstsq(seen[:, :2] - seen[:, 2:], counted - seen[:, 2:], rcond=None)
     rows = np.vstack([free, 1.0 - free.sum(axis=0)]).T

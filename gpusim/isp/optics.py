@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -89,12 +90,20 @@ def opcodes(optics: Optics, sensor: Sensor, rect: Rect) -> bytes:
     if not (optics.real_um.size and 0 <= x <= 1 and 0 <= y <= 1):
         return b""
     farthest = np.hypot(max(x, 1 - x) * cols, max(y, 1 - y) * rows) * sensor.pixel_pitch_um
+    curves = response(sensor.colour_qe)
+    return _listed(optics, farthest, (x, y), curves.tobytes())
+
+
+@lru_cache(maxsize=8)  # frames of one camera have the same
+def _listed(optics: Optics, farthest_um: float, at: tuple[float, float], curves: bytes) -> bytes:
+    """Return the opcodes for a sensor's curves (colours, 61)."""
+    seen = np.frombuffer(curves).reshape(-1, WAVELENGTHS_NM.size)
     maps = [
-        (*warp(optics, farthest, shift_um), 0.0, 0.0) for shift_um in colour_shifts(optics, sensor)
+        (*warp(optics, farthest_um, shift_um), 0.0, 0.0) for shift_um in colour_shifts(optics, seen)
     ]
-    packed = struct.pack(f">I{6 * len(maps) + 2}d", len(maps), *sum(maps, ()), x, y)
+    packed = struct.pack(f">I{6 * len(maps) + 2}d", len(maps), *sum(maps, ()), *at)
     listed = [
-        _opcode(FIX_VIGNETTE_RADIAL, struct.pack(">7d", *shading(optics, farthest), x, y)),
+        _opcode(FIX_VIGNETTE_RADIAL, struct.pack(">7d", *shading(optics, farthest_um), *at)),
         _opcode(WARP_RECTILINEAR, packed),
     ]
     return struct.pack(">I", len(listed)) + b"".join(listed)
@@ -122,15 +131,17 @@ def warp(optics: Optics, farthest_um: float, shift_um: np.ndarray) -> np.ndarray
     return np.linalg.lstsq(powers, lands, rcond=None)[0]
 
 
-def colour_shifts(optics: Optics, sensor: Sensor) -> np.ndarray:
-    """Return by how much farther from the axis a sensor's colours lie, um: (colours, n).
+def colour_shifts(optics: Optics, seen: np.ndarray) -> np.ndarray:
+    """Return by how much farther from the axis colours that a camera sees lie, um: (colours, n).
+
+    ``seen`` (colours, 61) are their curves: see `gpusim.isp.colour.response`.
 
     The mean over what a colour collects of daylight (D65). Red, green and blue each; of other
     filters one for all, since DNG has a map for each plane of the picture or one.
     """
     if not optics.lines_nm.size:
         return np.zeros((1, optics.real_um.size))
-    curves = response(sensor.colour_qe) * white_radiance("D65", 1.0)
+    curves = seen * white_radiance("D65", 1.0)
     if curves.shape[0] != len(CHANNELS):
         curves = curves.sum(axis=0, keepdims=True)
     shifts = np.stack(

@@ -6,6 +6,7 @@ import math
 import struct
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from typing import BinaryIO
 
@@ -53,6 +54,7 @@ def rational(value: float, kind: int = RATIONAL) -> tuple[int, int]:
     return (-near[0] if value < 0 else near[0]), near[1]
 
 
+@lru_cache(maxsize=1024)  # frames of one camera have the same: a third of a DNG's time
 def _nearest(value: float, most: int) -> tuple[int, int]:
     """Return the nearest rational of a number from 1 up, with both parts up to `most`."""
     if value >= most:

@@ -9,6 +9,7 @@ from isp.stages import F32, ULP, through
 
 from gpusim.gpu import Device
 from gpusim.isp import pipeline
+from gpusim.isp.colour import response
 from gpusim.isp.optics import Optics, colour_shifts, opcodes, warp
 from gpusim.isp.pipeline import develop_source
 from gpusim.isp.rectify import Rectification, record_rectify
@@ -123,13 +124,13 @@ def test_the_maps_of_a_lens_have_its_lateral_colour():
     lines = np.array([400.0, 550.0, 700.0])
     shift = np.array([0.004, 0.0, -0.002])[:, None] * height  # blue lands farther out
     lens = Optics("a lens", 8.0, 2.8, height, height, np.ones(50), lines, shift)
-    red, green, blue = colour_shifts(lens, sensor)
+    red, green, blue = colour_shifts(lens, response(sensor.colour_qe))
     assert blue[-1] > green[-1] > red[-1]
     assert blue[-1] == pytest.approx(0.004 * 3000 * (550 - 460) / 150, rel=0.3)
     for one in (red, green, blue):
         k = warp(lens, 3000.0, one)
         assert_close(k[0], 1 + one[-1] / 3000, atol=1e-9)
-    mono = colour_shifts(lens, load_sensor("imx249-mono"))
+    mono = colour_shifts(lens, response(load_sensor("imx249-mono").colour_qe))
     assert mono.shape == (1, 50)
 
 
@@ -139,7 +140,7 @@ def test_unlike_greens_are_one_colour_of_the_maps():
     height, lines = np.linspace(0, 1800, 20), np.array([400.0, 700.0])
     shift = np.array([0.002, -0.002])[:, None] * height
     lens = Optics("a lens", 8.0, 2.8, height, height, np.ones(20), lines, shift)
-    red, green, blue = colour_shifts(lens, sensor)
+    red, green, blue = colour_shifts(lens, response(sensor.colour_qe))
     assert blue[-1] > green[-1] > red[-1]
     whole = (0, 0, sensor.rows, sensor.cols)
     assert len(opcodes(lens, sensor, whole)) > len(opcodes(lens, load_sensor("imx249-mono"), whole))
