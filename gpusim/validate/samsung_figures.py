@@ -56,9 +56,9 @@ def draw_corners(corners: Corners) -> Figure:
     """Return where corners of a checkerboard are found, and their errors as arrows."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.2, 4.4))
-        told = f"red: measured less predicted, {ARROWS:g} times as long; blue: from the chief ray"
-        scale = f"that {CHIEF_ARROWS:g} times"
-        titles(figure, "Corners of a checkerboard", [told, scale], top=4.35)
+        told = f"red, {ARROWS:g} times as long: measured less predicted"
+        chief = f"blue, {CHIEF_ARROWS:g} times: measured less chief ray"
+        titles(figure, "Corners of a checkerboard", [told, chief], top=4.35)
         for col, optics in enumerate(LENSES):
             own = [one for one in corners.found if one.optics == optics]
             axes = panel(figure, 0.75 + 3.55 * col, 0.6, 3.0, 2.4)
