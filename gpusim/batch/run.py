@@ -7,13 +7,13 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gpusim.batch.work import LIGHTS, SIDECAR, Task, whole, work
+from gpusim.batch.work import LIGHT_TOPIC, LIGHTS, SIDECAR, Task, whole, work
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -184,13 +184,30 @@ def run(
     tasks = tasks_of(sweep, out, taken)
     if tasks:
         with _client(workers, scheduler, client) as dask:
-            _work(dask, tasks, outcome, fail_fast, lambda: report("frames", *_count(outcome)))
+            with _told(dask, report):
+                _work(dask, tasks, outcome, fail_fast, lambda: report("frames", *_count(outcome)))
     outcome.done.sort(key=lambda one: one["number"])
     outcome.new = len(outcome.done) - there
     outcome.seconds = time.perf_counter() - started
     if not outcome.failed and not outcome.missing:
         shutil.rmtree(out / LIGHTS, ignore_errors=True)
     return outcome
+
+
+@contextmanager
+def _told(dask: Client, report: Progress) -> Iterator[None]:
+    """Report how far workers are with their lights, which take most of a batch's first minute."""
+
+    def tell(event: tuple[float, dict[str, Any]]) -> None:
+        _, said = event
+        report(f"light: {said['what']}", said["done"], said["total"])
+
+    dask.subscribe_topic(LIGHT_TOPIC, tell)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):  # the connection was lost, and with it the subscription
+            dask.unsubscribe_topic(LIGHT_TOPIC)
 
 
 def _count(outcome: Outcome) -> tuple[int, int]:

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -46,6 +46,8 @@ KINDS = {
 }
 LABELLED = {"labels", "crops"}  # outputs that hold labels
 NOT_MEASURED = ".not_measured"  # after a measure's name: why it has no figures
+LIGHT_TOPIC = "gpusim-light"  # of Dask's events: how far workers are with their lights
+TOLD_S = 0.2
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
 _SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames
@@ -109,7 +111,7 @@ def rendered(frames: Sequence[Frame]) -> Iterator[tuple[Frame, library.Frame]]:
             yield frame, taken
 
 
-def exposed(frame: Frame) -> Light:
+def exposed(frame: Frame, progress: Callable[[str, int, int], None] | None = None) -> Light:
     """Return the light of a frame."""
     sweep, camera = frame.sweep, frame.camera()
     scene = make_scene(frame.scene, **frame.scene_options, frame=camera.frame)
@@ -120,6 +122,7 @@ def exposed(frame: Frame) -> Light:
         probes=sweep.probes,
         tile=sweep.tile,
         best_effort=sweep.best_effort,
+        progress=progress,
     )
 
 
@@ -358,6 +361,25 @@ def _labels(frame: Frame, out: Path) -> dict[str, np.ndarray]:
     return _LABELS[key]
 
 
+def _telling() -> Callable[[str, int, int], None]:
+    """Return what tells the client how far a light is, at most every `TOLD_S`."""
+    from distributed import get_worker
+
+    try:
+        worker = get_worker()
+    except ValueError:  # in a process of no cluster nobody listens
+        return lambda what, done, total: None
+    last: dict[str, float] = {}
+
+    def tell(what: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if done in (0, total) or now - last.get(what, 0.0) > TOLD_S:
+            last[what] = now
+            worker.log_event(LIGHT_TOPIC, {"what": what, "done": done, "total": total})
+
+    return tell
+
+
 def _light(frame: Frame, out: Path) -> Light:
     """Return the light of a frame, made once however many workers ask."""
     key = (str(out), frame.light_key)
@@ -367,7 +389,7 @@ def _light(frame: Frame, out: Path) -> Light:
         path = folder / f"{frame.light_key}.npz"
         with _alone(folder / f"{frame.light_key}.lock"):
             if not path.exists():
-                light = exposed(frame)
+                light = exposed(frame, _telling())
                 with whole(out / _recipe_name(frame)) as part:
                     part.write_text(json.dumps(light.recipe))
                 light.save(path)

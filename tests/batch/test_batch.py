@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from gpusim.batch import work as worker
 from gpusim.batch.run import prepared, status, tasks_of
+from gpusim.batch.run import run as run_batch
 from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import LIGHTS, rendered, work
 from gpusim.cli.app import app
@@ -62,7 +63,7 @@ def run(*words: object):
 def test_frames_that_share_a_light_are_exposed_once(folder: Path, monkeypatch):
     exposures = []
     right = worker.exposed
-    monkeypatch.setattr(worker, "exposed", lambda frame: exposures.append(1) or right(frame))
+    monkeypatch.setattr(worker, "exposed", lambda *given: exposures.append(1) or right(*given))
     axes = SWEEP["axes"] | {"luminance_cd_m2": [100, 300]}
     sweep = Sweep.load(written(folder, axes=axes, probes=4))
     assert len(sweep) == 24 and len({frame.light_key for frame in sweep.frames}) == 2
@@ -295,6 +296,21 @@ def test_a_worker_that_is_killed_costs_no_frame(folder: Path):
         one.kill()
     assert process.wait(timeout=240) == 0
     assert len(list(out.glob("frame-*.json"))) == 60
+
+
+def test_who_waits_for_a_light_sees_how_far_it_is(folder: Path):
+    from distributed import Client, LocalCluster
+
+    told = []
+    sweep = Sweep.load(written(folder, axes={"seed": [1]}, probes=4))
+    alone = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
+    with LocalCluster(**alone, dashboard_address=None) as cluster, Client(cluster) as client:
+        found = run_batch(
+            sweep, folder / "out", client=client, progress=lambda *one: told.append(one)
+        )
+    assert len(found.done) == 1 and not found.failed
+    phases = {what: total for what, done, total in told if done == total}
+    assert phases["frames"] == 1 and phases["light: certify"] == 4
 
 
 @pytest.mark.slow
