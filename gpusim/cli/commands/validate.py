@@ -37,7 +37,7 @@ def _validations() -> None:
 
 @validate.command()
 def kodak(out: ReportFolder, own_tracer: OwnTracer = False, adapter: Adapter = None) -> None:
-    """Short, Williams & Jones 1999: edge positions, lateral colour and MTF against predictions.
+    """Short, Williams & Jones 1999: edges, PSFs, effects of the camera, noise against predictions.
 
     Writes kodak.html, kodak.json, the figures, and validation-kodak.md. Predictions are optiland's
     (extra judges). Exit code 1 where a bar is not held.
@@ -68,7 +68,7 @@ def ansys(
 
 @validate.command()
 def samsung(out: ReportFolder, own_tracer: OwnTracer = False, adapter: Adapter = None) -> None:
-    """Shin et al. (Samsung, Ansys): edges, QE, colour and noise against predictions.
+    """Shin et al. (Samsung, Ansys): edges, corners, QE, colour and noise against predictions.
 
     Writes samsung.html, samsung.json, the figures, and validation-samsung.md. Predictions are
     optiland's (extra judges) and equations'. Exit code 1 where a bar is not held.
