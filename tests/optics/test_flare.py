@@ -49,6 +49,22 @@ def test_a_chart_counts_by_area():
     assert SIDE % 2 == 0
 
 
+def test_stripes_that_repeat_with_the_grid_count_by_area():
+    lens, camera = bank(falloff=0.0, distortion=0.0), monochrome(96, 128, veiling_glare=0.5)
+    cell = 2 * 128 / 96 / SIDE  # half-heights
+    # Stripes of 1.9 cells, one in each four: the middles of two cells lie in each.
+    stripes = tuple(
+        Rect((4 * k + 2) * cell - 128 / 96, 0.0, 0.95 * cell, 2.0, 0.0, 1) for k in range(SIDE // 4)
+    )
+    half_um = 48 * camera.pixel_pitch_um
+    given = lens, camera, scene(stripes).source.placed(half_um), WEIGHTS[:, :1]
+    dark, light = np.einsum("mj,jcl->m", COEFFICIENTS, WEIGHTS[:, :1])
+    expected = 0.5 * (dark + 1.9 / 4 * (light - dark))
+    # 2 x 64 columns of 256 cells have a point in a stripe with the chance 0.95.
+    chance = np.sqrt(128 * 256 * 0.95 * 0.05) / SIDE**2 * abs(light - dark) * 0.5
+    assert_close(veiling_glare(*given, COEFFICIENTS), np.array([expected]), atol=4 * chance)
+
+
 def test_beyond_the_image_circle_there_is_no_light():
     lens = bank(falloff=0.0, distortion=0.0, circle_um=80.0, lateral=(0.0, 0.0, 0.0))
     camera = monochrome(100, 100, veiling_glare=1.0)  # a square of 155 um, a circle of 80 um radius
