@@ -232,9 +232,7 @@ def predicted_picture(
     plane_um = 1e3 * predictor.tracer.efl_mm * np.tan(field)
     scale = np.divide(plane_um, away, out=np.ones_like(away), where=away > 0)
     # On which side of each edge: the product of both is the checkerboard.
-    sides = [
-        _side(one * scale - centre, scale) for one, centre in zip((x, y), ideal_um, strict=True)
-    ]
+    sides = [_side(one * scale - centre) for one, centre in zip((x, y), ideal_um, strict=True)]
     board = 0.5 + 0.5 * sides[0] * sides[1]
     light = (BLACK + (WHITE - BLACK) * board) * predictor.flat_field(away, band)
     psf = predictor.point_spread(
