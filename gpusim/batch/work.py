@@ -7,10 +7,11 @@ import os
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -47,7 +48,7 @@ KINDS = {
 LABELLED = {"labels", "crops"}  # outputs that hold labels
 NOT_MEASURED = ".not_measured"  # after a measure's name: why it has no figures
 LIGHT_TOPIC = "gpusim-light"  # of Dask's events: how far workers are with their lights
-TOLD_S = 0.2
+TOLD_S = 0.2  # between two of them: a screen shows no more
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
 _SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames
@@ -160,28 +161,19 @@ def _rendered(frames: Sequence[Frame], out: Path, taken_at: datetime) -> list[di
     except (UserError, OSError) as error:
         return [_failed(frame, error) for frame in frames]
     lit_s = time.perf_counter() - started
+    accounts: list[Callable[[], dict[str, Any]]] = []
     # The disk makes files last while the next frames are made.
     with ThreadPoolExecutor(1) as disk:
-        waiting: list[tuple[Frame, Future[dict[str, Any]]]] = []
         for frame, taken in _taken(frames, light):
-            made: Future[dict[str, Any]] = Future()
             try:
                 if isinstance(taken, UserError):
                     raise taken
-                made = disk.submit(_kept, *_written(frame, taken, out, taken_at, lit_s, started))
+                written = _written(frame, taken, out, taken_at, lit_s, started)
+                accounts.append(disk.submit(_kept, frame, *written).result)
             except (UserError, OSError) as error:
-                made.set_exception(error)
-            waiting.append((frame, made))
+                accounts.append(partial(_failed, frame, error))
             started, lit_s = time.perf_counter(), 0.0
-        return [_account(frame, made) for frame, made in waiting]
-
-
-def _account(frame: Frame, made: Future[dict[str, Any]]) -> dict[str, Any]:
-    """Return what is in the sidecar of a frame whose files are kept, or why there is none."""
-    try:
-        return made.result()
-    except (UserError, OSError) as error:
-        return _failed(frame, error)
+        return [account() for account in accounts]
 
 
 def _failed(frame: Frame, error: UserError | OSError) -> dict[str, Any]:
@@ -211,13 +203,15 @@ def _written(
     started : float
         When the work on it began.
     """
+    wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
+    labels = in_frame(_labels(frame, out), taken) if wanted else {}
     places: dict[Path, Path] = {}
     try:
         files = [f"{frame.name}.{KINDS[kind]}" for kind in frame.sweep.outputs]
         for kind, name in zip(frame.sweep.outputs, files, strict=True):
             part = beside(out / name)
             places[part] = out / name
-            _write(kind, part, frame, taken, taken_at)
+            _write(kind, part, frame, taken, taken_at, labels)
         facts = _facts(frame, taken, out, taken_at)
         facts |= {"files": files, "light_s": lit_s, "seconds": time.perf_counter() - started}
         sidecar = out / f"{frame.name}{SIDECAR}"
@@ -231,25 +225,34 @@ def _written(
     return facts, places
 
 
-def _kept(facts: dict[str, Any], places: dict[Path, Path]) -> dict[str, Any]:
-    """Put files into their places, once they are on disk; return the facts."""
+def _kept(frame: Frame, facts: dict[str, Any], places: dict[Path, Path]) -> dict[str, Any]:
+    """Put files into their places, once they are on disk; return the facts, or why they are not."""
     try:
         for part, path in places.items():
             _last(part, path)
+    except OSError as error:
+        return _failed(frame, error)
     finally:
         for part in places:
             part.unlink(missing_ok=True)
     return facts
 
 
-def _write(kind: str, part: Path, frame: Frame, taken: library.Frame, taken_at: datetime) -> None:
+def _write(
+    kind: str,
+    part: Path,
+    frame: Frame,
+    taken: library.Frame,
+    taken_at: datetime,
+    labels: dict[str, np.ndarray],
+) -> None:
     """Write one output of a frame."""
     if kind == "truth":
         write_exr(part, {"Y": taken.truth_dn})
-    elif kind in LABELLED:
-        labels = in_frame(_labels(frame, part.parent), taken) if frame.sweep.labels else {}
-        arrays = labels if kind == "labels" else crops_of(frame, taken, labels)
-        _save_arrays(part, arrays)
+    elif kind == "labels":
+        _save_arrays(part, labels)
+    elif kind == "crops":
+        _save_arrays(part, crops_of(frame, taken, labels))
     else:
         taken.save(part, taken=taken_at)
 

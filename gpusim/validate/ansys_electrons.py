@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 from gpusim.camera import Camera
 from gpusim.plan import Accuracy
-from gpusim.render import Capture, Renderer
+from gpusim.render import Capture
 from gpusim.scene.scene import Scene
 from gpusim.validate.ansys import EXPOSURE_S, PROBES
 from gpusim.validate.averaging import Averaging, photons_per_s
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certified
+from gpusim.validate.certified import certified_tiles
 from gpusim.validate.predict import Band, Predictor
 
 EVEN_AT = ((0, 0), (0.5, 0), (0, 0.9), (0.9, 0.9))  # of the way to the sides, right and down
@@ -73,23 +73,11 @@ def electrons_of(camera: Camera, scene: Scene, predictor: Predictor, band: Band)
         (round(side / 2 * (1 + x) - EVEN / 2), round(side / 2 * (1 + y) - EVEN / 2), EVEN, EVEN)
         for x, y in EVEN_AT
     ]
-
-    def taken(renderer: Renderer, number: int) -> Capture:
-        return renderer.capture(EXPOSURE_S, tile=tiles[number], keep=("rate",))
-
-    renderer, first = certified(
-        Accuracy(BAR, PROBES),
-        lambda accuracy: Renderer(camera, scene, accuracy, noise=False),
-        lambda renderer: taken(renderer, 0),
-    )
-    try:
-        for number, (left, top, _, _) in enumerate(tiles):
-            capture = taken(renderer, number) if number else first
-            x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
-            photons = photons_per_s(scene.on(nm), predictor, sensor, math.hypot(x_mm, y_mm))
-            (share,) = averaging.at(x_mm, y_mm, nm).values()
-            measured = float(capture.rate.mean()) * EXPOSURE_S
-            found.append(Electrons(x_mm, y_mm, measured, float(photons @ share) * EXPOSURE_S))
-    finally:
-        renderer.release()
-    return EvenScene(found, first)
+    captures = certified_tiles(camera, scene, Accuracy(BAR, PROBES), EXPOSURE_S, tiles)
+    for (left, top, _, _), capture in zip(tiles, captures, strict=True):
+        x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
+        photons = photons_per_s(scene.on(nm), predictor, sensor, math.hypot(x_mm, y_mm))
+        (share,) = averaging.at(x_mm, y_mm, nm).values()
+        measured = float(capture.rate.mean()) * EXPOSURE_S
+        found.append(Electrons(x_mm, y_mm, measured, float(photons @ share) * EXPOSURE_S))
+    return EvenScene(found, captures[0])

@@ -85,7 +85,7 @@ def report(found: list[Read], sharp: list[Sharpness], even: EvenScene) -> Report
         *_sharpness(sharp),
         Section(
             "Electrons by equation 1.",
-            "Of an even scene at places of the picture, at 1.061 mm.",
+            "An even scene's electrons at places of the picture, at 1.061 mm.",
             rows=_electrons(even),
         ),
     ]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from gpusim.camera import Camera
 from gpusim.certify import Certificate
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer
 from gpusim.render.anew import planned_anew
+from gpusim.scene.scene import Scene
 from gpusim.validate.bars import Bar
 
 CERTIFICATE_BAR = 1.0  # error over what is allowed
@@ -44,6 +46,37 @@ def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]
         | {"tolerance": one.tolerance}
         for render, one in certificates.items()
     }
+
+
+Rect = tuple[int, int, int, int]  # x, y, width, height
+
+
+def certified_tiles(
+    camera: Camera, scene: Scene, accuracy: Accuracy, exposure_s: float, tiles: Sequence[Rect]
+) -> list[Capture]:
+    """Return the mean light of rectangles, ``rate`` kept; the first has the certificate.
+
+    Parameters
+    ----------
+    camera : Camera
+    scene : Scene
+    accuracy : Accuracy
+    exposure_s : float
+    tiles : sequence of (x, y, width, height)
+    """
+
+    def made(asked: Accuracy) -> Renderer:
+        return Renderer(camera, scene, asked, noise=False)
+
+    def taken(renderer: Renderer, tile: Rect) -> Capture:
+        return renderer.capture(exposure_s, tile=tile, keep=("rate",))
+
+    first, *others = tiles
+    renderer, capture = certified(accuracy, made, lambda renderer: taken(renderer, first))
+    try:
+        return [capture, *(taken(renderer, tile) for tile in others)]
+    finally:
+        renderer.release()
 
 
 def certified(

@@ -20,7 +20,7 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.plan import Accuracy
-from gpusim.render import Capture, Renderer
+from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.scene import Scene
@@ -28,7 +28,7 @@ from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certified
+from gpusim.validate.certified import certified_tiles
 from gpusim.validate.edges import AXES, TILT_RAD, Found, Target, compare, cut, normal_of, region_of
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Band, Predictor
@@ -156,33 +156,18 @@ class BandRenders:
             found.append((left, top, *size))
         return found
 
-    def render(
-        self, chart: Chart, reflectances: tuple[float, ...], **how: object
-    ) -> tuple[Capture, np.ndarray]:
+    def render(self, chart: Chart, reflectances: tuple[float, ...]) -> tuple[Capture, np.ndarray]:
         """Return the electrons/s (rows, cols) of a chart, 0 off the places, and a capture.
 
         The capture is that of the outer strip, with its certificate; the other goes by its plan.
         """
         scene, rate = lit(chart, reflectances), np.zeros((self.sensor.rows, self.sensor.cols))
-
-        def made(accuracy: Accuracy) -> Renderer:
-            return Renderer(self.camera, scene, accuracy, noise=False, **how)
-
-        def taken(renderer: Renderer, strip: tuple[int, int, int, int]) -> Capture:
-            return renderer.capture(EXPOSURE_S, tile=strip, keep=("rate",))
-
         inner, outer = self.strips
-        accuracy = Accuracy(TOLERANCE, PROBES)
-        renderer, first = certified(accuracy, made, lambda renderer: taken(renderer, outer))
-        try:
-            for (x, y, width, height), found in (
-                (outer, first),
-                (inner, taken(renderer, inner)),
-            ):
-                rate[y : y + height, x : x + width] = found.rate
-        finally:
-            renderer.release()
-        return first, rate
+        accuracy, tiles = Accuracy(TOLERANCE, PROBES), (outer, inner)
+        captures = certified_tiles(self.camera, scene, accuracy, EXPOSURE_S, tiles)
+        for (x, y, width, height), found in zip(tiles, captures, strict=True):
+            rate[y : y + height, x : x + width] = found.rate
+        return captures[0], rate
 
 
 def lit(chart: Chart, reflectances: tuple[float, ...]) -> Scene:

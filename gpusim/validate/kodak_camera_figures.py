@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gpusim.report.drawing import COLOURS, INK, LINE, SOFT, STYLE, panel, titles, write
+from gpusim.validate.kodak import BANDS
 from gpusim.validate.kodak_cost import EDGES, Costs
-from gpusim.validate.kodak_effects import BANDS, Effects
+from gpusim.validate.kodak_effects import Effects
+from gpusim.validate.kodak_figures import NAMES
 from gpusim.validate.kodak_noise import INEFFICIENCIES, PATCHES, Hues, Noises
 from gpusim.validate.kodak_psf import BAR, PITCH_UM, WAVELENGTH_NM, PointSpreads
 
-NAMES = {"R": "Red", "G": "Green", "B": "Blue"}
 # About as their names; of the patches but the neutral one, in their order.
 PATCH_COLOURS = ("#b5322f", "#d97a26", "#c9a800", "#3f8f4a", "#1f8fa8", "#2f4fb0")
 DECADES = 4  # of PSFs

@@ -13,8 +13,8 @@ every third of its pixels, both ways, is one of the camera's. Its time holds the
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -56,11 +56,11 @@ class Error:
     Attributes
     ----------
     grid_rms : float
-        Of the signal, over the pixels of the region, against the finest grid.
+        Error of the signal, over the pixels of the region, against the finest grid.
     position_px : float
-        Of the edge's place, less the predicted one.
+        The edge's place, less the predicted one.
     mtf : float
-        Largest, to 1 cycle a pixel.
+        Largest error of the MTF to 1 cycle a pixel.
     """
 
     grid_rms: float
@@ -141,9 +141,11 @@ def measure_costs(
             seen = replace(camera, sensor=finer(sensor, apart))
             make = partial(Renderer, seen, scene, Accuracy(TOLERANCE, 0), noise=False)
             if apart not in prepared:
-                prepared[apart] = kept.enter_context(released(make()))
+                prepared[apart] = make()
+                kept.callback(prepared[apart].release)
             plan = oversampled(prepared[apart], samples // apart)
-            renderer = kept.enter_context(released(make(plan=plan)))
+            renderer = make(plan=plan)
+            kept.callback(renderer.release)
             takers.append(partial(taken, renderer, apart))
         *pictures, finest = [take(regions) for take in takers]
         progress("sim grids", len(SAMPLES) + 1, len(SAMPLES) + 2)
@@ -180,12 +182,3 @@ def taken(
         rate = renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",)).rate
         found.append(rate[apart // 2 :: apart, apart // 2 :: apart].astype(float))
     return found
-
-
-@contextmanager
-def released(renderer: Renderer) -> Iterator[Renderer]:
-    """Give a renderer's memory back at the end."""
-    try:
-        yield renderer
-    finally:
-        renderer.release()

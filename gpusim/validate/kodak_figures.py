@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX
-from gpusim.report.drawing import INK, LINE, SOFT, STYLE, panel, titles, write
+from gpusim.report.drawing import COLOURS, INK, LINE, SOFT, STYLE, panel, titles, write
 from gpusim.validate.edges import AXES
 from gpusim.validate.kodak import (
     BANDS,
@@ -20,7 +20,6 @@ from gpusim.validate.kodak import (
 )
 from gpusim.validate.kodak_table import TABLE_1
 
-COLOURS = {"R": "#c0342b", "G": "#1b8a6b", "B": "#2456b8"}
 MARKERS = {"vertical": "o", "horizontal": "s"}
 NAMES = {"R": "Red", "G": "Green", "B": "Blue"}
 SHOWN_EDGE = 5  # of the regions: the paper's figure 9 shows one near the right-hand side

@@ -27,7 +27,8 @@ from gpusim.sensor.load import load_sensor
 from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.kodak_effects import BANDS, SEED, SENSOR, plain_sensor
+from gpusim.validate.kodak import BANDS, EXPOSURE_S, SENSOR
+from gpusim.validate.kodak_effects import SEED, plain_sensor
 
 # Left behind in each transfer: as the file has it, and that of worn or cold registers.
 INEFFICIENCIES = (2e-5, 5e-5, 2e-4)
@@ -36,7 +37,6 @@ WHITE_SHARE = 0.8  # of the full well, that the white of the light of the patche
 ILLUMINANT = "D65"
 HUE_BAR = 1e-5  # of a ratio of channels; sums of float32 packets keep 1e-6
 LEVELS_E = (0.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 10000.0, 20000.0)
-EXPOSURE_S = 1 / 60
 FRAMES = 8  # of each level: skewness is then known to 0.0016
 ALARM = 1e-3  # chance of a false alarm of all figures of noise together
 
@@ -48,7 +48,7 @@ class Hues:
     Attributes
     ----------
     columns : ndarray (N,)
-        Of the pairs of photosites.
+        Where the pairs of photosites begin.
     ratios : ndarray (E, 2, N)
         R/G and B/G of the grey over those of column 0, by inefficiency: read from the sensor.
     expected : ndarray (E, 2, N)

@@ -17,14 +17,15 @@ import numpy as np
 
 from gpusim.lens.prescription import Prescription
 from gpusim.library.lens import Lens
+from gpusim.sensor.load import load_sensor
 from gpusim.validate.bars import Bar
+from gpusim.validate.kodak import SENSOR
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Predictor
 
 WAVELENGTH_NM = 550.0
 PITCH_UM, SAMPLES = 0.5, 128  # the paper's sampling of PSFs; a window of 64 um
 POINTS = {"centre": 1, "mid-field": 3, "corner": 9}  # by the number of a place of table 1
-PIXEL_UM = 7.8
 # Sum of the differences' sizes over twice the light: the share of light that lies elsewhere.
 BAR = 0.01
 
@@ -63,18 +64,13 @@ class PointSpreads:
 def measure_psfs(lens: Prescription, predictor: Predictor) -> PointSpreads:
     """Trace the PSFs, and predict them."""
     found, shown = [], Lens(**dict(lens))
+    pitch_um = load_sensor(SENSOR).pixel_pitch_um
     for where, number in POINTS.items():
         place = next(one for one in TABLE_1 if one.number == number)
-        field = field_of(predictor, PIXEL_UM * math.hypot(place.x, place.y))
+        radius_um = pitch_um * math.hypot(place.x, place.y)
+        field = float(predictor.field_rad(np.array(radius_um), WAVELENGTH_NM))
         predicted = predictor.point_spread(field, WAVELENGTH_NM, PITCH_UM, SAMPLES)
         share, window_um = field / predictor.widest_rad, PITCH_UM * SAMPLES
         own = shown.psf(share, WAVELENGTH_NM, window_um=window_um, samples=SAMPLES)
         found.append(PointSpread(where, own.field_deg, own.values, predicted))
     return PointSpreads(found)
-
-
-def field_of(predictor: Predictor, radius_um: float) -> float:
-    """Return the field, rad, whose chief ray lands at a distance from the axis."""
-    fields = np.linspace(0, predictor.widest_rad, 4001)
-    heights = predictor.chief_um(fields, np.array([WAVELENGTH_NM]))[0]
-    return float(np.interp(radius_um, heights, fields))

@@ -153,6 +153,12 @@ class Predictor:
         coefficients = self._heights(wavelengths_nm).T  # over wavelengths smooth as the heights
         return 1e3 * BSpline(self._knots, coefficients, 5)(field_rad).T
 
+    def field_rad(self, radius_um: np.ndarray, wavelength_nm: float) -> np.ndarray:
+        """Return the fields, rad, whose chief rays land at distances from the axis."""
+        fields = np.linspace(0, self.widest_rad, 80 * CHIEF_FIELDS)
+        heights = self.chief_um(fields, np.array([wavelength_nm]))[0]
+        return CubicSpline(heights, fields)(radius_um)
+
     def light(self, field_rad: np.ndarray, wavelengths_nm: np.ndarray) -> np.ndarray:
         """Return the light (K, F) that fields send per photon, sr: what surfaces pass of it."""
         return CubicSpline(self.nodes_nm, self._light(field_rad), axis=-1)(wavelengths_nm).T

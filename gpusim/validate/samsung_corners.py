@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import fft2, fftfreq, ifft2, ifftshift
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 from gpusim.lens.prescription import Prescription
@@ -26,11 +25,10 @@ from gpusim.lens.system import build
 from gpusim.metrics.marks import WINDOWS_PX, Marks, again
 from gpusim.metrics.picture import Plane
 from gpusim.plan import Accuracy
-from gpusim.render import Capture, Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certified
+from gpusim.validate.certified import Certified, certified_tiles
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
     BLACK,
@@ -135,21 +133,11 @@ def corners_of(
     sensor = lines_sensor([["G"]], {"G": REFERENCE_NM})
     places = places_of(optics, predictor, sensor)
     camera, scene = camera_of(optics, lens, sensor), lit(chart_of(places, predictor, sensor))
-
-    def made(accuracy: Accuracy) -> Renderer:
-        return Renderer(camera, scene, accuracy, noise=False)
-
-    def taken(renderer: Renderer, chief: np.ndarray) -> Capture:
-        return renderer.capture(EXPOSURE_S, tile=tile_of(chief, sensor), keep=("rate",))
-
-    *others, outermost = places.values()
-    renderer, last = certified(
-        Accuracy(TOLERANCE, PROBES), made, lambda renderer: taken(renderer, outermost)
-    )
-    try:
-        captures = [*(taken(renderer, chief) for chief in others), last]
-    finally:
-        renderer.release()
+    # The outermost comes first: it has the certificate.
+    places = dict(reversed(places.items()))
+    tiles = [tile_of(chief, sensor) for chief in places.values()]
+    accuracy = Accuracy(TOLERANCE, PROBES)
+    captures = certified_tiles(camera, scene, accuracy, EXPOSURE_S, tiles)
     found = []
     for (where, chief), capture in zip(places.items(), captures, strict=True):
         ideal_um = predictor.ideal_um(chief * sensor.pixel_pitch_um, line_band())
@@ -157,8 +145,8 @@ def corners_of(
         measured, predicted = (
             corner_in(picture, chief, sensor) for picture in (capture.rate, expected)
         )
-        found.append(Corner(optics, where, measured, predicted, (float(chief[0]), float(chief[1]))))
-    return found, Certified(last.certificate, TOLERANCE)
+        found.append(Corner(optics, where, measured, predicted, tuple(chief.tolist())))
+    return found[::-1], Certified(captures[0].certificate, TOLERANCE)
 
 
 def places_of(optics: Optics, predictor: Predictor, sensor: Sensor) -> dict[str, np.ndarray]:
@@ -225,19 +213,15 @@ def predicted_picture(
     across, along = np.meshgrid(step, step, indexing="ij")
     x, y = np.tensordot(turn, np.stack([radius_um + along, across]), 1)  # um from the middle
     # The ideal plane's points that are imaged there.
-    fields = np.linspace(0, predictor.widest_rad, 2001)
-    heights = predictor.chief_um(fields, band.wavelengths_nm)[0]
     away = np.hypot(x, y)
-    field = CubicSpline(heights, fields)(away)
-    plane_um = 1e3 * predictor.tracer.efl_mm * np.tan(field)
+    plane_um = 1e3 * predictor.tracer.efl_mm * np.tan(predictor.field_rad(away, REFERENCE_NM))
     scale = np.divide(plane_um, away, out=np.ones_like(away), where=away > 0)
     # On which side of each edge: the product of both is the checkerboard.
     sides = [_side(one * scale - centre) for one, centre in zip((x, y), ideal_um, strict=True)]
     board = 0.5 + 0.5 * sides[0] * sides[1]
     light = (BLACK + (WHITE - BLACK) * board) * predictor.flat_field(away, band)
-    psf = predictor.point_spread(
-        float(np.interp(radius_um, heights, fields)), REFERENCE_NM, fine_um, SAMPLES
-    )
+    field = float(predictor.field_rad(np.array(radius_um), REFERENCE_NM))
+    psf = predictor.point_spread(field, REFERENCE_NM, fine_um, SAMPLES)
     waves = fftfreq(SAMPLES, fine_um)
     f_across, f_along = np.meshgrid(waves, waves, indexing="ij")
     f_x, f_y = np.tensordot(turn, np.stack([f_along, f_across]), 1)

@@ -21,11 +21,10 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.metrics.sfr import measure_sfr
 from gpusim.plan import Accuracy
-from gpusim.render import Capture, Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certified
+from gpusim.validate.certified import Certified, certified_tiles
 from gpusim.validate.edges import TILT_RAD, Target, normal_of, predicted_lsf
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
@@ -143,28 +142,15 @@ def edges_of(
     sensor = lines_sensor(PATTERN, LINES_NM)
     places, target = places_of(optics, predictor, sensor)
     camera, scene = camera_of(optics, lens, sensor), lit(target.chart)
-
-    def made(accuracy: Accuracy) -> Renderer:
-        return Renderer(camera, scene, accuracy, noise=False)
-
-    def taken(renderer: Renderer, place: Place) -> Capture:
-        tile = region_of(place, sensor)
-        return renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",))
-
-    begin, *others = places.values()
-    renderer, first = certified(
-        Accuracy(TOLERANCE, PROBES), made, lambda renderer: taken(renderer, begin)
-    )
-    try:
-        captures = [first, *(taken(renderer, place) for place in others)]
-    finally:
-        renderer.release()
+    tiles = [region_of(place, sensor) for place in places.values()]
+    accuracy = Accuracy(TOLERANCE, PROBES)
+    captures = certified_tiles(camera, scene, accuracy, EXPOSURE_S, tiles)
     found = []
     for (name, place), capture in zip(places.items(), captures, strict=True):
         for channel in LINES_NM:
             one = edge_of(place, target, channel, capture.rate, sensor, predictor)
             found.append(Edge(optics, name, channel, *one))
-    return found, Certified(first.certificate, TOLERANCE)
+    return found, Certified(captures[0].certificate, TOLERANCE)
 
 
 def places_of(

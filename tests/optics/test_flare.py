@@ -60,7 +60,8 @@ def test_stripes_that_repeat_with_the_grid_count_by_area():
     given = lens, camera, scene(stripes).source.placed(half_um), WEIGHTS[:, :1]
     dark, light = np.einsum("mj,jcl->m", COEFFICIENTS, WEIGHTS[:, :1])
     expected = 0.5 * (dark + 1.9 / 4 * (light - dark))
-    # 2 x 64 columns of 256 cells have a point in a stripe with the chance 0.95.
+    # In 2 x 64 columns of 256 cells a point lies in the stripe with the chance 0.95: a binomial
+    # count, of which 4 standard deviations are allowed. The middles of cells would be 40 off.
     chance = np.sqrt(128 * 256 * 0.95 * 0.05) / SIDE**2 * abs(light - dark) * 0.5
     assert_close(veiling_glare(*given, COEFFICIENTS), np.array([expected]), atol=4 * chance)
 

@@ -61,15 +61,7 @@ def test_an_effect_that_is_two_hundredths_too_strong_is_seen(light, own, monkeyp
         return off + (1.15 if noise and sensor.masks is None else 1.02) * (on - off)
 
     monkeypatch.setattr(effects, "read", stronger)
-    found = {
-        one.name: one
-        for one in (
-            *effects.charge_effects(light, off, own),
-            effects.noise_effect(light, off, own),
-            effects.mask_effect(light, off),
-            effects.adc_effect(light, off),
-        )
-    }
+    found = all_of(light, own)
     assert not any(one.bar.held for one in found.values()), [one.bar for one in found.values()]
 
 
