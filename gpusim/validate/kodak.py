@@ -8,9 +8,8 @@ in the renders and predicted from a lens program's rays (`gpusim.validate.predic
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +48,9 @@ BLACK, WHITE = 0.05, 0.80  # reflectances: 16:1, as in the library's charts with
 # inter-band 0.05 but for one of 0.076.
 POSITION_BAR_PX, INTER_BAND_BAR_PX, MTF_BAR = 0.02, 0.005, 0.01
 MTF_EDGES = {1: "centre", 3: "mid-field", 5: "edge"}  # figures 10, 11 and 12
+# Places that share a chart, and of them those whose regions share a rectangle; the first rectangle
+# has the certificate. Edges near the axis ask for 16 samples a pixel, the others for fewer.
+SHEETS = {"near the axis": ((1, 2),), "farther out": ((7, 8, 9, 10), (3, 4, 5), (6,))}
 
 
 def stand_in() -> Prescription:
@@ -90,14 +92,17 @@ def predictor_of(lens: Prescription, *, own: bool = False) -> Predictor:
     return Predictor(tracer_of(system, own=own), widest, NODES_NM, losses)
 
 
-def targets(predictor: Predictor, sensor: Sensor) -> list[Target]:
-    """Return both charts: edges whose green images go through the places."""
+def targets(
+    predictor: Predictor, sensor: Sensor, numbers: Collection[int] = range(1, 11)
+) -> list[Target]:
+    """Return both charts: edges whose green images go through places, by their numbers."""
     reference = band_of(REFERENCE)
     points = {
         place.number: predictor.ideal_um(
             np.array([place.x, place.y]) * sensor.pixel_pitch_um, reference
         )
         for place in TABLE_1
+        if place.number in numbers
     }
     unit = sensor.pixel_pitch_um / (sensor.rows * sensor.pixel_pitch_um / 2)  # half-heights a px
     made = []
@@ -117,6 +122,8 @@ def _columns(px: dict[int, np.ndarray]) -> Iterator[tuple[float, float, float, f
     # Sides (left, right) of stripes; outer ones end 80 px farther out. Rows of stripes lie apart.
     for left, right, half in ((1, 2, 80.0), (3, 4, 80.0), (5, None, 80.0), (None, 6, 80.0),
                               (7, 8, 70.0), (9, None, 70.0), (None, 10, 70.0)):  # fmt: skip
+        if not {left, right} & px.keys():
+            continue
         first, last = (None if side is None else px[side] for side in (left, right))
         width = 80.0 if first is None or last is None else float((last - first) @ normal)
         start = first if first is not None else last - width * normal
@@ -126,7 +133,10 @@ def _columns(px: dict[int, np.ndarray]) -> Iterator[tuple[float, float, float, f
 def _blocks(px: dict[int, np.ndarray]) -> Iterator[tuple[float, float, float, float]]:
     """Yield centre and half sizes of blocks, px, whose upper sides go through the places."""
     along, normal, depth = normal_of("vertical"), normal_of("horizontal"), 80.0
-    for row in ((6, 1, 2, 3, 4, 5), (10, 7, 8, 9)):
+    for places in ((6, 1, 2, 3, 4, 5), (10, 7, 8, 9)):
+        row = [number for number in places if number in px]
+        if not row:
+            continue
         x = np.array([px[number][0] for number in row])
         middles = (x[1:] + x[:-1]) / 2
         ends = np.concatenate([[x[0] - 45], middles, [x[-1] + 45]])
@@ -144,26 +154,26 @@ class BandRenders:
         self.sensor = mono_sensor(band)
         self.camera = Camera(lens=lens, sensor=self.sensor, title=f"stand-in, {band}")
 
-    @cached_property
-    def strips(self) -> list[tuple[int, int, int, int]]:
-        """Rectangles (x, y, width, height) that hold the regions of a row of places each."""
-        found = []
-        for places in (TABLE_1[:6], TABLE_1[6:]):
-            boxes = [region_of(place, axis, self.sensor) for place in places for axis in AXES]
-            x, y, width, height = np.array(boxes).T
-            left, top = int(x.min()), int(y.min())
-            size = int((x + width).max()) - left, int((y + height).max()) - top
-            found.append((left, top, *size))
-        return found
+    def rectangle(self, numbers: Collection[int]) -> tuple[int, int, int, int]:
+        """Return the rectangle (x, y, width, height) that holds the regions of places."""
+        boxes = [
+            region_of(place, axis, self.sensor)
+            for place in TABLE_1
+            for axis in AXES
+            if place.number in numbers
+        ]
+        x, y, width, height = np.array(boxes).T
+        left, top = int(x.min()), int(y.min())
+        return left, top, int((x + width).max()) - left, int((y + height).max()) - top
 
-    def render(self, chart: Chart, reflectances: tuple[float, ...]) -> tuple[Capture, np.ndarray]:
-        """Return the electrons/s (rows, cols) of a chart, 0 off the places, and a capture.
+    def render(self, chart: Chart, groups: Sequence[Collection[int]]) -> tuple[Capture, np.ndarray]:
+        """Return a capture and the electrons/s (rows, cols) of a chart, 0 off groups of places.
 
-        The capture is that of the outer strip, with its certificate; the other goes by its plan.
+        The capture is that of the first group, with its certificate; the others go by its plan.
         """
-        scene, rate = lit(chart, reflectances), np.zeros((self.sensor.rows, self.sensor.cols))
-        inner, outer = self.strips
-        accuracy, tiles = Accuracy(TOLERANCE, PROBES), (outer, inner)
+        scene = lit(chart, (BLACK, WHITE))
+        rate = np.zeros((self.sensor.rows, self.sensor.cols))
+        accuracy, tiles = Accuracy(TOLERANCE, PROBES), [self.rectangle(one) for one in groups]
         captures = certified_tiles(self.camera, scene, accuracy, EXPOSURE_S, tiles)
         for (x, y, width, height), found in zip(tiles, captures, strict=True):
             rate[y : y + height, x : x + width] = found.rate
@@ -199,7 +209,7 @@ class Edges:
     found : dict of (str, str, int) to Found
         By band, axis and number of the place.
     captures : dict of str to Capture
-        By what was rendered: the edges of both targets, of each band.
+        By what was rendered: the edges of each sheet, of each band.
     tracer : str
         The program that predicted.
     independent : bool
@@ -255,18 +265,21 @@ def measure_edges(
         Called with (what, done, total).
     """
     found, captures = {}, {}
-    sheets = targets(predictor, mono_sensor(REFERENCE))
-    total = len(BANDS) * len(sheets)
+    sheets = {
+        where: targets(predictor, mono_sensor(REFERENCE), {n for one in groups for n in one})
+        for where, groups in SHEETS.items()
+    }
+    total = len(BANDS) * sum(map(len, sheets.values()))
     for band in BANDS:
         renders = BandRenders(rendered, band)
         progress("renders", len(captures), total)
         own = band_of(band)
         flat = even_light(renders.sensor, predictor, own)
-        for target in sheets:
+        for where, target in ((where, one) for where, both in sheets.items() for one in both):
             progress("renders", len(captures), total)
-            capture, light = renders.render(target.chart, (BLACK, WHITE))
-            captures[f"{band}, near-{target.axis} edges"] = capture
-            for place in TABLE_1:
+            capture, light = renders.render(target.chart, SHEETS[where])
+            captures[f"{band}, near-{target.axis} edges {where}"] = capture
+            for place in (place for place in TABLE_1 if place.number in target.ideal_um):
                 region = region_of(place, target.axis, renders.sensor)
                 picture = cut(light, region) / cut(flat, region)
                 given = place, target, own, picture, renders.sensor, predictor
