@@ -507,7 +507,8 @@ class _Problem:
                     name += f"; tail by {tail.method}, {tail.text}"
                     parts = (core, tail)
             except UserError as error:
-                parts, obstacle = (), error
+                # Its frames would keep the problem, with all kernels, as long as the candidate.
+                parts, obstacle = (), error.with_traceback(None)
             found.append(
                 Candidate(
                     name, oversampling, cut_um, self.sigma, errors | own, limits, parts, obstacle
@@ -527,7 +528,7 @@ class _Problem:
             try:
                 part, _ = self._part("tail", method, *where)
             except UserError as error:
-                obstacle = error
+                obstacle = error.with_traceback(None)
             else:
                 found.append(part)
         return min(found, key=lambda part: part.layout.cost_s) if found else obstacle

@@ -83,7 +83,8 @@ def within_reach(
     try:
         first = attempt(relative)
     except UserError as error:
-        obstacle = error
+        # Its frames hold this one, whose name for it would keep them all.
+        obstacle = error.with_traceback(None)
     else:
         if first.excess <= 1:
             # Less than the smallest is refused by `Accuracy.relative`, but for best effort.

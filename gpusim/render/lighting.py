@@ -25,9 +25,6 @@ class Lighting:
     ----------
     renderer : Renderer
     rect : (row, col, rows, cols)
-    take : callable
-        Called with each tile, its light (S, rows, cols) on the device, and the rectangle of whole
-        periods that the light is of.
     seen : callable, optional
         Returns the lit pixels that a tile needs; by default those of what reads it out.
     """
@@ -36,17 +33,32 @@ class Lighting:
         self,
         renderer: Renderer,
         rect: Rect,
-        take: Callable[[Rect, Resident, Rect], None],
         seen: Callable[[Rect], Rect] | None = None,
     ) -> None:
-        self.renderer, self.rect, self.take = renderer, rect, take
+        self.renderer, self.rect = renderer, rect
         self.seen = seen or renderer.lit
         self.times_s: dict[str, float] = defaultdict(float)
         self.work = {"tiles": 0, "blocks": 0}
         self.notes: list[str] = []
 
-    def render(self, tile_px: int | None, progress: Callable[[int, int], None]) -> None:
-        """Render tile after tile; where the memory runs out, halve the tile and go on."""
+    def render(
+        self,
+        tile_px: int | None,
+        take: Callable[[Rect, Resident, Rect], None],
+        progress: Callable[[int, int], None],
+    ) -> None:
+        """Render tile after tile; where the memory runs out, halve the tile and go on.
+
+        Parameters
+        ----------
+        tile_px : int, optional
+            Largest side of a tile.
+        take : callable
+            Called with each tile, its light (S, rows, cols) on the device, and the rectangle of
+            whole periods that the light is of.
+        progress : callable
+            Called with (done, total).
+        """
         renderer = self.renderer
         period = renderer.period
         self._check_memory()
@@ -63,7 +75,7 @@ class Lighting:
         while tiles:
             tile = tiles.popleft()
             try:
-                self._tile(tile, advance)
+                self._tile(tile, take, advance)
             except OutOfMemoryError as error:
                 parts = halves(tile, period)
                 if not parts:
@@ -101,7 +113,12 @@ class Lighting:
             "--memory, another adapter, or a looser tolerance",
         )
 
-    def _tile(self, tile: Rect, advance: Callable[[], None]) -> None:
+    def _tile(
+        self,
+        tile: Rect,
+        take: Callable[[Rect, Resident, Rect], None],
+        advance: Callable[[], None],
+    ) -> None:
         """Render one tile: each block that it needs, from source to sites; highlights; sensor."""
         renderer = self.renderer
         device, period = renderer.device, renderer.period
@@ -117,7 +134,7 @@ class Lighting:
             else:
                 self._lit(rates, whole, advance)
                 renderer.keep_light(whole, rates)
-            self.take(tile, rates, whole)
+            take(tile, rates, whole)
             advance()
         finally:
             rates.destroy()

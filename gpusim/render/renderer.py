@@ -349,7 +349,7 @@ class Renderer:
         own_seed = noise_seed(seed, exposure_s, sensor.analogue_gain)
         taken = Shot(exposure_s, own_seed, frame, temperature_c)
         # The seconds of the light and of the read-out are counted together.
-        lighting = Lighting(self, rect, lambda *light: shot.take(*light))
+        lighting = Lighting(self, rect)
         shot = reading_of(self.reader(lighting.run), rect, names, folder, taken)
         lighting.rect = shot.rect
         report = progress or (lambda what, done, total: None)
@@ -357,7 +357,7 @@ class Renderer:
         with self.device.pool.within(self.memory_bytes):
             self._hold(shot.rect, tile_px, report)
             started = time.perf_counter()
-            lighting.render(tile_px, lambda done, total: report("render", done, total))
+            lighting.render(tile_px, shot.take, lambda done, total: report("render", done, total))
             shot.finish()
             wall_s = time.perf_counter() - started
             self.peak_bytes = max(self.peak_bytes, self.device.pool.peak)
@@ -649,10 +649,10 @@ class Renderer:
             high, wide = whole[2] // period, whole[3] // period
             found[:, top : top + high, left : left + wide] = self.device.read(rates)
 
-        lighting = Lighting(self, rect, take, lambda tile: tile)
+        lighting = Lighting(self, rect, lambda tile: tile)
         with self.device.pool.within(self.memory_bytes):
             self._hold(rect, None, report)
-            lighting.render(None, lambda done, total: report("render", done, total))
+            lighting.render(None, take, lambda done, total: report("render", done, total))
         return found
 
     @cached_property

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import re
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -835,3 +837,22 @@ def test_the_smallest_sensors_work():
         camera = StubCamera(LENS, sensor().model_copy(update={"rows": rows, "cols": cols}))
         found = rates(camera, scene((Rect(0, 0, 0.5, 0.5, 0.2, 1),)))
         assert found.shape == (rows, cols) and np.isfinite(found).all() and found.min() > 0
+
+
+def test_a_renderer_goes_with_its_last_name(monkeypatch):
+    """Its kernels are hundreds of megabytes, too few objects for the collector of cycles to come.
+
+    The direct sum is refused: the error once held the plan's frames, and these the renderer.
+    """
+    monkeypatch.setattr("gpusim.plan.optics.DIRECT_REACH", 0)
+    gc.collect()
+    gc.disable()
+    try:
+        with rendering(CAMERA, scene(shapes()), Accuracy(1e-2, 4), (), None) as one:
+            one.capture(EXPOSURE_S)
+            assert any("does not fit" in other.lost for other in one.plan.runners_up)
+        gone = weakref.ref(one)
+        del one
+        assert gone() is None
+    finally:
+        gc.enable()
