@@ -83,7 +83,7 @@ def within_reach(
     try:
         first = attempt(relative)
     except UserError as error:
-        # Its frames hold this one, whose name for it would keep them all.
+        # This frame is one of the error's: error and frame would keep each other, and the plan.
         obstacle = error.with_traceback(None)
     else:
         if first.excess <= 1:

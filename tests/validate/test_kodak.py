@@ -135,7 +135,7 @@ def test_the_targets_edges_go_through_the_places(true):
 # bands by up to 5e-3 px at a tolerance of 2e-3 (`gpusim.validate.kodak.TOLERANCE`): so far beyond
 # their bars they may lie on one machine and not on another.
 MOVED_PX = 5e-3 * kodak.TOLERANCE / 2e-3
-# By the cheapest plan of the machine that the page was made on, the worst of six is 1.03e-3 of
+# By the cheapest plan of the machine that the page was made on, the worst of 12 is 1.05e-3 of
 # 1.1e-3; tighter plans are refused for the size of their bank.
 SPARE = 1.2
 
