@@ -16,6 +16,8 @@ from gpusim.sensor.sensor import Sensor
 STEP_UM = 1e-3  # of differences of the chief-ray map, which is known to 1e-9 um
 NEWTON_STEPS = 30
 FOUND_UM = 1e-4  # how near to an ideal point its real one leads
+# Steps of the grid whose cells are bundles: one square each at the least, and what a float holds.
+SMALLEST_STEP_UM, LARGEST_STEP_UM = 1e-3, 1e9
 
 
 def real_points(bank: FieldBank, ideal_um: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,13 +79,16 @@ class Squares:
     light: np.ndarray
 
 
-def largest_um(bank: FieldBank, change: float, real_um: np.ndarray) -> np.ndarray:
+def largest_um(
+    bank: FieldBank, change: float, real_um: np.ndarray, turns: bool = True
+) -> np.ndarray:
     """Return the sides (N,) of squares across which so much of a PSF changes, at points (N, 2).
 
     By the PSFs of the fields around each, at the reference wavelength: half of the sum of their
     differences' sizes over how far they are apart; and of each PSF turned by a quarter of a turn,
     over the quarter of a circle. In a halo it changes twenty times as fast near the rim as half-way
     to it. For a lens without an axis the answer is that of the place where it changes fastest.
+    ``turns``: False for PSFs that are seen each in its own frame.
     """
 
     def psf(number: int) -> np.ndarray:
@@ -99,7 +104,7 @@ def largest_um(bank: FieldBank, change: float, real_um: np.ndarray) -> np.ndarra
     if isinstance(places, Heights):
         # At a field: its own turn, and the change to the fields next to it.
         rates = np.zeros(len(places.radius_um))
-        for number, radius_um in enumerate(places.radius_um[1:], start=1):
+        for number, radius_um in enumerate(places.radius_um[1:] if turns else (), start=1):
             found = psf(fields[number])[1:, 1:]  # about the middle
             rates[number] = np.abs(found - np.rot90(found)).sum() / 2 / (np.pi / 2 * radius_um)
         for pair, step in steps.items():
@@ -144,6 +149,52 @@ def squares_on_sensor(
     seen = lit & np.all(np.abs(real) < half + reach_um, axis=1)
     light = np.concatenate(excess) * (sizes**2 * np.abs(np.linalg.det(slopes)))[:, None]
     return Squares(real[seen], sizes[seen], slopes[seen], light[seen])
+
+
+def bundled(
+    bank: FieldBank, squares: Squares, change: float, turn: float
+) -> tuple[np.ndarray, Squares]:
+    """Gather squares that one kernel serves: of one size, and near to each other.
+
+    Across a bundle at most the share `change` of a PSF changes. Behind a lens with an axis that is
+    a PSF in its own frame, which depends on the height alone: a bundle is part of a ring, `turn`
+    radians long, for aperture and square do not turn with the PSFs. The kernel is that of the
+    middle of the light: what is too much on one side is too little on the other.
+
+    Returns
+    -------
+    owner : ndarray (N,) of int
+        Number of each square's bundle.
+    bundles : Squares
+        Place, size, slopes and light of each.
+    """
+    alike_um = largest_um(bank, change, squares.real_um, turns=False)
+    # Squares reach beyond their centres. Steps of powers of two: neighbours have the same.
+    room_um = np.clip(alike_um - squares.size_um, SMALLEST_STEP_UM, LARGEST_STEP_UM)
+    step_um = np.exp2(np.floor(np.log2(room_um)))
+    places = bank.places(bank.image_circle_um)[1]
+    if isinstance(places, Heights):
+        x, y = squares.real_um.T
+        cells = [np.hypot(x, y) / step_um, np.arctan2(y, x) / turn]
+    else:
+        cells = [*(squares.real_um / step_um[:, None]).T]
+    keys = np.column_stack([squares.size_um, step_um, *map(np.floor, cells)])
+    _, first, owner = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    owner = owner.reshape(-1)  # NumPy 2.0 alone keeps an axis
+
+    def total(values: np.ndarray) -> np.ndarray:
+        found = np.zeros((len(first), *values.shape[1:]))
+        np.add.at(found, owner, values)
+        return found
+
+    share = np.maximum(squares.light.sum(axis=1), np.finfo(float).tiny)
+    share /= total(share)[owner]
+    return owner, Squares(
+        total(share[:, None] * squares.real_um),
+        squares.size_um[first],
+        total(share[:, None, None] * squares.slopes),
+        total(squares.light),
+    )
 
 
 def of_few_spectra(light: np.ndarray, alike: float) -> tuple[np.ndarray, np.ndarray]:

@@ -28,7 +28,7 @@ from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
-from gpusim.optics.splat import HIGHLIGHT, PART, SQUARE
+from gpusim.optics.splat import HIGHLIGHT, SQUARE
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
 from gpusim.plan.layout import TRANSFORMS
@@ -253,29 +253,28 @@ def _splat(device: Device) -> dict[str | int, float]:
         list(pool.map(one, range(4)))
         boxes_s = (time.perf_counter() - started) / 4
 
-    rows, parts = np.zeros(count, HIGHLIGHT), np.zeros((count, 8), PART)
+    rows = np.zeros(count, HIGHLIGHT)
     rows["pixel"], rows["axis"] = cells, (0.1, 0.0)
-    parts["share"], parts["table"] = 1 / 8, np.arange(8)
     starts = count * np.arange((cells // SQUARE) ** 2 + 1, dtype=np.uint32)
     arrays = {
         "highlights": rows.view(np.uint32),
-        "parts": parts.view(np.uint32),
         "radiance": np.ones((count, 1, 4), np.float32),
         "starts": starts,
         "near": np.tile(np.arange(count, dtype=np.uint32), len(starts)),
-        "tables": np.ones((8, 3, 1, 64, 64, 4), np.float32),
+        "kernels": np.ones((1, 3, 1, 64, 64, 4), np.float32),
     }
     rec = Recording(device)
     rates = rec.buffer("rates", (4, cells, cells), np.float32)
     rec.clear(rates)
     buffers = {}
     for name, array in arrays.items():
-        buffers[name] = rec.buffer(name, array.shape, array.dtype)
+        use = Use.TEXELS if name == "kernels" else Use.DATA
+        buffers[name] = rec.buffer(name, array.shape, array.dtype, use)
         rec.upload(buffers[name], array)
     groups = (cells // SQUARE, cells // SQUARE, 4)
     whole = {"first": (0, 0), "origin": (0, 0), "size": (cells, cells)}
     sites = {"across": groups[0], "reach2": 30.0**2, "site_channels": (0, 0, 0, 0)}
-    sites |= {"fours": 1, "mixed": 8}
+    sites |= {"fours": 1}
     kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, N=64)
     kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
     return {

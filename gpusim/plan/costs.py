@@ -115,7 +115,7 @@ LAVAPIPE = Costs(
         "lattice": 3.5,
         "direct": 0.07,
         "tables": 30.0,
-        "splat": 250.0,
+        "splat": 50.0,
         "mosaic": 3.0,
         "border": 3.0,
         "crosstalk": 0.42,

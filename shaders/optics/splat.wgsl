@@ -1,47 +1,44 @@
 // Adds the light of a photograph's highlights to the photosites. Each is a small square of even radiance, far brighter than
 // what is around it; in transforms of f32 its rounding errors would drown the shadows, so it is summed pixel by pixel:
 //
-//   rates[site, y, x] += sum_i max(0, sum_m a_im sum_k share_ik H_k(v))
+//   rates[site, y, x] += sum_i max(0, sum_m a_im H_i(v))
 //   v = (pixel - highlight_i), turned into the meridional frame
-//   H_k(v) = sum_ab c_k[a, b] beta3(v_x - b) beta3(v_y - a)
+//   H_i(v) = sum_ab c_i[a, b] beta3(v_x - b) beta3(v_y - a)
 //
-// H_k, of channel and spectrum: the PSF convolved with the pixel aperture and with the square, per unit of spectral radiance.
-// Its spline coefficients c end in zeros at the border of the table and go on so. Of the shares, those of cubics between the
-// fields of a lens, some are below 0: what that makes of a highlight's light is not, for no highlight takes light away.
+// H_i, of channel and spectrum: the PSF convolved with the pixel aperture and with the square, per unit of spectral radiance.
+// Its spline coefficients c end in zeros at the border and go on so. Cubics between the fields of a lens may lie below 0: what
+// that makes of a highlight's light is not, for no highlight takes light away.
 // Every pixel takes its highlights in the order of the list, so that tiles repeat the same sums bit for bit.
-// Units: positions in pixels, tables in samples of their own, a in units of the scene's spectra, rates in electrons/s.
-// tables (tables, C, fours, N, N, 4), row tangential, column radial, four spectra side by side; N/2 is the chief ray.
+// Units: positions in pixels, kernels in samples of their own, a in units of the scene's spectra, rates in electrons/s.
+// kernels (kernels, C, fours, N, N, 4): c, row tangential, column radial, four spectra side by side; N/2 is the chief ray.
+// Highlights near to each other share one: lavapipe takes its time to load, not to add.
 // rates (S, rows, cols), of the rectangle.
 // The sensor is cut into squares of 16 x 16 CFA cells, of each of which the host has listed the highlights within reach.
 // Dispatch: (squares across, down, S) workgroups of 16 x 16, one photosite each, from square `first` on.
 #include "b_spline"
+#include "texels"
 
 override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
-override C: u32 = 3u;         // colour channels that the tables are of; sites with numbers beyond take no light
-override N: u32 = 320u;       // side of a table, samples
+override C: u32 = 3u;         // colour channels that the kernels are of; sites with numbers beyond take no light
+override N: u32 = 320u;       // side of a kernel, samples
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square
     origin: vec2i,            // (x, y) of the rectangle's first CFA cell
     size: vec2i,              // (columns, rows) of the planes
     across: u32,              // squares across the sensor
-    fours: u32,               // ceil(M/4) for M spectra of the scene; a param, as `mixed`, so that loops stay loops
-    mixed: u32,               // tables of a highlight
-    reach2: f32,              // squared distance beyond which tables hold nothing, table samples
+    fours: u32,               // ceil(M/4) for M spectra of the scene; a param, so that the loop stays a loop
+    reach2: f32,              // squared distance beyond which kernels hold nothing, their samples
     site_channels: vec4u,     // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
 struct Highlight {
     pixel: vec2i,             // column, row of the pixel in which its centre lies
     place: vec2f,             // of the centre in it, from the pixel's centre
-    axis: vec2f,              // the radial unit vector, times table samples per pixel
-    padding: vec2u,
-}
-
-struct Part {
-    table: u32,
-    share: f32,
+    axis: vec2f,              // the radial unit vector, times a kernel's samples per pixel
+    kernel: u32,
+    padding: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -49,17 +46,16 @@ struct Part {
 @group(0) @binding(2) var<storage, read> radiance: array<vec4f>;  // (highlights, fours)
 @group(0) @binding(3) var<storage, read> starts: array<u32>;     // of each square's list in `near`, and the end of the last
 @group(0) @binding(4) var<storage, read> near: array<u32>;
-@group(0) @binding(5) var<storage, read> tables: array<vec4f>;
+@group(0) @binding(5) var kernels: texture_2d<f32>;              // see `texels`
 @group(0) @binding(6) var<storage, read_write> rates: array<f32>;
-@group(0) @binding(7) var<storage, read> parts: array<Part>;      // (highlights, mixed)
 
 fn channel_of(site: u32) -> u32 {
     return (params.site_channels[site / 8u] >> (4u * (site % 8u))) & 15u;
 }
 
 fn row_sum(at: u32, weights: vec4f) -> vec4f {
-    return weights.x * tables[at] + weights.y * tables[at + 1u]
-        + weights.z * tables[at + 2u] + weights.w * tables[at + 3u];
+    return weights.x * texel(kernels, at) + weights.y * texel(kernels, at + 1u)
+        + weights.z * texel(kernels, at + 2u) + weights.w * texel(kernels, at + 3u);
 }
 
 // Light of one highlight on a pixel of a channel, electrons/s.
@@ -77,13 +73,9 @@ fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
     let corner = u32(cell.y - 1.0) * N + u32(cell.x - 1.0);
     var sum = 0.0;
     for (var q = 0u; q < params.fours; q++) {
-        var spread = vec4f(0.0);
-        for (var k = 0u; k < params.mixed; k++) {
-            let part = parts[i * params.mixed + k];
-            let first = ((part.table * C + channel) * params.fours + q) * N * N + corner;
-            spread += part.share * (wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
-                + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx));
-        }
+        let first = ((h.kernel * C + channel) * params.fours + q) * N * N + corner;
+        let spread = wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
+            + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx);
         sum += dot(radiance[i * params.fours + q], spread);
     }
     return max(sum, 0.0);

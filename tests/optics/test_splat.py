@@ -19,6 +19,7 @@ from gpusim.gpu import Device, Kernel
 from gpusim.optics import splat as module
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.highlight_squares import (
+    bundled,
     largest_um,
     of_few_spectra,
     real_points,
@@ -33,7 +34,7 @@ from gpusim.optics.highlight_tables import (
     mixture,
     turned,
 )
-from gpusim.optics.splat import CHANGE, FEWEST, HIGHLIGHT, PART, Splat, groups, in_fours, lists
+from gpusim.optics.splat import BUNDLE, CHANGE, FEWEST, HIGHLIGHT, Splat, groups, in_fours, lists
 from gpusim.reference.splat import splat
 from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights
@@ -46,17 +47,19 @@ PITCH = 1.55
 SPECTRA = np.stack([FLAT, RED, BLUE])
 
 
-def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
+def random_case(period, spectra, count, rect, seed=0):
     """Return the shader's output, the reference's, and the tolerance, for one rectangle of cells.
 
     `rect` = (first column, first row, columns, rows), of a sensor of 40 x 50 cells.
     """
     rng = np.random.default_rng(seed)
     side, channels, stages = 64, min(period**2, 3), 6
-    tables = np.zeros((stages, channels, spectra, side, side))
+    kernels = np.zeros((stages, channels, spectra, side, side))
     at = np.arange(side) - side // 2
     inside = np.hypot(at, at[:, None]) < 26
-    tables[..., inside] = rng.uniform(0, 1, (stages, channels, spectra, int(inside.sum())))
+    # Some cubics between fields are below 0, and so may be a highlight's light: none is taken away.
+    lit = rng.uniform(-0.2, 1, (stages, channels, spectra, int(inside.sum())))
+    kernels[..., inside] = lit * rng.choice([1, -1], (stages, 1, 1, 1), p=[0.8, 0.2])
     site_channels = rng.integers(0, channels, period**2)
     words = [0, 0, 0, 0]
     for site, channel in enumerate(site_channels):
@@ -66,11 +69,7 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
     rows["place"] = rng.uniform(-0.5, 0.5, (count, 2))
     angle = rng.uniform(0, 2 * np.pi, count)
     rows["axis"] = 3.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # Some shares of cubics are below 0, and so may be a highlight's light: none is taken away.
-    parts = np.zeros((count, mixed_tables), PART)
-    parts["table"] = rng.integers(0, stages, parts.shape)
-    shares = rng.uniform(-0.5, 1, parts.shape)
-    parts["share"] = shares / np.abs(shares).sum(axis=1, keepdims=True)
+    rows["kernel"] = rng.integers(0, stages, count)
     colours = rng.uniform(0, 9, (count, spectra)).astype(F32)
     centres = rows["pixel"] + 0.5 + rows["place"].astype(float)
     across, down = -(-50 // 16), -(-40 // 16)
@@ -88,16 +87,14 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
             "across": across,
             "reach2": 29.0**2,
             "fours": -(-spectra // 4),
-            "mixed": mixed_tables,
             "site_channels": words,
         },
         {
             "highlights": rows.view(np.uint32),
-            "parts": parts.view(np.uint32),
             "radiance": in_fours(colours),
             "starts": starts,
             "near": near,
-            "tables": np.moveaxis(in_fours(np.moveaxis(tables, 2, -1)), -2, 2).copy(),
+            "kernels": np.moveaxis(in_fours(np.moveaxis(kernels, 2, -1)), -2, 2).copy(),
             "rates": before,
         },
         {"rates": (before.shape, F32)},
@@ -110,20 +107,16 @@ def random_case(period, spectra, count, rect, seed=0, mixed_tables=8):
     pixels = np.stack(
         [(x + x0) * period + site % period, (y + y0) * period + site // period], axis=-1
     )
-    mixed = [
-        np.tensordot(own["share"].astype(float), tables.astype(F32)[own["table"]], axes=1)
-        for own in parts
-    ]
     expected = before + splat(
         pixels.reshape(-1, 2) + 0.5,
         site_channels[site].ravel(),
         centres,
         rows["axis"].astype(float),
         colours,
-        mixed,
+        list(kernels.astype(F32)[rows["kernel"]]),
     ).reshape(before.shape)
     amount = colours.sum(axis=1).max()
-    each = 2 * 1.5 * 8 * 32 + 32 + mixed_tables
+    each = 2 * 1.5 * 8 * 32 + 36
     # Four highlights at most lie over one pixel with all their weight; of others their sums.
     atol = ULP * (each * 4 * amount + count * expected.max())
     return found, expected, atol, before
@@ -354,6 +347,43 @@ def many(count: int = 30) -> Highlights:
     return Highlights(
         places + rng.uniform(-4, 4, (count, 2)), PITCH, rng.uniform(0, 1e9, (count, 3))
     )
+
+
+def test_bundles_keep_the_light_and_are_small():
+    """Parts of rings, in which the PSF changes little in its own frame."""
+    squares = squares_on_sensor(LENS, sensor(), many(300), 200.0, CHANGE)
+    owner, bundles = bundled(LENS, squares, CHANGE, 0.1)
+    count = len(bundles.light)
+    assert 3 < count < len(owner) / 2 and sorted(set(owner)) == list(range(count))
+    assert_close(bundles.light.sum(axis=0), squares.light.sum(axis=0), rtol=1e-12)
+    radius = np.hypot(*squares.real_um.T)
+    angle = np.arctan2(*squares.real_um.T[::-1])
+    limit = largest_um(LENS, CHANGE, squares.real_um, turns=False)
+    for number in range(count):
+        own = owner == number
+        assert len(np.unique(squares.size_um[own])) == 1
+        assert np.ptp(angle[own]) <= 0.1
+        assert np.ptp(radius[own]) + squares.size_um[own][0] <= limit[own].min() or own.sum() == 1
+        weight = squares.light[own].sum(axis=1)
+        middle = weight @ squares.real_um[own] / weight.sum()
+        assert_close(bundles.real_um[number], middle, atol=1e-9)
+    # Half of the change: parts of half the depth.
+    finer = bundled(LENS, squares, CHANGE / 4, 0.1 / 4)[1]
+    assert len(finer.light) > 2 * count
+
+
+def test_a_bundle_lights_pixels_as_its_squares_do(device: Device, monkeypatch):
+    """Three lamps of ten samples each, by few kernels and by one each."""
+    camera = sensor()
+    bundles = on_sensor(device, camera, many()).astype(float)
+    stage = Splat(device, LENS, camera, many(), SPECTRA, 1e-3)
+    assert len(stage.tables) < len(stage.squares.light) * 0.9
+    monkeypatch.setattr(module, "BUNDLE", 1e-9)
+    alone = on_sensor(device, camera, many()).astype(float)
+    # Across a square CHANGE of a PSF's light may lie elsewhere, across a bundle BUNDLE of that;
+    # what is too much on one side of its middle is too little on the other.
+    assert np.abs(bundles - alone).max() < BUNDLE * CHANGE * alone.max()
+    assert np.abs(bundles - alone).max() > 0
 
 
 def test_tiles_change_not_one_bit(device: Device):
