@@ -62,7 +62,7 @@ MIXING = 0.5
 # of 60 pixels; 3.9e-3 in the first level of the halo), with a kernel each by 7.9e-4 (3.7e-3), and
 # with 1.0 in place of 0.25 by 1.2e-3 (5.0e-3).
 BUNDLE = 0.25
-DISPATCH_BYTES = 128 << 20  # of the tables of a dispatch: every adapter binds as much
+DISPATCH_BYTES = 128 << 20  # of a dispatch's kernels; so much, as texels, every adapter holds
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 512 << 20
 FEWEST = 8
