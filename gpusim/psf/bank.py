@@ -29,7 +29,7 @@ from gpusim.psf.field_map import WIDE_DEG, FieldMap
 from gpusim.psf.generator import RAYS, TRANSFORM, Generator
 from gpusim.psf.halo import distances_um, fall, halo_of, split
 from gpusim.psf.lines import CHIEF_RAYS, CUBIC, STRAIGHT, line_shares
-from gpusim.psf.places import FieldPsfs, Heights, half_turned
+from gpusim.psf.places import FieldPsfs, Heights
 from gpusim.psf.sampling import window
 from gpusim.psf.store import from_cache, load_dataset, save_dataset
 
@@ -458,94 +458,6 @@ class Bank:
         scale_um = 1e3 * self.principal_distance_mm
         ideal = scale_um * self.projection.height(self._map(None).angle(at))
         return ideal + (wanted - at) / slope, wanted <= edge
-
-    def resampled(
-        self, wavelengths_nm: np.ndarray | None = None, field_deg: np.ndarray | None = None
-    ) -> Bank:
-        """Return the bank at other wavelengths and fields, within its own.
-
-        PSFs, each about its own chief ray, and illumination as the chain interpolates them: see
-        ``gpusim.psf.lines`` and ``gpusim.psf.places``. Rays and what says how good the PSFs are
-        go linearly between the nearest two; chief rays come from the maps in field angle. (A change
-        of focus is no resampling: see ``bank_of``.)
-
-        Parameters
-        ----------
-        wavelengths_nm : array_like, shape (L',), optional
-            Rising, the reference wavelength among them (as they are).
-        field_deg : array_like, shape (F',), optional
-            Rising from 0 (as they are).
-
-        Raises
-        ------
-        UserError
-            Where they lie beyond the bank's, do not rise, or leave out the axis or the reference.
-        """
-        lines = self.wavelengths_nm if wavelengths_nm is None else np.array(wavelengths_nm, float)
-        angles = self.field_deg if field_deg is None else np.array(field_deg, float)
-        for name, values, own, needed in (
-            ("wavelengths_nm", lines, self.wavelengths_nm, self.reference_nm),
-            ("field_deg", angles, self.field_deg, 0.0),
-        ):
-            rises = values.ndim == 1 and values.size > 0 and (np.diff(values) > 0).all()
-            if not rises or values[0] < own[0] or values[-1] > own[-1] or needed not in values:
-                raise UserError(
-                    "a bank can be resampled only within what it holds",
-                    field=name,
-                    value=str(values),
-                    allowed=f"rising, {own[0]:g} to {own[-1]:g}, with {needed:g}",
-                )
-        heights = self.height_from_angle(angles)[0]
-        own = Heights(self.real_height_um[:, self.reference])
-        near_lines = line_shares(self.wavelengths_nm, STRAIGHT, lines)
-        near_fields = np.array(
-            [np.interp(heights, own.radius_um, row) for row in np.eye(len(own.radius_um))]
-        )
-        over_lines = line_shares(self.wavelengths_nm, self.spectral_degree, lines)
-        numbers, weights = own.blended(heights)
-        over_fields = np.zeros((len(own.radius_um) + 1, len(heights)))
-        np.add.at(over_fields, (numbers.T, np.arange(len(heights))), weights.T)
-
-        def mixed(values: np.ndarray, fields: np.ndarray, lines: np.ndarray) -> np.ndarray:
-            return np.einsum("fl...,fg,lm->gm...", values, fields, lines, optimize=True)
-
-        both = {
-            name: mixed(getattr(self, name), near_fields, near_lines)
-            for name, (dims, *_) in self._variables().items()
-            if dims[:2] == ("field", "wavelength")
-            and name not in ("psf", "real_height_um", "relative_illumination", "field_light")
-        }
-
-        def blended(psf: np.ndarray) -> np.ndarray:
-            across = np.concatenate([psf, half_turned(psf[1:2])])
-            return mixed(across, over_fields, over_lines).astype(np.float32)
-
-        if self.halo is not None:
-            both["halo"] = np.stack([blended(level) for level in self.halo])
-        both["failed_rays"] = np.ceil(both["failed_rays"]).astype(np.int32)
-        if self.field_light is not None:
-            both["field_light"] = own.even(self.field_light, heights) @ over_lines
-        if self.ray_deg is not None:
-            inner = self.ray_deg < angles[-1]
-            edge = [self.height_from_angle(angles[-1:], w)[0] for w in lines]
-            both["ray_deg"] = np.append(self.ray_deg[inner], angles[-1])
-            both["ray_um"] = np.append(
-                self.ray_um[inner] @ self._ray_shares(lines), np.transpose(edge), axis=0
-            )
-        provenance = self.provenance | {"resampled": "as interpolated in wavelength and height"}
-        return replace(
-            self,
-            wavelengths_nm=lines,
-            field_deg=angles,
-            ideal_height_um=ideal_height_um(self.principal_distance_mm, angles),
-            real_height_um=np.stack([self.height_from_angle(angles, w)[0] for w in lines], axis=1),
-            psf=blended(self.psf),
-            relative_illumination=own.even(self.relative_illumination, heights) @ over_lines,
-            projected_solid_angle_sr=self.projected_solid_angle_sr @ over_lines,
-            transmission=self.transmission @ over_lines,
-            provenance=provenance,
-            **both,
-        )
 
     def _variables(self) -> dict[str, tuple]:
         rays = {} if self.cone is None else _RAYS

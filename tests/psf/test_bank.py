@@ -139,54 +139,6 @@ def test_ideal_and_real_heights_are_inverse_and_flag_the_image_circle(bank):
     )
 
 
-def test_a_resampled_bank_is_near_one_that_was_computed_there(demo_lens):
-    fine = compute_bank(demo_lens, [525.0, 550.0, 575.0], [0.0, 7.0, 8.0, 9.0], size=64)
-    coarse = compute_bank(demo_lens, [525.0, 575.0], [0.0, 7.0, 9.0], size=64, reference_nm=525.0)
-    # At its own nodes every weight is 0 or 1 but for rounding in float64: f32 keeps 6e-8 of a PSF,
-    # whose samples are below 1; the maps meet their nodes to rounding of 1e3 um, 1e-12.
-    as_they_are = coarse.resampled()
-    names = ("psf", "relative_illumination", "transmission", "outside_energy")
-    for name in (*names, "halo", "beyond_energy", "halo_misfit"):
-        np.testing.assert_allclose(getattr(as_they_are, name), getattr(coarse, name), atol=1e-7)
-    np.testing.assert_allclose(as_they_are.real_height_um, coarse.real_height_um, atol=1e-9)
-    made = coarse.resampled([525.0, 550.0], [0.0, 8.0])
-    assert made.provenance["resampled"]
-    # Each sample is rounded at 6e-8 of itself, in the bank and again here. What is outside goes
-    # linearly between neighbours and PSFs by cubics: measured 1.0e-4 apart.
-    held = made.psf.sum(axis=(2, 3), dtype=float)
-    np.testing.assert_allclose(held + made.outside_energy, 1, rtol=0, atol=2e-4)
-    levels = sum(level.psf.sum(axis=(2, 3), dtype=float) for level in made.levels)
-    np.testing.assert_allclose(levels + made.beyond_energy, 1, rtol=0, atol=1e-6)
-    true = fine.psf[2, 1]
-    error = np.abs(made.psf[1, 1] - true).max() / true.max()
-    # Measured 1.6 % of the peak over 2 deg and 50 nm; the nearest of the four neighbours is 2.4 %
-    # off.
-    nearest = min(np.abs(coarse.psf[f, w] - true).max() for f in (1, 2) for w in (0, 1))
-    assert error < 0.02 and error < 0.8 * nearest / true.max()
-    # Straight between two wavelengths, a spline in field: 3 nm of secondary lateral colour.
-    assert made.real_height_um[1, 1] == pytest.approx(fine.real_height_um[2, 1], abs=0.01)
-    assert made.relative_illumination[1, 1] == pytest.approx(
-        fine.relative_illumination[2, 1], abs=1e-3
-    )
-
-
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ({"wavelengths_nm": [450.0, 700.0]}, ["wavelengths_nm", "450 to 650", "550"]),
-        ({"wavelengths_nm": [450.0, 500.0]}, ["wavelengths_nm", "with 550"]),
-        ({"wavelengths_nm": [550.0, 500.0]}, ["rising"]),
-        ({"field_deg": [1.0, 2.0]}, ["field_deg", "with 0"]),
-        ({"field_deg": [0.0, 40.0]}, ["field_deg", "0 to 14.3"]),
-    ],
-)
-def test_a_bank_is_resampled_only_within_itself(bank, asked, words):
-    with pytest.raises(UserError) as caught:
-        bank.resampled(**asked)
-    for word in words:
-        assert word in caught.value.screen()
-
-
 @pytest.fixture(scope="module")
 def fisheye_bank():
     return compute_bank(
