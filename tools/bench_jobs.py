@@ -41,10 +41,12 @@ from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy
-from gpusim.psf.bank import Bank, bank_of, default_fields_deg
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import bank_of
 from gpusim.psf.generator import Generator
 from gpusim.psf.places import Heights
 from gpusim.psf.psf import intensity
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.reference.adc import adc
 from gpusim.reference.columns import columns
 from gpusim.reference.crosstalk import crosstalk

@@ -13,18 +13,16 @@ where fields are half as far apart.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.certify.budget import EXACT, Judged, Share, errors
 from gpusim.certify.places import pixels_near, pixels_on_rings, points_of, radii_of
 from gpusim.certify.probes import beyond_circle
 from gpusim.lens.prescription import Prescription
+from gpusim.parallel import each
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
 from gpusim.psf.field_bank import FieldBank
@@ -309,6 +307,5 @@ def _changes(
                 evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
                 changes[own] += evaluate(placed, pixels[own])
 
-    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(of_height, range(len(pairs))))
+    each(of_height, range(len(pairs)))
     return changes

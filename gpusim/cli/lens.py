@@ -31,7 +31,7 @@ from gpusim.lens.account import Account
 from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import Checked, System, build, checked, first_order
-from gpusim.psf.bank import cached_bank
+from gpusim.psf.compute import cached_bank
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import (
     checks_table,
@@ -150,7 +150,7 @@ def plane_work(job: Job) -> list[tuple[str, str]]:
 
     The bank takes a while: without a file to write, first-order data are all that is shown.
     """
-    from gpusim.psf.plane_bank import cached_plane_bank
+    from gpusim.psf.compute_plane import cached_plane_bank
 
     if job.file is None:
         return first_order_facts(job.system)
@@ -188,19 +188,17 @@ def write_plane(
 
 def show_ready(name: str, out: Path | None) -> None:
     """Show what a ready-made lens holds; write its bank or its page where `out` asks for them."""
-    from gpusim.psf.plane_bank import holds_plane_bank, load_plane_bank
-
     console = Console()
     with ExitStack() as stack:
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
-        if holds_plane_bank(Path(name)):
-            bank = load_plane_bank(Path(name))
+        lens = load_ready(name)
+        bank = lens.bank()
+        if isinstance(bank, PlaneBank):
             facts = [("lens", bank.provenance["title"]), *plane_facts(bank, None)]
             if file is not None:
                 write_plane(bank, None, Account(), file)
         else:
-            lens = load_ready(name)
-            facts = [*ready_identity(lens), *ready_facts(lens.bank())]
+            facts = [*ready_identity(lens), *ready_facts(bank)]
             if file is not None:
                 write_ready(lens, file)
     console.print(texts(facts))

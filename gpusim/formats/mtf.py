@@ -55,9 +55,9 @@ from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.formats.assemble import Stated, make_bank, per_wavelength
-from gpusim.psf.bank import REFERENCE_NM, Bank
+from gpusim.psf.bank import Bank
 from gpusim.psf.lines import STRAIGHT
-from gpusim.psf.sampling import PITCH_UM, SIZE
+from gpusim.psf.sampling import PITCH_UM, REFERENCE_NM, SIZE
 
 # Samples in a period of the finest detail: splines of degree 3 on the bank's grid interpolate it to
 # 1e-2 at the very end of the band, where little contrast is left, and to 1e-3 at two thirds of it.

@@ -31,13 +31,15 @@ from gpusim.config.mistakes import checked
 from gpusim.config.model import Strict
 from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
-from gpusim.formats.assemble import check_bank, unit_psf
+from gpusim.formats.assemble import unit_psf
+from gpusim.formats.contract import check_bank
 from gpusim.formats.text import decoded
 from gpusim.known import Known
-from gpusim.psf.bank import WAVELENGTHS_NM, Bank
+from gpusim.psf.bank import Bank
 from gpusim.psf.cone import with_exit_pupil
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.plane_bank import holds_plane_bank, load_plane_bank
+from gpusim.psf.plane_bank import PlaneBank
+from gpusim.psf.sampling import WAVELENGTHS_NM
 
 # Names in an .npz file, with the shapes, units and meanings of the same names in Bank; title and
 # source are texts. A PSF may have any positive sum. What the file lacks is looked up under the
@@ -160,8 +162,7 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
     if not os.path.exists(path):
         raise UserError("no such lens", field="lens", value=name_or_path, allowed=ACCEPTED)
     if suffix == ".nc":
-        bank = load_plane_bank(path) if holds_plane_bank(path) else _netcdf(path)
-        return ready_lens(bank, "saved bank", path)
+        return ready_lens(_netcdf(path), "saved bank", path)
     if suffix == ".npz":
         return ready_lens(_npz(path), "NumPy arrays", path)
     if path.name.lower() == ISETPARMS:
@@ -195,15 +196,15 @@ def load_ready(name_or_path: str | Path) -> ReadyLens:
     raise UserError("the file is no ready-made lens", file=path, allowed=ACCEPTED)
 
 
-def _netcdf(path: Path) -> Bank:
-    """Read a saved bank."""
+def _netcdf(path: Path) -> FieldBank:
+    """Read a saved bank, of a lens with an axis or without."""
     import h5py
 
     try:
         # For a broken file, h5netcdf would leave an object that complains when it is collected.
         with h5py.File(path, "r") as file:
-            list(file), list(file.attrs)
-        bank = Bank.load(path)
+            names, _ = list(file), list(file.attrs)
+        bank = (PlaneBank if "field_x_deg" in names else Bank).load(path)
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError) as error:
         raise UserError(
             f"not a whole bank: {' '.join(str(error).split())}",

@@ -53,12 +53,12 @@ from gpusim.config.mistakes import checked
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.formats.assemble import (
-    MAX_SIZE,
     Stated,
     make_bank,
     odd_fit,
     per_wavelength,
 )
+from gpusim.formats.contract import MAX_SIZE
 from gpusim.formats.text import decoded
 from gpusim.psf.bank import Bank
 

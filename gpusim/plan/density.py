@@ -27,10 +27,10 @@ from gpusim.optics.fold import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.stage import PlanStage
-from gpusim.psf.bank import default_fields_deg
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.lines import CUBIC, line_shares
 from gpusim.psf.places import lagrange
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.spreads import (
     ELEVENTHS,
     Spreads,

@@ -20,10 +20,11 @@ from gpusim.lens.system import build
 from gpusim.library.light import Light, lit
 from gpusim.plan import Accuracy
 from gpusim.plan.optics import WHOLE
-from gpusim.psf.bank import REFERENCE_NM, Bank, bank_of, default_fields_deg
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import bank_of
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.generator import Generator
-from gpusim.psf.sampling import window
+from gpusim.psf.sampling import REFERENCE_NM, default_fields_deg, window
 from gpusim.render.renderer import Renderer
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor

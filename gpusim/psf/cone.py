@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from gpusim.errors import UserError
+
 if TYPE_CHECKING:
     from gpusim.psf.bank import Bank
 
@@ -104,3 +106,15 @@ def with_exit_pupil(bank: Bank, distance_mm: float) -> Bank:
     cone[..., :2] *= radius[..., None, None]
     cone[..., 0] += sine[..., None]
     return replace(bank, chief=np.stack([sine, np.zeros_like(sine)], axis=-1), cone=cone)
+
+
+def no_rays(provenance: dict[str, str]) -> UserError:
+    """Return the error of a lens of which nobody said at which angles its light arrives."""
+    return UserError(
+        "the sensor's quantum efficiency goes with the angle at which light arrives, and the file "
+        "of this lens does not say it",
+        field="exit_pupil_mm",
+        value=f"none for {provenance['title']}",
+        allowed="the distance from the exit pupil to the image plane in the lens's file, a lens "
+        "given by its prescription, or a sensor without eqe_map",
+    )

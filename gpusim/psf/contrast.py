@@ -10,7 +10,7 @@ from gpusim.lens.entering import stretch
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.psf import transfer
-from gpusim.psf.bank import REFERENCE_NM
+from gpusim.psf.sampling import REFERENCE_NM
 
 
 @dataclass(frozen=True)

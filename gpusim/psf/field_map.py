@@ -7,6 +7,9 @@ import functools
 import numpy as np
 from scipy.interpolate import PPoly, make_interp_spline
 
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import conjugates
+
 # Lenses that see farther off the axis are taken to follow the angle, others its tangent: there the
 # two differ by a third of the height, and a wide lens bends its image towards the angle.
 WIDE_DEG = 50.0
@@ -75,3 +78,17 @@ class FieldMap:
         theta = np.linspace(0, self.edge, self._count)
         falling = np.flatnonzero(np.diff(self.height_um(theta)) <= 0)
         return float(theta[falling[0]]) if falling.size else None
+
+
+def ideal_height_um(principal_distance_mm: float, field_deg: np.ndarray) -> np.ndarray:
+    """Return the principal distance times tan(theta), infinite from 90 deg."""
+    below = field_deg < 90
+    tangent = np.tan(np.radians(np.where(below, field_deg, 0)))
+    return np.where(below, 1e3 * principal_distance_mm * tangent, np.inf)
+
+
+def principal_mm(prescription: Prescription, reference_nm: float) -> float | None:
+    """Return the principal distance of a lens; None where lens and object are set to infinity."""
+    if prescription.object_distance_mm is None and prescription.focused_mm is None:
+        return None
+    return conjugates(prescription, reference_nm).principal_distance_mm

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from gpusim.lens.prescription import Prescription
-from gpusim.psf.bank import cached_bank
+from gpusim.psf.compute import cached_bank
+from gpusim.psf.compute_plane import cached_plane_bank
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.plane_bank import cached_plane_bank
 
 
 def lens_bank(

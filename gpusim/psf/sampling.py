@@ -1,18 +1,65 @@
-"""How wide a window the PSFs of a lens need, from where its rays land."""
+"""How densely a bank samples a lens: its wavelengths, its fields, and the window of its PSFs."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, first_order
 from gpusim.lens.wavefront import sample_field
+from gpusim.psf.field_map import WIDE_DEG
 
+WAVELENGTHS_NM = tuple(range(400, 701, 25))
+REFERENCE_NM = 550.0
+FIELDS = 15
+SIDE = 9  # fields each way
 PITCH_UM = 0.5
 SIZE = 256
 SIZES = (SIZE, SIZE * 3 // 2, SIZE * 2)
 # Share of the rays that the window should catch; caustics leave a few far out.
 CAUGHT = 0.98
+
+
+def default_lines_nm(first_nm: float, last_nm: float) -> np.ndarray:
+    """Return `WAVELENGTHS_NM` and lines no farther apart to both ends, nm."""
+    step = WAVELENGTHS_NM[1] - WAVELENGTHS_NM[0]
+    sides = (first_nm, WAVELENGTHS_NM[0]), (WAVELENGTHS_NM[-1], last_nm)
+    added = [np.linspace(*side, math.ceil((side[1] - side[0]) / step) + 1) for side in sides]
+    return np.unique(np.concatenate([*added, WAVELENGTHS_NM]))
+
+
+def check_reference(reference_nm: float, wavelengths_nm: np.ndarray) -> None:
+    """Refuse a reference wavelength that is not one of a bank's."""
+    if reference_nm not in wavelengths_nm:
+        raise UserError(
+            "the reference wavelength is not one of the bank's",
+            field="reference_nm",
+            value=reference_nm,
+            allowed=", ".join(f"{w:g}" for w in wavelengths_nm),
+        )
+
+
+def default_fields_deg(prescription: Prescription, count: int = FIELDS) -> np.ndarray:
+    """Return field angles from 0 to the lens's largest.
+
+    They are evenly spaced in tan(theta), or in theta where the lens sees farther than
+    ``WIDE_DEG``: either is nearly even in image height.
+    """
+    if prescription.max_field_deg > WIDE_DEG:
+        return np.linspace(0, prescription.max_field_deg, count)
+    edge = np.tan(np.radians(prescription.max_field_deg))
+    fields_deg = np.degrees(np.arctan(np.linspace(0, edge, count)))
+    fields_deg[-1] = prescription.max_field_deg
+    return fields_deg
+
+
+def default_sides_deg(prescription: Prescription, count: int = SIDE) -> np.ndarray:
+    """Return an odd number of angles, evenly spaced, from the largest field to the other."""
+    half = np.linspace(0, prescription.max_field_deg, (count + 1) // 2)
+    return np.concatenate([-half[:0:-1], half])
 
 
 def default_pitch_um(prescription: Prescription, wavelengths_nm: np.ndarray) -> float:

@@ -19,19 +19,18 @@ from gpusim.gpu import default_device
 from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
-from gpusim.psf.bank import REFERENCE_NM
 from gpusim.psf.field_map import WIDE_DEG
 from gpusim.psf.generator import TRANSFORM, Generator
 from gpusim.psf.halo import distances_um, fall
-from gpusim.psf.sampling import window
-from gpusim.psf.store import from_cache, load_dataset, save_dataset
+from gpusim.psf.sampling import REFERENCE_NM, window
+from gpusim.psf.store import Table, Variables, dataset_of, from_cache, load_dataset, save_dataset
 from gpusim.psf.traced import field_of as traced_field
 
 Progress = Callable[[int, int], None]
 # Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of
 # what 13 lines in even steps of 25 nm do. In elevenths of 1/700 to 1/400, 550 nm is one of them.
 SHORTEST_NM, LONGEST_NM, ELEVENTHS = 400.0, 700.0, 11
-_VARIABLES = {
+_VARIABLES: Variables = {
     "field_deg": (("field",), "degree", "field angle in object space"),
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
     "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
@@ -47,10 +46,13 @@ _VARIABLES = {
         "share of the light per sample, along xi and along eta; centred on the chief ray",
     ),
 }
-_SCALARS = {
-    "pitch_um": ("um", "spacing of the samples"),
-    "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
-}
+_TABLE = Table(
+    _VARIABLES,
+    {
+        "pitch_um": ("um", "spacing of the samples"),
+        "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
+    },
+)
 
 
 def added_intervals(first_nm: float, last_nm: float) -> tuple[int, int]:
@@ -122,22 +124,12 @@ class Spreads:
 
     def save(self, path: str | Path) -> None:
         """Write them as NetCDF, never half a file."""
-        import xarray
-
-        data = {
-            name: (dims, getattr(self, name), {"units": units, "long_name": meaning})
-            for name, (dims, units, meaning) in _VARIABLES.items()
-        }
-        data |= {
-            name: ((), float(getattr(self, name)), {"units": units, "long_name": meaning})
-            for name, (units, meaning) in _SCALARS.items()
-        }
-        save_dataset(xarray.Dataset(data, attrs=self.provenance), path)
+        save_dataset(dataset_of(self, _TABLE), path)
 
     @classmethod
     def load(cls, path: str | Path, *, sealed: bool = False) -> Spreads:
         """Read what ``save`` wrote; raises where the file is not whole, as ``Bank.load`` does."""
-        return cls(**load_dataset(path, _VARIABLES, _SCALARS, (), sealed))
+        return cls(**load_dataset(path, _TABLE, sealed))
 
 
 def spreads(

@@ -7,7 +7,8 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
@@ -31,6 +32,34 @@ ABANDONED_S = 3600  # a file half written and not touched for so long has lost i
 PACKED = ("scale_factor", "add_offset")  # attributes of variables whose numbers are not the values
 
 
+# Dimensions, unit and meaning of each variable, by its name.
+Variables = Mapping[str, tuple[tuple[str, ...], str, str]]
+
+
+@dataclass(frozen=True)
+class Table:
+    """What files of a kind hold: variables by the names of the attributes that they keep.
+
+    Attributes
+    ----------
+    variables : mapping of str to (dimensions, unit, meaning)
+        Always there. The order is that of the file.
+    scalars : mapping of str to (unit, meaning)
+        Numbers, always there.
+    optional : mapping of str to (dimensions, unit, meaning)
+        There where the attribute is not None.
+    """
+
+    variables: Variables
+    scalars: Mapping[str, tuple[str, str]]
+    optional: Variables = field(default_factory=dict)
+
+    @property
+    def names(self) -> set[str]:
+        """Names of all that a file may hold."""
+        return {*self.variables, *self.optional, *self.scalars}
+
+
 class Stored(Protocol):
     """What the cache holds."""
 
@@ -47,13 +76,37 @@ class Stored(Protocol):
 AnyStored = TypeVar("AnyStored", bound=Stored)
 
 
-def load_dataset(
-    path: str | Path,
-    variables: Iterable[str],
-    scalars: Iterable[str],
-    optional: Iterable[str],
-    sealed: bool = False,
-) -> dict[str, object]:
+def dataset_of(
+    kept: Stored, table: Table, axes: Mapping[str, np.ndarray] | None = None, of: str = ""
+) -> xarray.Dataset:
+    """Return what a table lists as a dataset, with units and meaning on every variable.
+
+    Parameters
+    ----------
+    kept : Stored
+    table : Table
+    axes : mapping of str to ndarray, optional
+        Coordinates of dimensions, um.
+    of : str
+        What every variable says that it is of; nothing where this is empty.
+    """
+    import xarray
+
+    texts = {"provenance": of} if of else {}
+    there = {name: one for name, one in table.optional.items() if getattr(kept, name) is not None}
+    data = {
+        name: (dims, getattr(kept, name), {"units": units, "long_name": meaning} | texts)
+        for name, (dims, units, meaning) in {**table.variables, **there}.items()
+    }
+    data |= {
+        name: ((), float(getattr(kept, name)), {"units": units, "long_name": meaning} | texts)
+        for name, (units, meaning) in table.scalars.items()
+    }
+    coords = {name: (name, at, {"units": "um"} | texts) for name, at in (axes or {}).items()}
+    return xarray.Dataset(data, coords=coords, attrs=kept.provenance)
+
+
+def load_dataset(path: str | Path, table: Table, sealed: bool = False) -> dict[str, object]:
     """Return the arrays, the scalars and the provenance of a file that ``save_dataset`` wrote.
 
     Raises
@@ -82,9 +135,9 @@ def load_dataset(
             f"its data are not those that were saved (after a change that is meant, remove the "
             f"global attribute {CHECKSUM})"
         )
-    there = [*variables, *(name for name in optional if name in data)]
+    there = [*table.variables, *(name for name in table.optional if name in data)]
     found: dict[str, object] = {name: data[name] for name in there}
-    found |= {name: float(data[name]) for name in scalars}
+    found |= {name: float(data[name]) for name in table.scalars}
     return found | {"provenance": texts}
 
 

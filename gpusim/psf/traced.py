@@ -6,9 +6,7 @@ wavelengths of the caller's choice: no node, no line and no shader of a bank has
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,12 +15,14 @@ from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order, transmission
 from gpusim.lens.wavefront import pupils, sample_field
-from gpusim.psf.bank import Bank, ideal_height_um, principal_mm, provenance_of
+from gpusim.parallel import each
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute_plane import plane_bank_of, plane_field_of
 from gpusim.psf.cone import cone_of
+from gpusim.psf.field_map import ideal_height_um, principal_mm
 from gpusim.psf.halo import distances_um, fall, halo_of, wave_of
 from gpusim.psf.plane_bank import PlaneBank
-from gpusim.psf.plane_bank import bank_of as plane_bank_of
-from gpusim.psf.plane_bank import field_of as plane_field_of
+from gpusim.psf.provenance import provenance_of
 from gpusim.psf.psf import folded_share, intensity
 from gpusim.psf.store import from_cache
 
@@ -65,16 +65,11 @@ def traced_bank(
     """
     system = build(prescription)
     lines = np.asarray(wavelengths_nm, float)
-    # Fields in parallel, each on one BLAS thread: OpenBLAS's own threads wait by spinning.
-    rows = []
-    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = pool.map(
-            lambda theta: field_of(system, lines, theta, size, pitch_um, reference_nm), field_deg
-        )
-        for row in found:
-            rows.append(row)
-            if progress is not None:
-                progress(len(rows), len(field_deg))
+    rows = each(
+        lambda theta: field_of(system, lines, theta, size, pitch_um, reference_nm),
+        field_deg,
+        progress,
+    )
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0] if name != "waves"}
     light_sr = stacked.pop("light_sr")
     radius_um = size / 2 * pitch_um

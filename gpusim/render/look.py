@@ -11,8 +11,8 @@ from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.band import Band, band_of
 from gpusim.plan.density import Density, bank_density
-from gpusim.psf.bank import default_lines_nm
 from gpusim.psf.field_bank import FieldBank, seen_as
+from gpusim.psf.sampling import default_lines_nm
 from gpusim.scene.scene import Scene
 
 

@@ -15,8 +15,9 @@ from gpusim.certify import compare
 from gpusim.certify.bank import bank_share
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
-from gpusim.psf.bank import compute_bank, default_fields_deg
+from gpusim.psf.compute import compute_bank
 from gpusim.psf.halo import distances_um
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Rect
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -14,8 +14,8 @@ from gpusim.certify.bank import bank_share
 from gpusim.certify.places import pixels_near, points_of
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
+from gpusim.psf.compute_plane import compute_plane_bank
 from gpusim.psf.halo import distances_um
-from gpusim.psf.plane_bank import compute_plane_bank
 from gpusim.reference.truth import Truth
 from gpusim.scene.chart import Rect
 from gpusim.scene.spectra import WAVELENGTHS_NM

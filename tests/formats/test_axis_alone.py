@@ -10,7 +10,7 @@ from gpusim.errors import UserError
 from gpusim.formats.imported import SMALL_FIELD_DEG
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import first_order
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 
 
 def achromat(**fields):

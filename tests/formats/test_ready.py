@@ -12,10 +12,11 @@ import yaml
 from optics.made import bank as made_bank
 
 from gpusim.errors import UserError
-from gpusim.formats.assemble import check_bank
+from gpusim.formats.contract import check_bank
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import NPZ_ARRAYS, load_ready
-from gpusim.psf.bank import Bank, compute_bank
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import compute_bank
 
 TEXTS = {"title": "Gaussians", "source": "made up"}
 

@@ -9,7 +9,7 @@ from gpusim.lens.surface import tilt_matrix
 from gpusim.lens.system import build
 from gpusim.lens.trace import Geometry, Launch, aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 
 GREEN = np.array([550.0])
 

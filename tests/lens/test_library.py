@@ -10,7 +10,7 @@ from gpusim.lens.entering import stretch
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 from gpusim.psf.sampling import window
 
 D_LINE = np.array([587.5618])

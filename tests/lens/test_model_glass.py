@@ -12,7 +12,7 @@ from gpusim.lens import model_glass
 from gpusim.lens.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, model_index
 from gpusim.lens.model_glass import colour, known, nearest, state_model_glasses, with_nearest
 from gpusim.lens.system import indices
-from gpusim.psf.bank import WAVELENGTHS_NM
+from gpusim.psf.sampling import WAVELENGTHS_NM
 
 LINES = np.array([D_LINE_NM, F_LINE_NM, C_LINE_NM])
 

@@ -9,7 +9,7 @@ from gpusim.lens.surface import tilt_matrix
 from gpusim.lens.system import build, first_order, geometry_of
 from gpusim.lens.trace import aim, launch_field, trace
 from gpusim.lens.wavefront import sample_field, sample_rays
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 
 D_LINE = np.array([587.5618])
 

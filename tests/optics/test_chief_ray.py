@@ -13,10 +13,11 @@ from gpusim.lens.projection import ANGULAR, RECTILINEAR
 from gpusim.lens.system import System, build, first_order
 from gpusim.lens.wavefront import sample_rays
 from gpusim.optics.chief_ray import FIT_ERROR_UM, black_share, chief_ray_map, radial_map
-from gpusim.psf.bank import WAVELENGTHS_NM, Bank, default_fields_deg, ideal_height_um
+from gpusim.psf.bank import Bank
 from gpusim.psf.chief_rays import MIDDLE, MISS_UM, ChiefRays, between_fields
 from gpusim.psf.field_bank import seen_as
-from gpusim.psf.field_map import FieldMap
+from gpusim.psf.field_map import FieldMap, ideal_height_um
+from gpusim.psf.sampling import WAVELENGTHS_NM, default_fields_deg
 from gpusim.reference.chief_ray import chief_ray as twin
 from gpusim.reference.fields import Heights
 from gpusim.sensor.load import load_sensor

@@ -10,8 +10,9 @@ from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.density import FIELDS_SHARE, LINES_SHARE, Density, LensShare, bank_density
-from gpusim.psf.bank import compute_bank, default_fields_deg
+from gpusim.psf.compute import compute_bank
 from gpusim.psf.places import half_turned
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.spreads import even_lines_nm, middles_deg
 from gpusim.scene.chart import Rect
 

@@ -15,9 +15,11 @@ from gpusim.lens.projection import ANGULAR
 from gpusim.lens.surface import Coating
 from gpusim.lens.system import build, first_order, indices, transmission
 from gpusim.lens.wavefront import sample_rays
-from gpusim.psf import bank as bank_module
-from gpusim.psf.bank import Bank, cached_bank, compute_bank, default_fields_deg
+from gpusim.psf import compute
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import cached_bank, compute_bank
 from gpusim.psf.field_bank import seen_as
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.store import from_cache
 
 SMALL = {"wavelengths_nm": [450.0, 550.0, 650.0], "size": 64}
@@ -235,7 +237,7 @@ def test_a_bank_survives_its_file(bank, tmp_path):
     path = tmp_path / "bank.nc"
     bank.save(path)
     again = Bank.load(path)
-    for name in (*bank_module._VARIABLES, *bank_module._HALO, *bank_module._SCALARS):
+    for name in Bank.table.names:
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
         assert np.asarray(getattr(again, name)).dtype == np.asarray(getattr(bank, name)).dtype
     assert again.provenance == bank.provenance
@@ -246,12 +248,10 @@ def test_a_bank_survives_its_file(bank, tmp_path):
 
 
 def test_the_file_holds_every_field_of_the_bank():
-    names = ("_VARIABLES", "_RAYS", "_HALO", "_SCALARS", "_BETWEEN", "_BETWEEN_FIELDS", "_FINITE")
-    names += ("_ENTERING",)
-    kinds = (getattr(bank_module, name) for name in names)
-    stored = {"provenance"}.union(*kinds)
     # The projection is the scene's.
-    assert {field.name for field in dataclasses.fields(Bank)} == stored | {"projection"}
+    assert {field.name for field in dataclasses.fields(Bank)} == (
+        Bank.table.names | {"provenance", "projection"}
+    )
 
 
 def test_a_file_says_how_wavelengths_are_joined_and_older_ones_are_cubic(bank, tmp_path):
@@ -284,7 +284,7 @@ def cache(tmp_path, monkeypatch):
         computed.append(args)
         return compute_bank(*args, **kwargs)
 
-    monkeypatch.setattr(bank_module, "compute_bank", counted)
+    monkeypatch.setattr(compute, "compute_bank", counted)
     return tmp_path / "gpusim" / "banks", computed
 
 
@@ -355,7 +355,7 @@ def test_one_bit_that_flips_in_a_cached_file_is_noticed(cache, demo_lens):
         except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError):
             refused += 1
             continue
-        for name in (*bank_module._VARIABLES, *bank_module._HALO, *bank_module._RAYS):
+        for name in (*Bank.table.variables, *Bank.table.optional):
             np.testing.assert_array_equal(getattr(found, name), getattr(sound, name))
     # Nearly all of the file are data.
     assert refused >= 15

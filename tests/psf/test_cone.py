@@ -9,9 +9,11 @@ from optics.made import bank as gaussians
 from gpusim.errors import UserError
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
-from gpusim.psf.bank import Bank, compute_bank
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import compute_bank
+from gpusim.psf.compute_plane import compute_plane_bank
 from gpusim.psf.cone import CELLS, cone_of, with_exit_pupil
-from gpusim.psf.plane_bank import PlaneBank, compute_plane_bank
+from gpusim.psf.plane_bank import PlaneBank
 
 LINES = [450.0, 550.0]
 

@@ -9,8 +9,8 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
 from gpusim.lens.entering import stretch
 from gpusim.lens.system import build
-from gpusim.psf.bank import REFERENCE_NM
 from gpusim.psf.contrast import field_contrast
+from gpusim.psf.sampling import REFERENCE_NM
 from gpusim.psf.transfer import DIRECTIONS, field_pupils
 
 

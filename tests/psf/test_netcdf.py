@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import xarray
 
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 
 DIMENSIONS = {
     "field": 3,

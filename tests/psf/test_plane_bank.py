@@ -15,10 +15,12 @@ from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils, sample_field, sample_rays
 from gpusim.optics.chief_ray import black_share
 from gpusim.optics.kernels import field_images, field_kernels, sampled_kernels
-from gpusim.psf import plane_bank
-from gpusim.psf.plane_bank import PlaneBank, compute_plane_bank, default_sides_deg
+from gpusim.psf import chief_rays, compute_plane
+from gpusim.psf.compute_plane import compute_plane_bank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.plane_map import FIT_ERROR_UM
 from gpusim.psf.psf import intensity
+from gpusim.psf.sampling import default_sides_deg
 from gpusim.sensor.load import load_sensor
 
 GREEN = np.array([550.0])
@@ -158,10 +160,10 @@ def test_a_plane_bank_survives_its_file(bank, tmp_path):
     path = tmp_path / "plane.nc"
     bank.save(path)
     again = PlaneBank.load(path)
-    stored = {*plane_bank._VARIABLES, *plane_bank._RAYS, *plane_bank._HALO}
-    stored |= {*plane_bank._SCALARS, *plane_bank._FINITE, "provenance"}
-    # The projection is the scene's.
-    assert {field.name for field in dataclasses.fields(PlaneBank)} == stored | {"projection"}
+    stored = PlaneBank.table.names | {"provenance"}
+    # The projection is the scene's, and wavelengths are always joined by cubics.
+    others = {"projection", "spectral_degree"}
+    assert {field.name for field in dataclasses.fields(PlaneBank)} == stored | others
     for name in stored - {"provenance"}:
         np.testing.assert_array_equal(getattr(again, name), getattr(bank, name))
     assert again.provenance == bank.provenance
@@ -284,7 +286,7 @@ def test_a_decentred_lens_flares_where_its_rays_land(bank):
 
 
 def test_distortion_that_folds_the_image_is_refused(monkeypatch):
-    real = plane_bank.sample_rays
+    real = chief_rays.sample_rays
 
     def folding(system, index, theta, x, y, azimuth):
         found = real(system, index, theta, x, y, azimuth)
@@ -293,7 +295,7 @@ def test_distortion_that_folds_the_image_is_refused(monkeypatch):
             found, chief_x_mm=found.chief_x_mm * stretch, chief_y_mm=found.chief_y_mm * stretch
         )
 
-    monkeypatch.setattr(plane_bank, "sample_rays", folding)
+    monkeypatch.setattr(chief_rays, "sample_rays", folding)
     with pytest.raises(UserError, match="folds the image over") as caught:
         compute_plane_bank(coma_lens(), **SMALL, **SIDES)
     assert float(caught.value.allowed.split()[2]) < 2.5 * 0.82
@@ -307,7 +309,7 @@ def test_a_camera_takes_a_moved_lens_and_keeps_its_bank(monkeypatch, tmp_path):
         computed.append(progress)
         return compute_plane_bank(prescription, **SMALL, **SIDES, progress=progress)
 
-    monkeypatch.setattr(plane_bank, "compute_plane_bank", small)
+    monkeypatch.setattr(compute_plane, "compute_plane_bank", small)
     seen = []
     sensor = load_sensor("imx477").roi(640, 480)
     camera = Camera(moved(), sensor, "moved")

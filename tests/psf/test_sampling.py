@@ -4,8 +4,8 @@ import pytest
 
 from gpusim.errors import UserError
 from gpusim.lens.system import build
-from gpusim.psf.bank import WAVELENGTHS_NM, compute_bank
-from gpusim.psf.sampling import PITCH_UM, SIZE, SIZES, window
+from gpusim.psf.compute import compute_bank
+from gpusim.psf.sampling import PITCH_UM, SIZE, SIZES, WAVELENGTHS_NM, window
 
 
 def test_the_demonstration_lens_has_the_default_window(demo_lens):

@@ -13,7 +13,7 @@ from optics.made import bank as made_bank
 from gpusim.formats.lens_file import load_prescription
 from gpusim.psf import store
 from gpusim.psf.bank import Bank
-from gpusim.psf.store import from_cache, load_dataset, prune, save_dataset
+from gpusim.psf.store import Table, from_cache, load_dataset, prune, save_dataset
 
 KIB = 1024
 
@@ -94,12 +94,12 @@ def test_a_bank_that_was_used_again_outlives_one_that_was_not(tmp_path, monkeypa
 
 
 def test_packed_numbers_are_refused_by_name(tmp_path):
-    path = tmp_path / "a.nc"
+    path, table = tmp_path / "a.nc", Table({"psf": (("x",), "1", "psf")}, {})
     save_dataset(xarray.Dataset({"psf": ("x", np.linspace(0, 1, 5))}), path)
-    assert load_dataset(path, ["psf"], (), ())["psf"][-1] == 1
+    assert load_dataset(path, table)["psf"][-1] == 1
     with xarray.open_dataset(path, engine="h5netcdf") as data:
         del data.attrs["sha256"]
         packed = {"psf": {"dtype": "i2", "scale_factor": 1e-4, "_FillValue": -1}}
         data.to_netcdf(tmp_path / "b.nc", engine="h5netcdf", encoding=packed)
     with pytest.raises(ValueError, match="psf is packed"):
-        load_dataset(tmp_path / "b.nc", ["psf"], (), ())
+        load_dataset(tmp_path / "b.nc", table)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 from gpusim.psf.traced import traced_bank
 
 LINES_NM, FIELDS_DEG = [450.0, 550.0, 650.0], [0.0, 8.0, 13.0]

@@ -16,8 +16,10 @@ from PIL import Image
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, checked, first_order
-from gpusim.psf.bank import Bank, compute_bank, default_fields_deg
-from gpusim.psf.plane_bank import compute_plane_bank
+from gpusim.psf.bank import Bank
+from gpusim.psf.compute import compute_bank
+from gpusim.psf.compute_plane import compute_plane_bank
+from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.transfer import diffraction_mtf
 from gpusim.report import drawing
 from gpusim.report import lens_page as page_numbers

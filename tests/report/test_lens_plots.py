@@ -18,7 +18,7 @@ from gpusim.cli import lens as cli_lens
 from gpusim.cli.lens_plots import Setting, second
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order
-from gpusim.psf.bank import compute_bank
+from gpusim.psf.compute import compute_bank
 from gpusim.report.lens.plots import PLOTS, csv_text, draw_plot, json_text, tables
 from gpusim.report.lens.study import Study, aligned
 from gpusim.report.lens_html import _figures

@@ -7,7 +7,7 @@ import pytest
 
 from gpusim.camera import load_camera
 from gpusim.lens.perturb import perturbed
-from gpusim.psf.plane_bank import compute_plane_bank
+from gpusim.psf.compute_plane import compute_plane_bank
 from gpusim.sensor.crosstalk_model import Crosstalk
 from gpusim.tolerance.budget import Mounted
 from gpusim.tolerance.sfr import FREQUENCY_CY_PX, channel_of, mtf50, otfs, through_focus

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.lens.analysis import energy, focus, rays, zernike
 from gpusim.lens.analysis.fields import (
@@ -22,6 +20,7 @@ from gpusim.lens.analysis.fields import (
     white_light,
 )
 from gpusim.lens.system import System
+from gpusim.parallel import each
 from gpusim.psf import contrast, transfer
 from gpusim.report.lens_page import round_above, round_near
 
@@ -214,7 +213,7 @@ class Study:
                 azimuth=field.azimuth,
             )
 
-        return _each(traced, self.fields)
+        return each(traced, self.fields)
 
     @cached_property
     def frequency(self) -> float:
@@ -248,7 +247,7 @@ class Study:
         def both(pupils: transfer.FieldPupils) -> np.ndarray:
             return np.abs([pupils.otf(self.frequencies, way) for way in transfer.DIRECTIONS])
 
-        return np.array(_each(both, self.pupils))
+        return np.array(each(both, self.pupils))
 
     @cached_property
     def limit(self) -> np.ndarray:
@@ -281,7 +280,7 @@ class Study:
             found = [pupils.through_focus(self.frequency, way, self.depth_mm) for way in ways]
             return np.abs(found)
 
-        return np.array(_each(both, self.pupils))
+        return np.array(each(both, self.pupils))
 
     @cached_property
     def contrast_theta(self) -> np.ndarray:
@@ -301,7 +300,7 @@ class Study:
         def at(theta: float) -> contrast.FieldContrast:
             return contrast.field_contrast(self.system, theta, WHITE_NM, light, wanted)
 
-        return _each(at, self.contrast_theta)
+        return each(at, self.contrast_theta)
 
     @cached_property
     def illumination(self) -> np.ndarray:
@@ -323,7 +322,7 @@ class Study:
             chief = one.shift_um[::-1]
             return energy.encircled_energy(one.fine, WHITE_NM, one.weight, chief, self.radius_um)
 
-        return np.array(_each(of, self.pupils))
+        return np.array(each(of, self.pupils))
 
     @cached_property
     def encircled_limit(self) -> np.ndarray:
@@ -346,9 +345,3 @@ def aligned(studies: Sequence[Study]) -> list[Study]:
         study.frequencies = np.linspace(0, top, FREQUENCIES)
         study.depth_mm = np.linspace(-depth, depth, FOCUS_STEPS)
     return list(studies)
-
-
-def _each(work: Callable, of: Iterable) -> list:
-    """Return the results of the work on each, on all cores; each on one BLAS thread."""
-    with threadpool_limits(1), ThreadPoolExecutor() as pool:
-        return list(pool.map(work, of))
