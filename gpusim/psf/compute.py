@@ -10,13 +10,13 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import build, first_order, transmission
+from gpusim.lens.system import System, build
 from gpusim.psf.bank import Bank
 from gpusim.psf.chief_rays import between_fields
-from gpusim.psf.field_map import FieldMap, ideal_height_um, principal_mm
+from gpusim.psf.field_map import FieldMap, ideal_height_um
 from gpusim.psf.generator import RAYS, TRANSFORM, Generator
 from gpusim.psf.halo import distances_um, fall, halo_of
-from gpusim.psf.provenance import provenance_of
+from gpusim.psf.provenance import of_lens
 from gpusim.psf.sampling import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
@@ -124,82 +124,45 @@ def bank_of(
         Where distortion folds the image over.
     """
     system, wavelengths = generator.system, generator.wavelengths_nm
-    size = generator.size
-    # The circle in the window: a PSF is turned to every azimuth and must not gain corners by it.
-    distance_um = distances_um(size, generator.pitch_um)
-    radius_um = size / 2 * generator.pitch_um
-    inside = distance_um < radius_um
-    within = fall(distance_um, radius_um)
-    psfs = np.empty((len(generator.field_deg), len(wavelengths), size, size), np.float32)
-    outside, folded, entered, core = np.zeros((4, *psfs.shape[:2]))
-    for field in range(len(psfs)):
-        spread = generator.spread(field, 1e-3 * focus_um, rim=wide)
-        psf = np.multiply(spread.psf, inside, out=psfs[field])
-        outside[field] = 1.0 - psf.sum(axis=(1, 2), dtype=float)
-        core[field] = np.einsum("lyx,yx->l", psf, within, dtype=float)
-        folded[field] = spread.folded_energy
-        entered[field] = spread.entered
-    radial = generator.chief_beta
-    angles = generator.field_deg
-    slope = radial / np.sqrt(1 - radial**2)
-    real = 1e3 * generator.chief_y_mm + focus_um * slope
-    order = first_order(system.prescription, reference_nm)
-    principal = principal_mm(system.prescription, reference_nm)
-    scale_mm = order.efl_mm if principal is None else principal
-    scale_um = 1e3 * scale_mm
-    rays_deg, rays_um = between_fields(generator.between, angles, real, scale_um, focus_um)
-    theta = np.radians(rays_deg)
-    folds = [f for h in rays_um.T if (f := FieldMap(theta, h, scale_um).folds_at) is not None]
-    if folds:
-        raise UserError(
-            "distortion folds the image over: image height does not rise with field angle",
-            file=system.prescription.file,
-            field="max_field_deg",
-            value=f"{angles[-1]:g}",
-            allowed=f"up to {np.degrees(min(folds)):.4g} deg",
-        )
+    spread, core = _spreads(generator, focus_um, wide)
+    entered = spread.pop("entered")
+    angles, radial = generator.field_deg, generator.chief_beta
+    real = 1e3 * generator.chief_y_mm + focus_um * radial / np.sqrt(1 - radial**2)
+    facts = of_lens(system, wavelengths, reference_nm)
+    scale_mm = facts["efl_mm"] if facts["principal_mm"] is None else facts["principal_mm"]
+    rays_deg, rays_um = between_fields(generator.between, angles, real, 1e3 * scale_mm, focus_um)
+    _refuse_folds(system, rays_deg, rays_um, 1e3 * scale_mm)
     halo = {}
     if wide:
         halo = halo_of(
             lambda field, line: generator.wave(field, line, focus_um),
             wavelengths,
             float(generator.pitch_um),
-            radius_um,
+            generator.size / 2 * generator.pitch_um,
             core,
         )
-    else:
-        psfs /= psfs.sum(axis=(2, 3), keepdims=True)
-    provenance = provenance_of(system)
     if focus_um:
-        provenance["focus"] += f"; moved by {focus_um:g} um away from the lens"
+        facts["provenance"]["focus"] += f"; moved by {focus_um:g} um away from the lens"
     areas = [
         generator.stretch(float(reference_nm), float(one)).area(1e-3 * focus_um)
         for one in np.radians(angles)
     ]
     light_sr = entered / np.array(areas)[:, None]
     made = Bank(
-        wavelengths_nm=wavelengths,
-        reference_nm=float(reference_nm),
         field_deg=angles,
         ideal_height_um=ideal_height_um(scale_mm, angles),
         real_height_um=real,
-        psf=psfs,
         relative_illumination=light_sr,
         projected_solid_angle_sr=np.ones(len(wavelengths)),
-        transmission=transmission(system.prescription, wavelengths),
-        outside_energy=outside,
-        folded_energy=folded,
         fit_residual_waves=generator.residual_waves,
         failed_rays=generator.failed_rays,
-        efl_mm=order.efl_mm,
-        f_number=order.f_number,
         pitch_um=float(generator.pitch_um),
-        provenance=provenance,
         chief=np.stack([radial, np.zeros_like(radial)], axis=-1),
         cone=np.stack([generator.cones(field) for field in range(len(angles))]),
         ray_deg=rays_deg,
         ray_um=rays_um,
-        principal_mm=principal,
+        **facts,
+        **spread,
         **halo,
     )
     shown_sr = shown_by(made, light_sr)
@@ -209,6 +172,51 @@ def bank_of(
         projected_solid_angle_sr=shown_sr[0],
         field_light=light_sr / shown_sr[0],
     )
+
+
+def _spreads(
+    generator: Generator, focus_um: float, wide: bool
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return the PSFs of all fields and what was lost, and the light (F, L) of their cores.
+
+    The first by the names of the bank's variables; and ``entered``, the light that goes in.
+    """
+    size = generator.size
+    # The circle in the window: a PSF is turned to every azimuth and must not gain corners by it.
+    distance_um = distances_um(size, generator.pitch_um)
+    radius_um = size / 2 * generator.pitch_um
+    inside = distance_um < radius_um
+    within = fall(distance_um, radius_um)
+    shape = (len(generator.field_deg), len(generator.wavelengths_nm))
+    psfs = np.empty((*shape, size, size), np.float32)
+    outside, folded, entered, core = np.zeros((4, *shape))
+    for field in range(len(psfs)):
+        spread = generator.spread(field, 1e-3 * focus_um, rim=wide)
+        psf = np.multiply(spread.psf, inside, out=psfs[field])
+        outside[field] = 1.0 - psf.sum(axis=(1, 2), dtype=float)
+        core[field] = np.einsum("lyx,yx->l", psf, within, dtype=float)
+        folded[field] = spread.folded_energy
+        entered[field] = spread.entered
+    if not wide:
+        psfs /= psfs.sum(axis=(2, 3), keepdims=True)
+    found = {"psf": psfs, "outside_energy": outside, "folded_energy": folded, "entered": entered}
+    return found, core
+
+
+def _refuse_folds(
+    system: System, rays_deg: np.ndarray, rays_um: np.ndarray, scale_um: float
+) -> None:
+    """Refuse chief rays (M,), (M, L) whose heights do not rise with the field."""
+    theta = np.radians(rays_deg)
+    folds = [f for h in rays_um.T if (f := FieldMap(theta, h, scale_um).folds_at) is not None]
+    if folds:
+        raise UserError(
+            "distortion folds the image over: image height does not rise with field angle",
+            file=system.prescription.file,
+            field="max_field_deg",
+            value=f"{rays_deg[-1]:g}",
+            allowed=f"up to {np.degrees(min(folds)):.4g} deg",
+        )
 
 
 def _check_settings(prescription, wavelengths, angles, reference_nm, size) -> None:

@@ -10,15 +10,14 @@ from gpusim.errors import UserError
 from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR
-from gpusim.lens.system import System, build, first_order, transmission
+from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field
 from gpusim.parallel import each
 from gpusim.psf.chief_rays import rays_on_rings
 from gpusim.psf.cone import cone_of
-from gpusim.psf.field_map import principal_mm
 from gpusim.psf.halo import distances_um, fall, field_halo, wave_of, whole_halo
 from gpusim.psf.plane_bank import PlaneBank
-from gpusim.psf.provenance import provenance_of
+from gpusim.psf.provenance import of_lens
 from gpusim.psf.psf import folded_share, intensity
 from gpusim.psf.sampling import (
     REFERENCE_NM,
@@ -128,24 +127,17 @@ def plane_bank_of(
     stacked = {name: array.reshape(*shape, *array.shape[1:]) for name, array in stacked.items()}
     light_sr = stacked.pop("light_sr")
     centre = light_sr[np.abs(y_deg).argmin(), np.abs(x_deg).argmin()]
-    order = first_order(system.prescription, reference_nm)
-    provenance = provenance_of(system)
-    provenance["focus"] += ", found with every surface on the axis"
+    facts = of_lens(system, wavelengths, reference_nm)
+    facts["provenance"]["focus"] += ", found with every surface on the axis"
     return PlaneBank(
-        wavelengths_nm=wavelengths,
         field_x_deg=x_deg,
         field_y_deg=y_deg,
         relative_illumination=light_sr / centre,
         projected_solid_angle_sr=centre,
-        transmission=transmission(system.prescription, wavelengths),
-        reference_nm=float(reference_nm),
-        efl_mm=order.efl_mm,
-        principal_mm=principal_mm(system.prescription, reference_nm),
-        f_number=order.f_number,
         pitch_um=float(pitch_um),
-        provenance=provenance,
         halo=halo,
         halo_pitch_um=pitches,
+        **facts,
         **of_halo,
         **rays,
         **stacked,

@@ -1,12 +1,29 @@
-"""What a bank says in words of its lens, and of how it was made."""
+"""What a bank says of its lens as a whole, and in words of how it was made."""
 
 from __future__ import annotations
 
 from importlib import metadata
 
+import numpy as np
+
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import System
+from gpusim.lens.system import System, first_order, transmission
 from gpusim.lens.throughput import goes_with_the_ray, without_data
+from gpusim.psf.field_map import principal_mm
+
+
+def of_lens(system: System, wavelengths_nm: np.ndarray, reference_nm: float) -> dict[str, object]:
+    """Return the variables of a bank that go with the lens alone, by their names."""
+    order = first_order(system.prescription, reference_nm)
+    return {
+        "wavelengths_nm": wavelengths_nm,
+        "reference_nm": float(reference_nm),
+        "efl_mm": order.efl_mm,
+        "f_number": order.f_number,
+        "principal_mm": principal_mm(system.prescription, reference_nm),
+        "transmission": transmission(system.prescription, wavelengths_nm),
+        "provenance": provenance_of(system),
+    }
 
 
 def provenance_of(system: System) -> dict[str, str]:

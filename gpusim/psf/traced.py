@@ -13,16 +13,16 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import System, build, first_order, transmission
+from gpusim.lens.system import System, build
 from gpusim.lens.wavefront import pupils, sample_field
 from gpusim.parallel import each
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute_plane import plane_bank_of, plane_field_of
 from gpusim.psf.cone import cone_of
-from gpusim.psf.field_map import ideal_height_um, principal_mm
+from gpusim.psf.field_map import ideal_height_um
 from gpusim.psf.halo import distances_um, fall, halo_of, wave_of
 from gpusim.psf.plane_bank import PlaneBank
-from gpusim.psf.provenance import provenance_of
+from gpusim.psf.provenance import of_lens
 from gpusim.psf.psf import folded_share, intensity
 from gpusim.psf.store import from_cache
 
@@ -75,25 +75,18 @@ def traced_bank(
     radius_um = size / 2 * pitch_um
     within = fall(distances_um(size, pitch_um), radius_um)
     core = np.einsum("flyx,yx->fl", stacked["psf"], within, dtype=float)
-    order = first_order(prescription, reference_nm)
-    principal = principal_mm(prescription, reference_nm)
+    facts = of_lens(system, lines, reference_nm)
+    facts["provenance"]["traced"] = "in float64, to judge a bank by"
+    scale_mm = facts["efl_mm"] if facts["principal_mm"] is None else facts["principal_mm"]
     return Bank(
-        wavelengths_nm=lines,
-        reference_nm=float(reference_nm),
         field_deg=np.asarray(field_deg, float),
-        ideal_height_um=ideal_height_um(
-            order.efl_mm if principal is None else principal, np.asarray(field_deg, float)
-        ),
+        ideal_height_um=ideal_height_um(scale_mm, np.asarray(field_deg, float)),
         # What fields send: what they show follows from those around, which were not traced.
         relative_illumination=light_sr / light_sr[0],
         projected_solid_angle_sr=light_sr[0],
         field_light=light_sr / light_sr[0],
-        transmission=transmission(prescription, lines),
-        efl_mm=order.efl_mm,
-        f_number=order.f_number,
         pitch_um=float(pitch_um),
-        principal_mm=principal,
-        provenance=provenance_of(system) | {"traced": "in float64, to judge a bank by"},
+        **facts,
         **stacked,
         **halo_of(lambda field, line: rows[field]["waves"][line], lines, pitch_um, radius_um, core),
     )
