@@ -32,7 +32,7 @@ from gpusim.config.model import Strict
 from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
 from gpusim.formats.assemble import unit_psf
-from gpusim.formats.contract import check_bank
+from gpusim.formats.contract import check_bank, check_plane_bank
 from gpusim.formats.text import decoded
 from gpusim.known import Known
 from gpusim.psf.bank import Bank
@@ -219,7 +219,10 @@ def _netcdf(path: Path) -> FieldBank:
             field=sorted(missing)[0],
             allowed="a global attribute of that name",
         )
-    check_bank(bank, path)
+    if isinstance(bank, PlaneBank):
+        check_plane_bank(bank, path)
+    else:
+        check_bank(bank, path)
     return bank
 
 
