@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from scipy.optimize import brentq
@@ -39,6 +39,10 @@ _LEAST_FIELD_DEG = 0.05
 _STEP_DEG = 4.0
 _LAST_DEG = 116.0  # a whole number of steps below the model's limit of 120 deg
 
+FieldKind = Literal[
+    "angle", "object height", "paraxial image height", "real image height", "not stated"
+]
+
 
 @dataclass(frozen=True)
 class Beam:
@@ -53,6 +57,18 @@ class Beam:
     half_x: float
     half_y: float
 
+    @classmethod
+    def of_field(
+        cls,
+        y_deg: float,
+        centre_x: float = 0.0,
+        centre_y: float = 0.0,
+        half_x: float = 1.0,
+        half_y: float = 1.0,
+    ) -> Self:
+        """Return the beam of a field along y; of one below the axis, in the mirror."""
+        return cls(abs(y_deg), centre_x, -centre_y if y_deg < 0 else centre_y, half_x, half_y)
+
 
 @dataclass(frozen=True)
 class Fields:
@@ -62,11 +78,20 @@ class Fields:
     file states no field, and then the lens is used as far as its clear apertures let it.
     """
 
-    kind: Literal[
-        "angle", "object height", "paraxial image height", "real image height", "not stated"
-    ]
+    kind: FieldKind
     sizes: tuple[float, ...] = ()
     beams: tuple[Beam, ...] = ()
+
+    @classmethod
+    def at(
+        cls,
+        kind: FieldKind,
+        places: Iterable[tuple[float, float]],
+        beams: tuple[Beam, ...] = (),
+    ) -> Self:
+        """Return fields at x and y: projected angles in deg, or heights."""
+        size = radial_angle_deg if kind == "angle" else math.hypot
+        return cls(kind, tuple(size(x, y) for x, y in places), beams)
 
 
 def radial_angle_deg(x_deg: float, y_deg: float) -> float:
