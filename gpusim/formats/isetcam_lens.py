@@ -8,7 +8,7 @@ ISETCam, opticalimage/raytrace/zemax:
 - ``BASE_DI_.dat``, ``BASE_RI_.dat``: real heights of the chief rays, mm, and relative illumination,
   for each paraxial image height all wavelengths.
 - ``BASE_2D_PSF_Fld<i>_Wave<j>.dat`` (2008: ``BASE_PSF_<i>_<j>.dat``): Zemax exports of the PSF
-  (`gpusim.formats.zemax_text`), i counting image heights and j wavelengths from 1.
+  (`gpusim.formats.zemax_psf`), i counting image heights and j wavelengths from 1.
 
 Image heights are evenly spaced from 0 to imgHeightMax, f tan(theta). The macro traces the PSFs at
 negative heights, and the other files at positive ones; it puts the sign into each export.
@@ -18,7 +18,7 @@ What the folder does not hold is the transmission. It stands in ``ISETPARMS.yaml
     transmission: 0.95             # or one number for each wavelength
     title: my lens                 # optional; the name of the lens file otherwise
     source: where it comes from    # optional
-    first_row: "+y"                # optional, see gpusim.formats.zemax_text
+    first_row: "+y"                # optional, see gpusim.formats.zemax_psf
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
 from gpusim.formats.assemble import Stated, make_bank
 from gpusim.formats.text import decoded
-from gpusim.formats.zemax_text import NUMBER, FirstRow, check_size, common_grid, parse_psf, turned
+from gpusim.formats.zemax_psf import FirstRow, check_size, common_grid, parse_psf, turned
+from gpusim.formats.zemax_units import NUMBER
 from gpusim.psf.bank import Bank
 
 NEEDED = (

@@ -16,7 +16,8 @@ from formats.exports import (
 
 from gpusim.errors import UserError
 from gpusim.formats.ready import load_ready
-from gpusim.formats.zemax_text import parse_distortion, parse_psf
+from gpusim.formats.zemax_distortion import parse_distortion
+from gpusim.formats.zemax_psf import parse_psf
 
 # Exports have seven digits, and splines of degree 5 go through samples that are a third of the
 # Gaussians' width apart; float32 in the bank.
