@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from gpusim.batch.sweep import Sweep
     from gpusim.errors import UserError
     from gpusim.library.camera import Camera
+    from gpusim.library.expose import expose
     from gpusim.library.frame import Burst, Frame
     from gpusim.library.irradiance import Irradiance
     from gpusim.library.lens import Lens
-    from gpusim.library.light import Light, expose
+    from gpusim.library.light import Light
     from gpusim.library.session import Session
     from gpusim.preview.window import widget
     from gpusim.scene.scene import Scene
@@ -42,7 +43,7 @@ _HOMES = {
     "Session": "gpusim.library.session",
     "Sweep": "gpusim.batch.sweep",
     "UserError": "gpusim.errors",
-    "expose": "gpusim.library.light",
+    "expose": "gpusim.library.expose",
     "widget": "gpusim.preview.window",
 }
 __all__ = [

@@ -22,8 +22,9 @@ import gpusim
 from gpusim.batch.labels import in_frame, labels_of
 from gpusim.errors import UserError
 from gpusim.library.again import recipe_of_frame
+from gpusim.library.expose import expose
 from gpusim.library.frame import TOGETHER, read_frames
-from gpusim.library.light import Light, expose
+from gpusim.library.light import Light
 from gpusim.metrics.picture import read_picture
 from gpusim.metrics.summary import summary
 from gpusim.scene import make_scene

@@ -20,7 +20,7 @@ from gpusim.cli.files import staging
 from gpusim.cli.render import exposure_seconds, rectangle_of
 from gpusim.errors import UserError
 from gpusim.library.again import recipe_of_frame
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 

@@ -11,7 +11,7 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.cli.render import rectangle_of
 from gpusim.errors import UserError
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.scene import make_scene
 from gpusim.sensor.sensor import Sensor
 from gpusim.web.bundle import write_page

@@ -19,7 +19,7 @@ from gpusim.config.text import read_json
 from gpusim.errors import UserError
 from gpusim.formats.ready import load_ready
 from gpusim.lens.prescription import Prescription
-from gpusim.library.light import lit
+from gpusim.library.expose import lit
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import costs_of
 from gpusim.render.recipe import exact, given

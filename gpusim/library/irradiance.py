@@ -20,7 +20,8 @@ import numpy as np
 from gpusim.config.arrays import read_npz
 from gpusim.errors import UserError
 from gpusim.isp.optics import Optics
-from gpusim.library.light import Light, expose
+from gpusim.library.expose import expose
+from gpusim.library.light import Light
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import aligned
 from gpusim.render.reading import lit_for, taken_for

@@ -1,45 +1,40 @@
 """The light on a camera's photosites: made once by the optics, read as often as asked.
 
-`expose` makes it, `Light.capture` and `Light.burst` read it. Nothing of the optics is done again
-for another exposure, gain, temperature or seed.
+`gpusim.library.expose` makes it, `Light.capture` and `Light.burst` read it. Nothing of the optics
+is done again for another exposure, gain, temperature or seed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.gpu import Recording, Resident, Result, default_device
+from gpusim.gpu import Recording, Result, default_device
+from gpusim.library.held import Held
+from gpusim.library.shot import checked
 from gpusim.library.store import read_light, save_light
-from gpusim.plan import Accuracy
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import Rect, aligned, strips, tiles_of
-from gpusim.render.anew import planned_anew
 from gpusim.render.reading import (
     Reader,
     Reading,
     lit_for,
     read_together,
     reading_of,
-    taken_for,
 )
-from gpusim.render.renderer import Renderer, check_shot, rectangle
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, noise_seed, record_readout
+from gpusim.sensor.readout import Shot, record_readout
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from gpusim.camera import Camera
     from gpusim.certify import Certificate
     from gpusim.isp.optics import Optics
     from gpusim.library.frame import Burst, Frame
-    from gpusim.scene.scene import Scene
     from gpusim.sensor.sensor import Sensor
 
 # Without an exposure of its own a capture brings the scene's white to this share of saturation:
@@ -62,14 +57,6 @@ OPTICAL = (
     "aperture",
     "scan_motion_px",
 )
-
-
-class _OnDevice(dict):
-    """Arrays that lie on the device until nobody holds the light any more."""
-
-    def __del__(self) -> None:
-        for one in self.values():
-            one.destroy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,13 +109,11 @@ class Light:
     recipe: dict[str, Any]
     notes: tuple[str, ...] = ()
     certificate: Certificate | None = None
-    _held: dict[str, Any] = field(
-        default_factory=_OnDevice, init=False, repr=False
-    )  # on the device
+    _held: Held = field(default_factory=Held, init=False, repr=False)  # on the device
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: all but what lies on a device."""
-        return {**self.__dict__, "_held": _OnDevice()}
+        return {**self.__dict__, "_held": Held()}
 
     def __repr__(self) -> str:
         rows, cols = self.rect[2:]
@@ -269,7 +254,7 @@ class Light:
         if exposure_s is None:
             exposure_s = seen.white_exposure_s
         shot = Shot(exposure_s, seed, frame, temperature_c)
-        _checked(shot, seen.sensor)
+        checked(shot, seen.sensor)
         return seen, shot
 
     def burst(
@@ -364,9 +349,9 @@ class Light:
             readers = [
                 self._reader(sensor, sensor_runs(sensor), Recording.run) for sensor in sensors[own]
             ]
-            checked = [_checked(*one) for one in zip(shots[own], sensors[own], strict=True)]
-            light = self._resident(whole, planes.period)
-            raws += read_together(readers, checked, self.rect, light, whole)
+            known = [checked(*one) for one in zip(shots[own], sensors[own], strict=True)]
+            light = self._held.rates(self.rates, self.area, whole, planes.period)
+            raws += read_together(readers, known, self.rect, light, whole)
         return raws
 
     def _reader(
@@ -376,18 +361,18 @@ class Light:
         run: Callable[[Recording], Result],
     ) -> Reader:
         device = default_device()
-        return Reader(device, sensor, runs, self._resident_glare(), device.pool.budget, run)
+        return Reader(device, sensor, runs, self._held.glare(self.glare), device.pool.budget, run)
 
     def reading(self, names: dict[str, type], shot: Shot, noise: bool = True) -> Reading:
         """Return a frame as the certificate takes it: see `read`."""
-        shot = _checked(shot, self.sensor)
+        shot = checked(shot, self.sensor)
         runs = sensor_runs(self.sensor, noise)
         reader = self._reader(self.sensor, runs, Recording.run)
         reading = reading_of(reader, self.rect, names, None, shot)
         planes = planes_of(self.sensor)
         for tile in tiles_of(reading.rect, planes.period, reader.memory_bytes, None, planes.layers):
             whole = aligned(lit_for(tile, self.sensor, runs), planes.period)
-            reading.take(tile, self._resident(whole, planes.period), whole)
+            reading.take(tile, self._held.rates(self.rates, self.area, whole, planes.period), whole)
         reading.finish()
         return reading
 
@@ -411,32 +396,17 @@ class Light:
         runs, period = sensor_runs(self.sensor, noise), planes_of(self.sensor).period
         whole = aligned(lit_for(self.rect, self.sensor, runs), period)
         rec = Recording(default_device())
-        given = self._resident(whole, period), self._resident_glare(), self.sensor
-        outputs = record_readout(rec, *given, self.rect, whole, _checked(shot, self.sensor), runs)
+        given = (
+            self._held.rates(self.rates, self.area, whole, period),
+            self._held.glare(self.glare),
+            self.sensor,
+        )
+        outputs = record_readout(rec, *given, self.rect, whole, checked(shot, self.sensor), runs)
         return rec, rec.download(outputs["dn"])
 
     def release(self) -> None:
         """Give the device's memory back; what needs it again brings it there again."""
-        for one in self._held.values():
-            one.destroy()
-        self._held.clear()
-
-    def _resident_glare(self) -> Resident:
-        if "glare" not in self._held:
-            self._held["glare"] = default_device().resident("glare", self.glare)
-        return self._held["glare"]
-
-    def _resident(self, whole: Rect, period: int) -> Resident:
-        """Return the light of a rectangle of whole periods, on the device; the last one stays."""
-        name = f"rates {whole}"
-        if name not in self._held:
-            for other in [other for other in self._held if other.startswith("rates")]:
-                self._held.pop(other).destroy()
-            top, left = (whole[0] - self.area[0]) // period, (whole[1] - self.area[1]) // period
-            rows, cols = whole[2] // period, whole[3] // period
-            part = self.rates[:, top : top + rows, left : left + cols]
-            self._held[name] = default_device().resident("rates", np.ascontiguousarray(part))
-        return self._held[name]
+        self._held.release()
 
     def save(self, path: str | Path) -> None:
         """Write the light to a file, to be read again by `Light.load`: see `gpusim.library.store`.
@@ -458,172 +428,3 @@ class Light:
             No such file, or not a light.
         """
         return cls(**read_light(path))
-
-
-def _checked(shot: Shot, sensor: Sensor) -> Shot:
-    """Return a shot with its seed made that of exposure and gain, or say what is out of range."""
-    if not isinstance(shot.exposure_s, Real):
-        raise UserError(
-            "the exposure is no number", field="exposure", value=shot.exposure_s, allowed="seconds"
-        )
-    for name in ("seed", "frame"):
-        if not isinstance(getattr(shot, name), Integral):
-            raise UserError(
-                f"the {name} is no whole number",
-                field=name,
-                value=getattr(shot, name),
-                allowed="a whole number, 0 or more",
-            )
-    check_shot(shot.exposure_s, shot.seed, shot.frame)
-    temperature_c = shot.temperature_c
-    if temperature_c is None:
-        temperature_c = sensor.reference_temperature_c
-    sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    seed = noise_seed(shot.seed, shot.exposure_s, sensor.analogue_gain)
-    return replace(shot, seed=seed, temperature_c=temperature_c)
-
-
-def expose(
-    camera: Camera,
-    scene: Scene,
-    tolerance: float | str = 1e-3,
-    *,
-    probes: int = 64,
-    tile: tuple[int, int, int, int] | None = None,
-    exposure_s: float | None = None,
-    best_effort: bool = False,
-    memory_bytes: int | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> Light:
-    """Bring the light of a scene through a camera's lens onto its photosites.
-
-    Where the certificate misses the tolerance, the light is made again by a plan for less error.
-
-    Parameters
-    ----------
-    camera : Camera
-    scene : Scene
-    tolerance : float or str
-        Root mean square error of the mean signal, relative to it; ``"0.1sigma"``: of its noise;
-        ``"as good as 0.4 s allows"``: the least whose kernels, light and read-out are predicted to
-        take no longer on this adapter, for a whole frame. The light's notes say what that is.
-    probes : int
-        Pixels at which the result is held against the exact model; 0: no certificate.
-    tile : (x, y, width, height), optional
-        The rectangle of lit pixels to make; by default all that is read out.
-    exposure_s : float, optional
-        The longest that will be captured; a tolerance in sigmas is planned for it.
-    best_effort : bool
-        Whether to go on where the tolerance cannot be met.
-    memory_bytes : int, optional
-        Budget of device memory, by default the device's.
-    progress : callable, optional
-        Called with (what, done, total).
-
-    Raises
-    ------
-    UserError
-        The tolerance cannot be met, the memory does not suffice, a value is out of range, or
-        what is given is no camera and no scene.
-
-    Examples
-    --------
-    >>> import gpusim as gs
-    >>> small = gs.Camera.load("mtf-only")
-    >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
-    >>> gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
-    Light('small', 'colorchecker', 64 x 48 pixels)
-    """
-    _check_given(camera, scene, probes, tile, exposure_s)
-    accuracy = Accuracy.parse(str(tolerance), probes, best_effort=best_effort)
-    rect = rectangle(tile, camera.sensor)
-    # Only a tolerance in sigmas asks for the exposure.
-    longest: dict[str, Any] = {} if exposure_s is None else {"exposure_s": exposure_s}
-
-    def attempt(asked: Accuracy) -> Light:
-        renderer = Renderer(
-            camera, scene, asked, progress=progress, memory_bytes=memory_bytes, **longest
-        )
-        try:
-            return lit(renderer, rect, progress)
-        finally:
-            renderer.release()
-
-    return planned_anew(accuracy, attempt)
-
-
-def _check_given(
-    camera: object,
-    scene: object,
-    probes: object,
-    tile: Sequence[int] | None,
-    exposure_s: float | None,
-) -> None:
-    """Refuse a name in place of a camera or a scene, the two in each other's place, and the like.
-
-    What has a lens and a sensor is a camera, what has spectra and a source is a scene.
-    """
-    if not (hasattr(camera, "lens") and hasattr(camera, "sensor")):
-        raise UserError(
-            "not a camera",
-            field="camera",
-            value=camera,
-            allowed="gs.Camera(lens, sensor), or gs.Camera.load of a name or file",
-        )
-    if not (hasattr(scene, "spectra") and hasattr(scene, "source")):
-        raise UserError(
-            "not a scene",
-            field="scene",
-            value=scene,
-            allowed="gs.Scene.from_rgb, gs.Scene.from_spectra, or gs.Scene.load of a name or file",
-        )
-    if not isinstance(probes, Integral):
-        raise UserError(
-            "not a number of probes", field="probes", value=probes, allowed="whole, 0 or more"
-        )
-    if tile is not None and len(tile) != 4:
-        raise UserError("not a tile", field="tile", value=tile, allowed="x, y, width, height")
-    if exposure_s is not None and not 0 < exposure_s:
-        raise UserError(
-            "no such exposure", field="exposure_s", value=exposure_s, allowed="seconds above 0"
-        )
-
-
-def lit(
-    renderer: Renderer,
-    rect: Rect,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> Light:
-    """Return the light of a renderer on a rectangle of what is read, certified if it says so."""
-    sensor, report = renderer.camera.sensor, progress or (lambda what, done, total: None)
-    runs = sensor_runs(sensor)
-    wanted = lit_for(taken_for(rect, sensor, runs), sensor, runs)
-    area = aligned(wanted, renderer.period)
-    light = Light(
-        title=renderer.camera.title,
-        scene=renderer.scene.name,
-        sensor=sensor,
-        rect=rect,
-        area=area,
-        rates=renderer.light(area, progress),
-        glare=renderer.glare,
-        white_e_per_s=renderer.white_e(1.0),
-        transmission=renderer.transmission,
-        optics=renderer.optics,
-        tolerance=renderer.accuracy.text,
-        recipe=renderer.recipe,
-        notes=renderer.notes,
-    )
-    if not renderer.accuracy.probes:
-        return light
-    exposure_s = min(light.white_exposure_s, renderer.longest_s)
-    planes = {"dn": np.uint16, "rate": np.float32, "mean": np.float32}
-    shot = Shot(exposure_s, 0, 0)
-    try:
-        reading = light.reading(planes, shot)
-        certificate = renderer.certificate(
-            reading, rect, exposure_s, sensor.reference_temperature_c, report
-        )
-    finally:
-        light.release()
-    return replace(light, certificate=certificate)

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError
-from gpusim.library.light import OPTICAL, Light, lit
+from gpusim.library.expose import lit
+from gpusim.library.light import OPTICAL, Light
 from gpusim.plan import Accuracy
 from gpusim.render.anew import planned_anew
 from gpusim.render.renderer import Renderer, rectangle

@@ -17,7 +17,8 @@ from gpusim.gpu import default_device
 from gpusim.known import Known
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
-from gpusim.library.light import Light, lit
+from gpusim.library.expose import lit
+from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.plan.optics import WHOLE
 from gpusim.psf.bank import Bank

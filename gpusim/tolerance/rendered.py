@@ -20,7 +20,8 @@ from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import conjugates
-from gpusim.library.light import Light, lit
+from gpusim.library.expose import lit
+from gpusim.library.light import Light
 from gpusim.metrics.picture import Plane
 from gpusim.metrics.regions import filled
 from gpusim.metrics.sfr import measure_sfr

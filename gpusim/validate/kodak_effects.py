@@ -29,8 +29,9 @@ from scipy.stats import norm
 
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
+from gpusim.library.expose import expose
 from gpusim.library.irradiance import band_images
-from gpusim.library.light import Light, expose
+from gpusim.library.light import Light
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise_model import Masks

@@ -20,7 +20,7 @@ import numpy as np
 
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.validate.bars import Bar

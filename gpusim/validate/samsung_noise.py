@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import chi2, norm
 
 from gpusim.lens.prescription import Prescription
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor

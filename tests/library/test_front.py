@@ -42,6 +42,7 @@ def test_every_public_name_is_there_and_documented():
         "gpusim",
         "gpusim.batch.sweep",
         "gpusim.library.camera",
+        "gpusim.library.expose",
         "gpusim.library.irradiance",
         "gpusim.library.views",
         "gpusim.library.lens",

@@ -13,7 +13,8 @@ from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from gpusim.errors import UserError
 from gpusim.library import frame as frames
 from gpusim.library.camera import Camera
-from gpusim.library.light import Light, expose, lit
+from gpusim.library.expose import expose, lit
+from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.render.renderer import rectangle

@@ -9,7 +9,7 @@ from optics.made import bank, scene, sensor, shapes
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.library.session import Session
 
 MADE = sensor(32, 40)

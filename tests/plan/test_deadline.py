@@ -12,7 +12,7 @@ from optics.made import bank, scene, sensor, shapes
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.plan import Accuracy, PlanStage, plan_optics
 from gpusim.plan.deadline import first_frame_s, predicted_error, predicted_parts, tightest
 

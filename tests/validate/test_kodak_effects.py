@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera, load_camera
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.reference.cti import cti
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor

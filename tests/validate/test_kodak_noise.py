@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpusim.camera import Camera, load_camera
-from gpusim.library.light import expose
+from gpusim.library.expose import expose
 from gpusim.scene import make_scene
 from gpusim.validate import kodak_noise
 from gpusim.validate.kodak_effects import plain_sensor

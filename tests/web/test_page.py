@@ -19,7 +19,8 @@ from gpusim.gpu import default_device
 from gpusim.isp.pipeline import develop_source
 from gpusim.isp.settings import Settings
 from gpusim.isp.source import read_source
-from gpusim.library.light import Light, expose
+from gpusim.library.expose import expose
+from gpusim.library.light import Light
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.web.bundle import STEPS, bundle, write_page
