@@ -39,9 +39,9 @@ TOP = (
 )
 HEAVY = ("wgpu", "colour", "matplotlib", "scipy", "xarray")
 STAGES = shader_names()
-# Stages whose float64 twin is no file of its own: the tracer of gpusim/lens/trace.py also prepares
-# the lens (chief rays, stop, clear apertures, focus), so the product needs it beside the stages.
-TWINS = {"aim": "gpusim.lens.trace", "trace": "gpusim.lens.trace"}
+# Stages whose float64 twin is not in reference/: the tracer of gpusim/lens also prepares the lens
+# (chief rays, stop, clear apertures, focus), so the product needs it beside the stages.
+TWINS = {"aim": "gpusim.lens.aim", "trace": "gpusim.lens.trace"}
 
 
 def modules() -> dict[str, Path]:

@@ -30,8 +30,9 @@ from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve, Scale, Scratch
 from gpusim.optics.direct import Direct, direct_work

@@ -28,8 +28,8 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import default_device
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
 from gpusim.scene import make_scene
 from gpusim.scene.scene import Scene
 

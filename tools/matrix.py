@@ -33,8 +33,8 @@ from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR, Projection
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
 from gpusim.reference.lens_truth import Judge, View, view
 from gpusim.render import capture as render

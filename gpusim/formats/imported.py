@@ -19,10 +19,11 @@ from scipy.optimize import brentq
 from gpusim.errors import UserError
 from gpusim.formats.agf import with_file_catalogues
 from gpusim.lens.account import Account
+from gpusim.lens.aim import aim, launch_field
 from gpusim.lens.prescription import Prescription, validated
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, conjugates, first_order, geometry_of
-from gpusim.lens.trace import aim, launch_field, trace
-from gpusim.lens.wavefront import sample_rays
+from gpusim.lens.trace import trace
 
 # Design programs write an object at infinity as a distance of 1e10 lens units or more. From there
 # the wavefront over a pupil of 50 mm sags by 6e-5 waves.

@@ -20,7 +20,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gpusim.lens.trace import AIM_TOLERANCE, Geometry, Launch, launch_field, trace
+from gpusim.lens.aim import AIM_TOLERANCE, launch_field
+from gpusim.lens.geometry import Geometry
+from gpusim.lens.launch import Launch
+from gpusim.lens.trace import trace
 
 if TYPE_CHECKING:
     from gpusim.lens.system import System

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.lens.aim import AIM_TOLERANCE, aim
+from gpusim.lens.geometry import Geometry
+from gpusim.lens.samples import field_launch
 from gpusim.lens.system import System
-from gpusim.lens.trace import Geometry, aim, trace
-from gpusim.lens.wavefront import AIM_TOLERANCE, field_launch
+from gpusim.lens.trace import trace
 
 FRAUNHOFER_F_D_C_NM = (486.1327, 587.5618, 656.2725)
 # Points on the section of a surface: a curve of 60 mm drawn 12 cm wide has steps of 1 mm.

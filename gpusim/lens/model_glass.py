@@ -26,8 +26,8 @@ from gpusim.lens.glass import (
     optical_glasses,
 )
 from gpusim.lens.model import LensModel
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
 
 # The distance of two glasses is hypot(d nd, d Vd / 100), by which design programs substitute
 # catalogue glasses (Zemax manual, glass substitution). Beyond NEAR a glass is another one: nd and

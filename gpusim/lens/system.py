@@ -9,10 +9,13 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
+from gpusim.lens.aim import aim, launch_field
+from gpusim.lens.geometry import Geometry
+from gpusim.lens.launch import Launch
 from gpusim.lens.model import Check, LensModel
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.throughput import along_axis
-from gpusim.lens.trace import Geometry, Launch, aim, entrance_pupil, launch_field, paraxial, trace
+from gpusim.lens.trace import entrance_pupil, paraxial, trace
 from gpusim.lens.wavefront import best_focus_shift
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, need_double_float
+from gpusim.lens.samples import field_launch, no_chief_ray
 from gpusim.lens.system import System
 from gpusim.lens.trace import trace
-from gpusim.lens.wavefront import field_launch, no_chief_ray
 
 GROUP = 64  # invocations of a workgroup of shaders/lens/trace
 ACROSS = 32768  # workgroups in a row of a dispatch, of 65535 that adapters allow

@@ -171,8 +171,9 @@ class Views(Prescription):
         11.0
         """
         from gpusim.lens.analysis.rays import airy_radius_um
+        from gpusim.lens.samples import sample_field
         from gpusim.lens.system import build
-        from gpusim.lens.wavefront import pupils, sample_field
+        from gpusim.lens.wavefront import pupils
         from gpusim.psf.psf import intensity
         from gpusim.psf.transfer import PUPIL_NODES
 

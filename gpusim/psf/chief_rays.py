@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import sample_rays
 from gpusim.parallel import each
 from gpusim.psf.field_map import FieldMap
 from gpusim.psf.plane_map import MAP_ERROR_UM, Rings

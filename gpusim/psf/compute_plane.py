@@ -10,8 +10,9 @@ from gpusim.errors import UserError
 from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import OVERSIZE, pupils, sample_field
+from gpusim.lens.wavefront import OVERSIZE, pupils
 from gpusim.parallel import each
 from gpusim.psf.chief_rays import rays_on_rings
 from gpusim.psf.cone import cone_of

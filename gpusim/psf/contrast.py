@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.lens.entering import stretch
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.psf import transfer
 from gpusim.psf.sampling import REFERENCE_NM
 

@@ -19,11 +19,12 @@ from threadpoolctl import threadpool_limits
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.entering import stretch
+from gpusim.lens.samples import RAY_OVERSIZE, Losses, field_launch
 from gpusim.lens.system import System
 from gpusim.lens.throughput import goes_with_the_ray
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams, starts
-from gpusim.lens.wavefront import RAY_OVERSIZE, Losses, field_launch, within_hull
+from gpusim.lens.wavefront import within_hull
 from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import Wave, rim_lost, through_few

@@ -8,8 +8,8 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, first_order
-from gpusim.lens.wavefront import sample_field
 from gpusim.psf.field_map import WIDE_DEG
 
 WAVELENGTHS_NM = tuple(range(400, 701, 25))

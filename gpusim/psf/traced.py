@@ -13,8 +13,9 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.parallel import each
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute_plane import plane_bank_of, plane_field_of

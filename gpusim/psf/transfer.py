@@ -22,8 +22,9 @@ import numpy as np
 from scipy import ndimage
 
 from gpusim.errors import UserError
+from gpusim.lens.samples import Samples, sample_field
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import Pupil, Samples, pupils, sample_field
+from gpusim.lens.wavefront import Pupil, pupils
 
 Direction = Literal["tangential", "sagittal"]
 DIRECTIONS: tuple[Direction, ...] = ("tangential", "sagittal")

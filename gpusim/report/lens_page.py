@@ -11,8 +11,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gpusim.lens.layout import Element, beam, elements
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import Pupil, sample_rays
+from gpusim.lens.wavefront import Pupil
 from gpusim.psf import transfer
 from gpusim.psf.bank import Bank
 from gpusim.psf.plane_bank import PlaneBank

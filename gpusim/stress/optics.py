@@ -15,8 +15,9 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import load_ready
 from gpusim.gpu import default_device
 from gpusim.lens.projection import ANGULAR
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
 from gpusim.psf.field_map import FieldMap

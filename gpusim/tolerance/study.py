@@ -19,8 +19,8 @@ from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens.perturb import perturbed
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import sample_rays
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.band import band_of
 from gpusim.scene import make_scene

@@ -19,8 +19,9 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import Samples, sample_field, sample_rays
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import Pupil, Samples, pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import Pupil, pupils
 
 DEGREE = 8  # of dW: residual below 1e-3 waves for 0.02 mm and 0.05 deg (tests/tolerance)
 ACROSS = 23  # rays across the stop: 8 a coefficient

@@ -17,9 +17,9 @@ from typing import Protocol
 
 import numpy as np
 
+from gpusim.lens.aim import AIM_TOLERANCE, aim
+from gpusim.lens.samples import field_launch, sample_rays
 from gpusim.lens.system import System, first_order
-from gpusim.lens.trace import aim
-from gpusim.lens.wavefront import AIM_TOLERANCE, field_launch, sample_rays
 
 # Rays reach so far beyond the stop's rim that polynomials interpolate at every rim; the paraxial
 # image of a wide pupil in the stop is some percent off the real one.

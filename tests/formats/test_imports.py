@@ -15,8 +15,8 @@ from gpusim.formats.pbrt import parse_pbrt
 from gpusim.formats.seq import parse_seq
 from gpusim.formats.zmx import parse_zmx
 from gpusim.lens.model import APERTURES
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
 
 
 def image_distance(prescription):

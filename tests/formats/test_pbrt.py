@@ -6,8 +6,8 @@ import pytest
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.pbrt import parse_pbrt
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
 
 # A symmetric pair of our own: front converging, stop between, film behind.
 PAIR = """# a pair of lenses

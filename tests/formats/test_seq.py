@@ -7,8 +7,8 @@ from formats.written import seq_text
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.seq import parse_seq
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order, with_clear_apertures
-from gpusim.lens.wavefront import sample_rays
 
 SINGLET = """RDM;LEN "VERSION: 10.7"
 TITLE 'A singlet ; with "marks" ! and all'  ! a comment; with marks

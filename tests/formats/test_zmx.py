@@ -10,8 +10,8 @@ from lens.made import lens, model
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.zmx import parse_zmx
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order, with_clear_apertures
-from gpusim.lens.wavefront import sample_rays
 from gpusim.psf.compute import compute_bank
 
 CODECS = {"ANSI": "cp1252", "UTF-16": "utf-16", "UTF-16 without mark": "utf-16-le"}

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.lens.model import APERTURES
 from gpusim.lens.prescription import validated
-from gpusim.lens.wavefront import Samples
+from gpusim.lens.samples import Samples
 
 
 def lens(surfaces, **fields):

@@ -9,10 +9,10 @@ from lens.made import fisheye, lens, model
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Device
+from gpusim.lens.samples import field_launch
 from gpusim.lens.system import System, build
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams
-from gpusim.lens.wavefront import field_launch
 
 LINES = np.array([450.0, 650.0])
 

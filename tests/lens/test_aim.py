@@ -12,10 +12,10 @@ from lens.made import lens, model
 from lens.rays import LENSES, LINES, bound
 
 from gpusim.gpu import Device
+from gpusim.lens.samples import field_launch
 from gpusim.lens.system import System, build
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams
-from gpusim.lens.wavefront import field_launch
 
 GOOD, ROUNDING = 2e-5, 2e-5
 MADE = {}

@@ -14,9 +14,9 @@ from scipy.integrate import quad, simpson
 from scipy.special import j0, j1
 
 from gpusim.formats.lens_file import load_prescription, presets
-from gpusim.lens import wavefront as reference_wavefront
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.psf import psf as reference_psf
 from gpusim.psf import transfer
 
@@ -29,10 +29,8 @@ def pupil_of():
     """Return a function (system, field in deg, window in um, nodes) to the pupil at the d line."""
 
     def pupil(system, field_deg=0.0, window_um=64.0, nodes=512):
-        samples = reference_wavefront.sample_field(
-            system, system.index(D_LINE), np.radians(field_deg)
-        )
-        return reference_wavefront.pupils(samples, D_LINE, window_um, nodes)[0]
+        samples = sample_field(system, system.index(D_LINE), np.radians(field_deg))
+        return pupils(samples, D_LINE, window_um, nodes)[0]
 
     return pupil
 

@@ -6,8 +6,9 @@ from lens.made import lens, model
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.entering import stretch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.field_map import FieldMap
 from gpusim.reference.backward import aperture_of, chief_back, frame_of, rays_of

@@ -5,10 +5,13 @@ import pytest
 from lens.made import lens, model
 
 from gpusim.errors import UserError
+from gpusim.lens.aim import aim, launch_field
+from gpusim.lens.geometry import Geometry
+from gpusim.lens.launch import Launch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.surface import tilt_matrix
 from gpusim.lens.system import build
-from gpusim.lens.trace import Geometry, Launch, aim, launch_field, trace
-from gpusim.lens.wavefront import sample_field, sample_rays
+from gpusim.lens.trace import trace
 from gpusim.psf.compute import compute_bank
 
 GREEN = np.array([550.0])

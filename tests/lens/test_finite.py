@@ -15,10 +15,12 @@ from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.seq import parse_seq
 from gpusim.formats.zmx import parse_zmx
+from gpusim.lens.launch import Launch
 from gpusim.lens.model import APERTURES
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, conjugates, first_order
-from gpusim.lens.trace import Launch, trace
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.trace import trace
+from gpusim.lens.wavefront import pupils
 
 GREEN = np.array([550.0])
 

@@ -20,9 +20,11 @@ from numpy.polynomial import chebyshev
 from scipy.optimize import brentq
 
 from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.launch import Launch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.trace import Launch, trace
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.trace import trace
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.psf import intensity
 
 pytestmark = pytest.mark.slow

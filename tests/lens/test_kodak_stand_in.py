@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import sample_rays
 from gpusim.scene.spectra import WAVELENGTHS_NM, white_radiance
 from gpusim.sensor.load import load_sensor
 

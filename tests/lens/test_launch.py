@@ -9,7 +9,7 @@ import pytest
 from harness import assert_close, wgsl_eval
 from optics.made import ULP
 
-from gpusim.lens.trace import Launch
+from gpusim.lens.launch import Launch
 
 # The include brings a surface along, which nothing meets here.
 SURFACES = "var<private> surfaces: array<Surface, 1>; var<private> aspheres: array<vec2f, 1>;"

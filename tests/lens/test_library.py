@@ -7,9 +7,10 @@ from lens.rays import exact
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens.entering import stretch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, failed_checks
 from gpusim.lens.tracer import Beams
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.sampling import window
 

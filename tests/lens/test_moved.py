@@ -5,10 +5,11 @@ import pytest
 from lens.made import lens, model
 
 from gpusim.errors import UserError
+from gpusim.lens.aim import aim, launch_field
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.surface import tilt_matrix
 from gpusim.lens.system import build, first_order, geometry_of
-from gpusim.lens.trace import aim, launch_field, trace
-from gpusim.lens.wavefront import sample_field, sample_rays
+from gpusim.lens.trace import trace
 from gpusim.psf.compute import compute_bank
 
 D_LINE = np.array([587.5618])

@@ -9,9 +9,9 @@ from lens.made import lens, model
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.known import Known
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.surface import Coating
 from gpusim.lens.system import build, failed_checks, first_order, with_clear_apertures
-from gpusim.lens.wavefront import sample_rays
 
 
 @pytest.mark.parametrize("name", presets())

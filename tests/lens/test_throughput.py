@@ -13,6 +13,8 @@ from gpusim.errors import UserError
 from gpusim.formats.agf import read_agf, with_file_catalogues
 from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Device
+from gpusim.lens.launch import Launch
+from gpusim.lens.samples import sample_field
 from gpusim.lens.surface import Layer
 from gpusim.lens.system import build, transmission
 from gpusim.lens.throughput import (
@@ -23,8 +25,8 @@ from gpusim.lens.throughput import (
     throughput,
     without_data,
 )
-from gpusim.lens.trace import Launch, trace
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.trace import trace
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.generator import Generator
 from gpusim.psf.psf import intensity
 

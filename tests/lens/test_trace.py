@@ -6,10 +6,12 @@ from lens.made import fisheye, lens, model
 
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.aim import aim, launch_field
+from gpusim.lens.launch import Launch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.surface import ASPHERE_POWERS
 from gpusim.lens.system import build, first_order, indices
-from gpusim.lens.trace import Launch, _meet, aim, launch_field, trace
-from gpusim.lens.wavefront import sample_field, sample_rays
+from gpusim.lens.trace import _meet, trace
 
 D_LINE = np.array([587.5618])
 

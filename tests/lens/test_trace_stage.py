@@ -20,10 +20,11 @@ from lens.rays import LENSES, LINES, bound, exact
 from optics.made import ULP
 
 from gpusim.gpu import Device
+from gpusim.lens.geometry import Geometry
+from gpusim.lens.samples import field_launch
 from gpusim.lens.system import System, build
-from gpusim.lens.trace import Geometry, trace
+from gpusim.lens.trace import trace
 from gpusim.lens.tracer import ACROSS, GROUP, Beams, Traced, split, starts
-from gpusim.lens.wavefront import field_launch
 
 ANGLE, PLACE_MM, WAVES = 2e-6, 2e-5, 7e-7
 # The polynomial's a28 and a30 are below 1e-38 mm^(1-k), which f32 would flush: 1e-7 waves at the

@@ -9,16 +9,11 @@ from scipy.interpolate import RegularGridInterpolator
 
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
+from gpusim.lens.launch import Launch
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order, indices
-from gpusim.lens.trace import Launch, trace
-from gpusim.lens.wavefront import (
-    best_focus_shift,
-    half_plane_share,
-    pupils,
-    sample_field,
-    sample_rays,
-    within_hull,
-)
+from gpusim.lens.trace import trace
+from gpusim.lens.wavefront import best_focus_shift, half_plane_share, pupils, within_hull
 
 GREEN = np.array([550.0])
 # rayoptics 0.9.8: stop x, stop y (mm) and OPD (waves at 550 nm, its sign turned) of single rays of

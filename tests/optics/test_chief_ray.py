@@ -10,8 +10,8 @@ from optics.made import bank, plane_bank
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System, build, first_order
-from gpusim.lens.wavefront import sample_rays
 from gpusim.optics.chief_ray import FIT_ERROR_UM, black_share, chief_ray_map, radial_map
 from gpusim.psf.bank import Bank
 from gpusim.psf.chief_rays import MIDDLE, MISS_UM, ChiefRays, between_fields

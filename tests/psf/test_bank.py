@@ -12,9 +12,9 @@ from optics.made import bank as made_bank
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.surface import Coating
 from gpusim.lens.system import build, first_order, indices, transmission
-from gpusim.lens.wavefront import sample_rays
 from gpusim.psf import compute
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import cached_bank, compute_bank

@@ -7,8 +7,9 @@ import pytest
 from optics.made import bank as gaussians
 
 from gpusim.errors import UserError
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.compute_plane import compute_plane_bank

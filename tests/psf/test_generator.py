@@ -9,9 +9,10 @@ from scipy.special import j1
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import System, build
 from gpusim.lens.tracer import Beams
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.generator import CONTINUED, Generator, beside, continued, lagrange
 from gpusim.psf.psf import folded_share, intensity
 

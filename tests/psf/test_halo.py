@@ -7,8 +7,9 @@ from scipy.integrate import quad
 
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.gpu import default_device
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.generator import Generator
 from gpusim.psf.halo import SIZE, Wave, distances_um, fall, halo, pitches_um

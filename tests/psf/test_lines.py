@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import sample_rays
 from gpusim.psf.lines import CUBIC, STRAIGHT, line_shares
 
 LINES = np.linspace(400.0, 700.0, 13)

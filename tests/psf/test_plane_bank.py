@@ -11,8 +11,9 @@ from optics.made import at_lines
 
 from gpusim.camera import Camera
 from gpusim.errors import UserError
+from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
-from gpusim.lens.wavefront import pupils, sample_field, sample_rays
+from gpusim.lens.wavefront import pupils
 from gpusim.optics.chief_ray import black_share
 from gpusim.optics.kernels import field_images, field_kernels, sampled_kernels
 from gpusim.psf import chief_rays, compute_plane

@@ -6,8 +6,9 @@ from lens.made import disc_samples, lens, model
 from scipy.special import j0, j1
 
 from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.halo import rim_lost, wave_of
 from gpusim.psf.psf import folded_share, intensity
 

@@ -8,8 +8,9 @@ from lens.made import disc_samples
 from scipy.special import j1
 
 from gpusim.errors import UserError
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.psf import transfer
 from gpusim.psf.psf import intensity
 

@@ -10,8 +10,9 @@ from scipy.interpolate import CubicSpline
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import RECTILINEAR
+from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build, first_order, transmission
-from gpusim.lens.wavefront import pupils, sample_field
+from gpusim.lens.wavefront import pupils
 from gpusim.psf.transfer import diffraction_mtf
 from gpusim.reference.backward import (
     aperture_of,

@@ -7,8 +7,8 @@ import pytest
 
 from gpusim.camera import Camera
 from gpusim.formats.lens_file import load_prescription
+from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build
-from gpusim.lens.wavefront import sample_rays
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene.exr import write_exr

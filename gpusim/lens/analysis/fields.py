@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.lens.samples import Samples, sample_rays
 from gpusim.lens.system import System, transmission
-from gpusim.lens.wavefront import Samples, sample_rays
 
 # Light from 400 to 700 nm: 50 nm are enough for a curve of a lens that is corrected for colour.
 WHITE_NM = np.arange(400.0, 701.0, 50.0)

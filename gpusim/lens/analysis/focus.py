@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.analysis.fields import Field, passes, rays_at
+from gpusim.lens.samples import Samples
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import Samples
 
 # Close rays meet the stop this part of its radius beside the chief ray: of spherical aberration and
 # coma they see its square, 1e-6. Rays are aimed to 1e-9, which is 1e-6 of it.

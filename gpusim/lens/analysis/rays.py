@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from gpusim.lens.analysis.fields import Field, passes, rays_at
+from gpusim.lens.samples import Samples
 from gpusim.lens.system import System
-from gpusim.lens.wavefront import Samples
 
 Way = Literal["x", "y"]
 FAN_POINTS = 81  # odd: the middle one is the chief ray

@@ -9,9 +9,9 @@ from lens.rays import oval
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.analysis.focus import field_focus, longitudinal_aberration
+from gpusim.lens.samples import field_launch
 from gpusim.lens.system import System, build
 from gpusim.lens.trace import trace
-from gpusim.lens.wavefront import field_launch
 
 LINES = np.array([486.1327, 587.5618, 656.2725])
 
