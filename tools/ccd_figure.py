@@ -26,11 +26,11 @@ from gpusim.sensor.cti_model import Cti, Species
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor
+from gpusim.validate.kodak_noise import ILLUMINANT, PATCHES, WHITE_SHARE, odd_share
 
 TYPICAL, STRONG = 5e-5, 5e-4  # left behind in each transfer of the serial register
 LEVELS = (0.5, 0.1, 0.02)  # greys for the traps, of the full well
 TRAPS = Species(density=2.0, release_transfers=1.0)
-BANDS = ("neutral 5 (.70 D)", "red", "orange", "yellow", "green", "cyan", "blue")
 STRIP_BYTES = 1 << 26
 CAPTION_COLUMNS = 150
 STYLE = {"font.family": "DejaVu Sans", "font.size": 9.0, "axes.edgecolor": "#667080"}
@@ -85,12 +85,12 @@ def main() -> None:
     file = parser.parse_args().file
     sensor = load_sensor("kodak-vga")
     seen = response(sensor.qe)
-    white = white_radiance("D65", 1.0)
-    patches = np.stack([colorchecker()[name] for name in BANDS])
-    unit = 0.8 * sensor.full_well_e / (seen @ white).max()
+    white = white_radiance(ILLUMINANT, 1.0)
+    patches = np.stack([colorchecker()[name] for name in PATCHES])
+    unit = WHITE_SHARE * sensor.full_well_e / (seen @ white).max()
     bands = unit * (patches * white) @ seen.T
     light = frame(bands, sensor)
-    to_xyz = np.linalg.inv(colour_matrix(seen, "D65"))
+    to_xyz = np.linalg.inv(colour_matrix(seen, ILLUMINANT))
     # The white comes out as the white.
     scale = to_xyz @ (seen @ white) / (xyz(white) / xyz(white)[1])
 
@@ -105,7 +105,7 @@ def main() -> None:
     strong = charge_of(light, sensor, Cti(inefficiency=STRONG))
     typical = charge_of(light, sensor, Cti(inefficiency=TYPICAL))
     noisy = planes(charge_of(light, sensor, Cti(inefficiency=TYPICAL), noise=True), sensor)
-    middle = [int((i + 0.5) * sensor.rows / len(BANDS) / 2) for i in range(len(BANDS))]
+    middle = [int((i + 0.5) * sensor.rows / len(PATCHES) / 2) for i in range(len(PATCHES))]
     lab = [
         colour.XYZ_to_Lab(developed(one)[middle], (0.3127, 0.3290))
         for one in (light, typical, strong)
@@ -127,10 +127,10 @@ def main() -> None:
             axes.set_xticks([0, 160, 320, 480, 640])
         column = np.arange(sensor.cols // 2) * 2
         axes = figure.add_axes((0.08, 0.17, 0.40, 0.255))
-        grey = np.s_[: sensor.rows // len(BANDS) // 2 - 2]
+        grey = np.s_[: sensor.rows // len(PATCHES) // 2 - 2]
         red, green, blue = bands[0]
         # The share of a packet that fell behind an odd number of times, and is of the other filter.
-        odd = (1 - (1 - 2 * TYPICAL) ** column) / 2
+        odd = odd_share(column, TYPICAL)
         mixed = (1 - odd) * green + odd * (red + blue) / 2
         for name, own in (("R", red), ("B", blue)):
             found = noisy[0 if name == "R" else 2, grey].mean(0) / noisy[1, grey].mean(0)

@@ -7,23 +7,38 @@ modulus of its transform under the window of `gpusim.metrics.sfr` as the MTF.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
+from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart
+from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
 
+BLACK, WHITE = 0.05, 0.80  # reflectances: 16:1, as in the library's charts without colour
 TILT_RAD = math.radians(5.0)  # of the edges: ISO 12233:2017 asks for about 5 degrees
 AXES = ("vertical", "horizontal")  # what an edge is nearer to
 ROI_PX = (64, 64)  # across the edge, along it
 ROW_ROI_PX = (64, 48)  # of near-horizontal edges: their neighbours are 63 px away
 ASIDE_PX = 6.0  # from a place to where the slopes of PSFs and light are taken
 WINDOW_PX = 8.0  # about the edge, in which centroids are taken
+
+
+def lit(chart: Chart) -> Scene:
+    """Return a chart of two grey materials, black and white, under the light of the library's."""
+    grey = make_scene("grey")
+
+    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        white = grey.light(wavelengths_nm)[1]
+        return np.outer((BLACK, WHITE), white), white
+
+    spectra, white = light(grey.wavelengths_nm)
+    return replace(grey, name="edges", source=chart, spectra=spectra, white=white, light=light)
 
 
 def normal_of(axis: str) -> np.ndarray:

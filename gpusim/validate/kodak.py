@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +22,22 @@ from gpusim.plan import Accuracy
 from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart, Rect
-from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certified_tiles
-from gpusim.validate.edges import AXES, TILT_RAD, Found, Target, compare, cut, normal_of, region_of
+from gpusim.validate.edges import (
+    AXES,
+    TILT_RAD,
+    Found,
+    Target,
+    compare,
+    cut,
+    lit,
+    normal_of,
+    region_of,
+)
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.tracers import refracted_losses, tracer_of
@@ -43,7 +52,6 @@ REFERENCE = "G"  # the band whose predicted places table 1 lists
 TOLERANCE, PROBES = 1.1e-3, 8
 EXPOSURE_S = 1 / 60
 NODES_NM = np.arange(400.0, 701.0, 25.0)  # 12.5 nm move no edge 5 or 9 by 1e-4 px
-BLACK, WHITE = 0.05, 0.80  # reflectances: 16:1, as in the library's charts without colour
 # What has to hold, pixels and of 1. The paper's own errors: positions 0.2 and in the corner 0.4,
 # inter-band 0.05 but for one of 0.076.
 POSITION_BAR_PX, INTER_BAND_BAR_PX, MTF_BAR = 0.02, 0.005, 0.01
@@ -171,25 +179,13 @@ class BandRenders:
 
         The capture is that of the first group, with its certificate; the others go by its plan.
         """
-        scene = lit(chart, (BLACK, WHITE))
+        scene = lit(chart)
         rate = np.zeros((self.sensor.rows, self.sensor.cols))
         accuracy, tiles = Accuracy(TOLERANCE, PROBES), [self.rectangle(one) for one in groups]
         captures = certified_tiles(self.camera, scene, accuracy, EXPOSURE_S, tiles)
         for (x, y, width, height), found in zip(tiles, captures, strict=True):
             rate[y : y + height, x : x + width] = found.rate
         return captures[0], rate
-
-
-def lit(chart: Chart, reflectances: tuple[float, ...]) -> Scene:
-    """Return a chart of grey materials under the light of the library's charts."""
-    grey = make_scene("grey")
-
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        white = grey.light(wavelengths_nm)[1]
-        return np.outer(reflectances, white), white
-
-    spectra, white = light(grey.wavelengths_nm)
-    return replace(grey, name="edges", source=chart, spectra=spectra, white=white, light=light)
 
 
 def even_light(sensor: Sensor, predictor: Predictor, band: Band) -> np.ndarray:

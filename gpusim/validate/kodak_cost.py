@@ -27,16 +27,13 @@ from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.edges import Target, compare, cut, region_of
+from gpusim.validate.edges import Target, compare, cut, lit, region_of
 from gpusim.validate.kodak import (
-    BLACK,
     EXPOSURE_S,
     POSITION_BAR_PX,
     REFERENCE,
-    WHITE,
     band_of,
     even_light,
-    lit,
     mono_sensor,
 )
 from gpusim.validate.kodak_table import TABLE_1
@@ -128,7 +125,7 @@ def measure_costs(
         Called with (what, done, total).
     """
     sensor, band = mono_sensor(REFERENCE), band_of(REFERENCE)
-    scene = lit(target.chart, (BLACK, WHITE))
+    scene = lit(target.chart)
     places = [place for place in TABLE_1 if place.number in EDGES]
     regions = [region_of(place, target.axis, sensor) for place in places]
     flat = even_light(sensor, predictor, band)

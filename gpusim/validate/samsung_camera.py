@@ -8,7 +8,7 @@ the corners of the sensor.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from gpusim.camera import Camera
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order
-from gpusim.scene import make_scene
-from gpusim.scene.chart import Chart
-from gpusim.scene.scene import Scene
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.predict import Predictor
@@ -29,7 +26,6 @@ REFERENCE_NM = 567.0  # of the field angle: the middle one of the paper's wavele
 SPARE = 1.02  # of the field, beyond the sensor's corners
 LINE_NM = 5.0  # of the spectral samples, between two of which a line of light is shared
 LINE_QE = 0.6  # of the channel that sees a line: near the sensor's own peaks
-BLACK, WHITE = 0.05, 0.80  # reflectances: 16:1, as in the library's charts without colour
 
 
 @dataclass(frozen=True)
@@ -103,15 +99,3 @@ def lines_sensor(pattern: list[list[str]], lines_nm: dict[str, float]) -> Sensor
 def camera_of(optics: Optics, lens: Prescription, sensor: Sensor) -> Camera:
     """Return a stand-in before a sensor."""
     return Camera(lens=lens, sensor=sensor, title=f"{optics.name}, {optics.full_deg} deg")
-
-
-def lit(chart: Chart) -> Scene:
-    """Return a chart of two grey materials, black and white, under the light of the library's."""
-    grey = make_scene("grey")
-
-    def light(wavelengths_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        white = grey.light(wavelengths_nm)[1]
-        return np.outer((BLACK, WHITE), white), white
-
-    spectra, white = light(grey.wavelengths_nm)
-    return replace(grey, name="edges", source=chart, spectra=spectra, white=white, light=light)

@@ -22,6 +22,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build
 from gpusim.library.expose import expose
 from gpusim.scene import make_scene
+from gpusim.scene.colorimetry import adaptation
 from gpusim.sensor.load import load_sensor
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import Certified
@@ -37,10 +38,6 @@ XY_BAR = 0.002
 # IEC 61966-2-1, in the digits of dcraw 9.28 (xyz_rgb).
 SRGB_TO_XYZ = np.array([
     [0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]
-])  # fmt: skip
-# Lam 1985, as the ICC's profiles have it: to the cones' responses by Bradford.
-BRADFORD = np.array([
-    [0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]
 ])  # fmt: skip
 LIGHT, CAMERA_LIGHT = "D50", "D65"  # of the scene, and for which the file's matrix holds
 GRID_NM = (400, 700, 5)
@@ -164,8 +161,7 @@ def predicted(
                                                          observer))  # fmt: skip
     balanced = (reflectances * own) @ counts.T / (counts @ own)
     seen, white = (reflectances * own) @ observer, own @ observer
-    cones = (BRADFORD @ SRGB_TO_XYZ.sum(axis=1)) / (BRADFORD @ (white / white[1]))
-    adapted = np.linalg.inv(BRADFORD) @ np.diag(cones) @ BRADFORD
+    adapted = adaptation(white / white[1], SRGB_TO_XYZ.sum(axis=1))
     return balanced @ to_xyz.T, seen / white[1] @ adapted.T, tuple(patches)
 
 

@@ -29,17 +29,15 @@ from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import Certified, certified_tiles
+from gpusim.validate.edges import BLACK, WHITE, lit
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
-    BLACK,
     LENSES,
     REFERENCE_NM,
-    WHITE,
     Optics,
     camera_of,
     lens_of,
     lines_sensor,
-    lit,
     predictor_of,
 )
 

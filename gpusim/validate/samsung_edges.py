@@ -25,7 +25,7 @@ from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import Certified, certified_tiles
-from gpusim.validate.edges import TILT_RAD, Target, normal_of, predicted_lsf
+from gpusim.validate.edges import TILT_RAD, Target, lit, normal_of, predicted_lsf
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
@@ -34,7 +34,6 @@ from gpusim.validate.samsung_camera import (
     camera_of,
     lens_of,
     lines_sensor,
-    lit,
     predictor_of,
 )
 
