@@ -1,11 +1,20 @@
-"""The window of the PSFs fits the lens: wide enough for its rays, and no wider than need be."""
+"""Windows and fields fit the lens: wide enough for its rays, and no wider than need be."""
 
+import numpy as np
 import pytest
+from lens.made import fisheye
 
 from gpusim.errors import UserError
 from gpusim.lens.system import build
 from gpusim.psf.compute import compute_bank
-from gpusim.psf.sampling import PITCH_UM, SIZE, SIZES, WAVELENGTHS_NM, window
+from gpusim.psf.sampling import (
+    PITCH_UM,
+    SIZE,
+    SIZES,
+    WAVELENGTHS_NM,
+    default_fields_deg,
+    window,
+)
 
 
 def test_the_demonstration_lens_has_the_default_window(demo_lens):
@@ -42,3 +51,9 @@ def test_a_bank_takes_the_window_itself(demo_lens):
     small = compute_bank(wide, lines, fields, size=SIZE)
     assert small.psf.shape[-1] == SIZE and small.pitch_um == pitch_um
     assert small.outside_energy.max() > 1.5 * bank.outside_energy.max()
+
+
+def test_fields_of_a_wide_lens_are_even_in_angle_and_others_in_its_tangent(demo_lens):
+    np.testing.assert_allclose(default_fields_deg(fisheye(), 8), np.arange(8) * 15.0)
+    at_50 = default_fields_deg(demo_lens.model_copy(update={"max_field_deg": 50.0}), 3)
+    assert np.tan(np.radians(at_50[1])) == pytest.approx(np.tan(np.radians(50)) / 2)
