@@ -7,8 +7,8 @@ from numbers import Real
 
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
+from gpusim.sensor.datasheet import ABSOLUTE_ZERO_C
 
-ABSOLUTE_ZERO_C = -273.15
 WHOLE = {"iso": 1, "seed": 0, "frame": 0}  # and the least of each
 ABOVE_ZERO = {"exposure_s": "seconds", "gain": "a factor", "luminance_cd_m2": "cd/m^2"}
 
