@@ -173,24 +173,9 @@ def make_bank(
     ]
     misfit_um = max(misfit for _, misfit in fits)
 
-    steps = -(-(FIELDS - 1) // (len(ideal_height_um) - 1))
-    nodes = np.arange(len(ideal_height_um))
-    # Where each field lies between the table's: 0, 1 / steps, 2 / steps ...
-    at = np.arange((len(nodes) - 1) * steps + 1) / steps
-    ideal = np.interp(at, nodes, ideal_height_um)
-    window = window.astype(np.float32)
-    if steps > 1:
-        numbers, weights = Heights(ideal_height_um).blended(ideal)
-        both = np.concatenate([window, half_turned(window[1:2])])
-        window = np.stack(
-            [
-                np.tensordot(own.astype(np.float32), both[place], axes=1)
-                for place, own in zip(numbers, weights, strict=True)
-            ]
-        )
-
+    steps, ideal, window = _divided(ideal_height_um, window.astype(np.float32))
     count = len(wavelengths_nm)
-    unknown = np.full((len(at), count), np.nan)
+    unknown = np.full((len(ideal), count), np.nan)
     solid_angle = np.pi / (2 * stated.working_f_number) ** 2
     bank = Bank(
         wavelengths_nm=np.asarray(wavelengths_nm, float),
@@ -217,7 +202,7 @@ def make_bank(
             "patent": "none",
             "source": stated.source,
             "notes": stated.notes,
-            "history": f"read from {file.name}; {len(nodes)} fields of the table, "
+            "history": f"read from {file.name}; {len(ideal_height_um)} fields of the table, "
             f"{steps} intervals of the bank in each of its own",
             "chief_rays": f"odd polynomials, {misfit_um:.2g} um from the table at most",
             "solid_angle": f"pi / (2 x {stated.working_f_number:g})^2 at all wavelengths, from the "
@@ -231,6 +216,32 @@ def make_bank(
     if stated.exit_pupil_mm is None:
         return bank
     return with_exit_pupil(bank, stated.exit_pupil_mm)
+
+
+def _divided(ideal_um: np.ndarray, psf: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """Return PSFs (F', L, n, n) at as many fields as a computed bank has, those of a table divided.
+
+    Returns
+    -------
+    steps : int
+        Intervals in each of the table's.
+    ideal_um : ndarray (F',)
+    psf : ndarray of float32 (F', L, n, n)
+    """
+    steps = -(-(FIELDS - 1) // (len(ideal_um) - 1))
+    nodes = np.arange(len(ideal_um))
+    # Where each field lies between the table's: 0, 1 / steps, 2 / steps ...
+    at = np.arange((len(nodes) - 1) * steps + 1) / steps
+    ideal = np.interp(at, nodes, ideal_um)
+    if steps == 1:
+        return steps, ideal, psf
+    numbers, weights = Heights(ideal_um).blended(ideal)
+    both = np.concatenate([psf, half_turned(psf[1:2])])
+    divided = [
+        np.tensordot(own.astype(np.float32), both[place], axes=1)
+        for place, own in zip(numbers, weights, strict=True)
+    ]
+    return steps, ideal, np.stack(divided)
 
 
 def _even_spline(height: np.ndarray, light: np.ndarray, at: np.ndarray) -> np.ndarray:

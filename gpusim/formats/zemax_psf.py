@@ -114,37 +114,10 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
         raise UserError(
             "the field lies off the y axis", file=file, field="field x", value=first, allowed="0"
         )
-    rows, cols = map(
-        int, found(r"Image grid size:\s*(\d+)\s+by\s+(\d+)", "image grid size").groups()
-    )
-    if rows != cols or not 16 <= rows <= 4 * MAX_SIZE:
-        raise UserError(
-            "this grid of samples is not read",
-            file=file,
-            field="image grid size",
-            value=f"{rows} by {cols}",
-            allowed=f"square, 16 to {4 * MAX_SIZE}",
-        )
+    size = _size(*found(r"Image grid size:\s*(\d+)\s+by\s+(\d+)", "image grid size").groups(), file)
     centre = found(
         r"Center point is:?\s*(?:row\s*)?(\d+),\s*(?:column\s*)?(\d+)", "centre point"
     ).groups()
-    place = re.search(
-        rf"(?:Center|Reference) Coordinates\s*:\s*({NUMBER})\s*,\s*({NUMBER})\s*([a-z]*)",
-        head,
-        re.IGNORECASE,
-    )
-    centre_y_mm = None
-    if place is not None:
-        scale = MILLIMETRES.get(place[3].lower() or "millimeters")
-        if scale is None:
-            raise UserError(
-                "this unit of length is not known",
-                file=file,
-                field="centre coordinates",
-                value=place[3],
-                allowed=", ".join(MILLIMETRES),
-            )
-        centre_y_mm = scale * float(place[2])
     spacing = found(rf"Data spacing is\s+({NUMBER})\s*{UM}", "data spacing")[1]
     if not float(spacing) > 0:
         raise UserError(
@@ -161,9 +134,43 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
         field_unit=unit.lower(),
         spacing_um=float(spacing),
         centre=(int(centre[0]) - 1, int(centre[1]) - 1),
-        centre_y_mm=centre_y_mm,
-        values=_values(body, rows, file),
+        centre_y_mm=_centre_y_mm(head, file),
+        values=_values(body, size, file),
     )
+
+
+def _size(rows: str, cols: str, file: Path) -> int:
+    """Return the samples across a square grid."""
+    if int(rows) != int(cols) or not 16 <= int(rows) <= 4 * MAX_SIZE:
+        raise UserError(
+            "this grid of samples is not read",
+            file=file,
+            field="image grid size",
+            value=f"{int(rows)} by {int(cols)}",
+            allowed=f"square, 16 to {4 * MAX_SIZE}",
+        )
+    return int(rows)
+
+
+def _centre_y_mm(head: str, file: Path) -> float | None:
+    """Return where the reference point lies on the image plane; None where the export says not."""
+    place = re.search(
+        rf"(?:Center|Reference) Coordinates\s*:\s*({NUMBER})\s*,\s*({NUMBER})\s*([a-z]*)",
+        head,
+        re.IGNORECASE,
+    )
+    if place is None:
+        return None
+    scale = MILLIMETRES.get(place[3].lower() or "millimeters")
+    if scale is None:
+        raise UserError(
+            "this unit of length is not known",
+            file=file,
+            field="centre coordinates",
+            value=place[3],
+            allowed=", ".join(MILLIMETRES),
+        )
+    return scale * float(place[2])
 
 
 def _values(body: str, size: int, file: Path) -> np.ndarray:

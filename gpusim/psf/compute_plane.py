@@ -83,11 +83,21 @@ def compute_plane_bank(
     rays = rays_on_rings(system, reference_nm, min(reach_deg, prescription.max_field_deg))
     fields = [(x, y) for y in y_deg for x in x_deg]
     rows = each(
-        lambda one: plane_field_of(system, wavelengths, one, size, pitch_um, reference_nm),
+        lambda one: plane_field_of(
+            system, wavelengths, one, size=size, pitch_um=pitch_um, reference_nm=reference_nm
+        ),
         fields,
         progress,
     )
-    return plane_bank_of(system, wavelengths, (x_deg, y_deg), rows, rays, reference_nm, pitch_um)
+    return plane_bank_of(
+        system,
+        wavelengths,
+        (x_deg, y_deg),
+        rows,
+        rays,
+        reference_nm=reference_nm,
+        pitch_um=pitch_um,
+    )
 
 
 def plane_bank_of(
@@ -96,6 +106,7 @@ def plane_bank_of(
     sides_deg: tuple[np.ndarray, np.ndarray],
     rows: list[dict[str, np.ndarray]],
     rays: dict[str, np.ndarray],
+    *,
     reference_nm: float,
     pitch_um: float,
 ) -> PlaneBank:
@@ -161,6 +172,7 @@ def plane_field_of(
     system: System,
     wavelengths: np.ndarray,
     field_deg: tuple[float, float],
+    *,
     size: int,
     pitch_um: float,
     reference_nm: float,

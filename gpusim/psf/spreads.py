@@ -191,7 +191,8 @@ def traced_spreads(
     system = build(prescription)
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
-    found = [traced_field(system, lines, theta, size, pitch_um, REFERENCE_NM) for theta in angles]
+    given = {"size": size, "pitch_um": pitch_um, "reference_nm": REFERENCE_NM}
+    found = [traced_field(system, lines, theta, **given) for theta in angles]
     return _of(
         prescription,
         lines,

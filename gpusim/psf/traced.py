@@ -67,7 +67,9 @@ def traced_bank(
     system = build(prescription)
     lines = np.asarray(wavelengths_nm, float)
     rows = each(
-        lambda theta: field_of(system, lines, theta, size, pitch_um, reference_nm),
+        lambda theta: field_of(
+            system, lines, theta, size=size, pitch_um=pitch_um, reference_nm=reference_nm
+        ),
         field_deg,
         progress,
     )
@@ -134,14 +136,22 @@ def traced_plane_field(
     x_deg, y_deg = (np.array([angle], float) for angle in field_deg)
     with threadpool_limits(1):
         row = plane_field_of(
-            system, lines, (x_deg[0], y_deg[0]), size, pitch_um, reference_nm, NODES
+            system,
+            lines,
+            (x_deg[0], y_deg[0]),
+            size=size,
+            pitch_um=pitch_um,
+            reference_nm=reference_nm,
+            nodes=NODES,
         )
     at = int(np.flatnonzero(lines == reference_nm)[0])
     rays = {"ray_x_deg": x_deg, "ray_y_deg": y_deg}
     rays |= {f"ray_{axis}_um": row[f"chief_{axis}_um"][[at]] for axis in "xy"}
     if progress is not None:
         progress(1, 1)
-    return plane_bank_of(system, lines, (x_deg, y_deg), [row], rays, reference_nm, pitch_um)
+    return plane_bank_of(
+        system, lines, (x_deg, y_deg), [row], rays, reference_nm=reference_nm, pitch_um=pitch_um
+    )
 
 
 def cached_traced_plane_field(prescription: Prescription, **settings: object) -> PlaneBank:
@@ -153,6 +163,7 @@ def field_of(
     system: System,
     lines: np.ndarray,
     theta_deg: float,
+    *,
     size: int,
     pitch_um: float,
     reference_nm: float,
