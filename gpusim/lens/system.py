@@ -412,13 +412,3 @@ def checked(prescription: LensModel) -> list[Checked]:
         )
         for check in prescription.checks
     ]
-
-
-def failed_checks(prescription: LensModel) -> list[str]:
-    """Return one sentence for each figure of the source that the lens does not reproduce."""
-    return [
-        f"{one.check.quantity} ({one.check.indices} indices) is {one.found:.6g}, the source says "
-        f"{one.check.value:g} +- {one.check.tolerance:g}"
-        for one in checked(prescription)
-        if not one.met
-    ]

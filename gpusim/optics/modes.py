@@ -189,43 +189,6 @@ def _edge_errors(nodes: np.ndarray, modes: np.ndarray, maps: np.ndarray) -> np.n
     return np.array(errors)
 
 
-@dataclass(frozen=True)
-class ModesWork:
-    """What a frame takes.
-
-    Attributes
-    ----------
-    row_transforms, column_transforms : int
-        Complex transforms of length T, each of two real lines.
-    products : int
-        Complex multiply-adds with the modes' spectra.
-    kernel_bytes : int
-        Bytes of the modes' spectra.
-    """
-
-    row_transforms: int
-    column_transforms: int
-    products: int
-    kernel_bytes: int
-
-
-def modes_work(
-    grid: SimGrid, rank: int, needed: dict[tuple[int, int], int], site_channels: list[int]
-) -> ModesWork:
-    """Return the work of a frame with so many modes."""
-    kernels = len(outputs_of(grid, site_channels, max(site_channels) + 1).places)
-    pairs = sum(-(-planes * rank // 2) for planes in needed.values())
-    most = max(needed.values(), default=0) * rank
-    half = grid.length // 2
-    # Each column of a pair is transformed as both lines': from both halves of the spectrum.
-    return ModesWork(
-        row_transforms=pairs * grid.block[1],
-        column_transforms=2 * pairs * half,
-        products=2 * pairs * half * grid.length * kernels,
-        kernel_bytes=(most + most % 2) * half * grid.length * kernels * 8,
-    )
-
-
 class Modes(Transforms, KernelStore):
     """Modes of one scale, and the passes that use them: see `KernelStore`.
 

@@ -16,7 +16,6 @@ from gpusim.sensor.sensor import Sensor
 
 LENS_KNOBS = ("focal_length_mm", "f_number", "focus_distance_m", "focus_shift_um")
 SCENE_KNOBS = ("scene", "luminance_cd_m2", "illuminant")
-READ_KNOBS = ("exposure_s", "iso", "temperature_c", "seed", "noise")
 # Effects of a sensor that can be switched off: the fields of its file that are left out then.
 EFFECTS: dict[str, tuple[str, ...]] = {
     "dark current": ("dark_current_e_per_s", "dcnu_percent"),

@@ -133,14 +133,6 @@ class Bank(FieldBank):
         real = self.real_height_um[1:, self.reference]
         return np.concatenate([[0.0], real / self.ideal_height_um[1:] - 1])
 
-    @property
-    def distortion_f_theta(self) -> np.ndarray:
-        """Real height over f theta, less 1: the distortion of a fisheye; shape (F,), 0 on axis."""
-        real = self.real_height_um[1:, self.reference]
-        return np.concatenate(
-            [[0.0], real / (1e3 * self.principal_distance_mm * np.radians(self.field_deg[1:])) - 1]
-        )
-
     @functools.cached_property
     def _maps(self) -> dict[float, FieldMap]:
         return {}

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.lens.model import APERTURES
-from gpusim.lens.prescription import validated
+from gpusim.lens.prescription import Prescription, validated
 from gpusim.lens.samples import Samples
+from gpusim.lens.system import checked
 
 
 def lens(surfaces, **fields):
@@ -73,3 +74,13 @@ def disc_samples(half_width, beta_centre=0.0, opd=lambda a, b: 0.0 * a):
         ok=np.ones((1, alpha.size), dtype=bool),
         entering=EvenLight(),
     )
+
+
+def failed_checks(prescription: Prescription) -> list[str]:
+    """Return one sentence for each figure of the source that the lens does not reproduce."""
+    return [
+        f"{one.check.quantity} ({one.check.indices} indices) is {one.found:.6g}, the source says "
+        f"{one.check.value:g} +- {one.check.tolerance:g}"
+        for one in checked(prescription)
+        if not one.met
+    ]

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from lens.made import failed_checks
 from lens.rays import exact
 
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens.entering import stretch
 from gpusim.lens.samples import sample_field, sample_rays
-from gpusim.lens.system import build, failed_checks
+from gpusim.lens.system import build
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils
 from gpusim.psf.compute import compute_bank

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import yaml
 from changes import changed
-from lens.made import lens, model
+from lens.made import failed_checks, lens, model
 
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.known import Known
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.surface import Coating
-from gpusim.lens.system import build, failed_checks, first_order, with_clear_apertures
+from gpusim.lens.system import build, first_order, with_clear_apertures
 
 
 @pytest.mark.parametrize("name", presets())

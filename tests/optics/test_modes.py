@@ -28,7 +28,7 @@ from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import node_kernels, sampled_kernels
-from gpusim.optics.modes import Decomposition, Modes, mode_decomposition, modes_work
+from gpusim.optics.modes import Decomposition, Modes, mode_decomposition
 from gpusim.optics.nodes import Scale
 from gpusim.plan.layout import TRANSFORMS
 from gpusim.reference.modes import modes
@@ -209,18 +209,6 @@ def test_the_rank_is_the_smallest_that_keeps_the_error():
     assert found.rank_within(1e-9) == (4, 0.001)  # it cannot be kept
     few = found.truncated(2)
     assert few.rank == 2 and len(few.maps) == len(few.errors) == len(few.singular_values) == 2
-
-
-def test_work_counts_pairs_of_lines():
-    grid = SimGrid(96, 128, 4, 2, 256, 32, (1, 1))
-    blocks = list(np.ndindex(grid.blocks))
-    needed = dict.fromkeys(blocks, 1) | {blocks[0]: 3}
-    work = modes_work(grid, 3, needed, [0, 1, 1, 2])
-    pairs = 2 * (len(blocks) - 1) + 5
-    assert work.row_transforms == pairs * grid.block[1]
-    assert work.column_transforms == 2 * pairs * 128
-    assert work.products == 2 * pairs * 128 * 256 * 3
-    assert work.kernel_bytes == 10 * 128 * 256 * 3 * 8  # nine lines, and one for the last pair
 
 
 @pytest.mark.parametrize("length", TRANSFORMS)

@@ -185,14 +185,6 @@ def test_a_fisheye_has_an_ideal_plane_below_85_deg_only(fisheye_bank):
     np.testing.assert_array_equal(inside, inside_too)
 
 
-def test_distortion_of_a_fisheye_is_reported_against_f_theta(fisheye_bank):
-    real = fisheye_bank.real_height_um[:, fisheye_bank.reference]
-    f_theta = 1e3 * fisheye_bank.efl_mm * np.radians(fisheye_bank.field_deg)
-    np.testing.assert_allclose((1 + fisheye_bank.distortion_f_theta) * f_theta, real, rtol=1e-12)
-    assert fisheye_bank.distortion_f_theta[0] == 0
-    assert -0.2 < fisheye_bank.distortion_f_theta[-1] < 0
-
-
 def test_a_wavelength_beyond_the_bank_has_no_chief_rays(bank):
     with pytest.raises(UserError, match="no chief rays") as caught:
         bank.height_from_angle(3.0, 660.0)
