@@ -19,7 +19,7 @@ from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import distances_um, fall, field_halo, wave_of, whole_halo
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.provenance import of_lens
-from gpusim.psf.psf import folded_share, intensity
+from gpusim.psf.psf import intensity, losses_of
 from gpusim.psf.sampling import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
@@ -188,7 +188,7 @@ def plane_field_of(
     samples = sample_field(system, index, theta, azimuth)
     grids = pupils(samples, wavelengths, size * pitch_um, nodes)
     psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
-    outside, folded, core = np.zeros((3, len(wavelengths)))
+    outside, core = np.zeros((2, len(wavelengths)))
     # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
     radius_um = size / 2 * pitch_um
     distance_um = distances_um(size, pitch_um)
@@ -205,9 +205,7 @@ def plane_field_of(
             )
         window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
         outside[w], core[w] = 1 - window.sum(), (window * within).sum()
-        folded[w] = folded_share(pupil, wavelength, size, pitch_um)
         psf[w] = window.T
-    in_stop = samples.margin[-1] < 0
     levels, beyond = field_halo(
         lambda line: wave_of(grids[line], 2), wavelengths, pitch_um, radius_um
     )
@@ -224,9 +222,7 @@ def plane_field_of(
         "light_sr": np.array([g.entered for g in grids])
         / stretch(system, reference_nm, theta, azimuth).area(),
         "outside_energy": outside,
-        "folded_energy": folded,
-        "fit_residual_waves": np.array([g.fit_residual_mm for g in grids]) / (wavelengths * 1e-6),
-        "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
+        **losses_of(samples, grids, wavelengths, size, pitch_um),
     }
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gpusim.lens.samples import Samples
 from gpusim.lens.wavefront import Pupil
 from gpusim.psf.halo import rim_lost, wave_of
 
@@ -81,3 +82,31 @@ def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float)
     x, y = np.gradient(1e3 * pupil.opd_mm, pupil.alpha, pupil.beta)
     folds = (np.abs(x) > period_a - half) | (np.abs(y) > period_b - half)
     return float((folds * pupil.light).sum() / pupil.light.sum())
+
+
+def losses_of(
+    samples: Samples, grids: list[Pupil], wavelengths_nm: np.ndarray, size: int, pitch_um: float
+) -> dict[str, np.ndarray]:
+    """Return how good the PSFs (L,) of a field are, by the names of a bank's variables.
+
+    Parameters
+    ----------
+    samples : Samples
+        Rays of the field.
+    grids : list of Pupil
+        What `gpusim.lens.wavefront.pupils` makes of them.
+    wavelengths_nm : ndarray (L,)
+    size, pitch_um : int, float
+        Of the window.
+    """
+    folded = [
+        folded_share(pupil, wavelength, size, pitch_um)
+        for pupil, wavelength in zip(grids, wavelengths_nm, strict=True)
+    ]
+    residual_mm = np.array([pupil.fit_residual_mm for pupil in grids])
+    in_stop = samples.margin[-1] < 0
+    return {
+        "folded_energy": np.array(folded),
+        "fit_residual_waves": residual_mm / (wavelengths_nm * 1e-6),
+        "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
+    }

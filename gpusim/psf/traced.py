@@ -24,7 +24,7 @@ from gpusim.psf.field_map import ideal_height_um
 from gpusim.psf.halo import distances_um, fall, halo_of, wave_of
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.provenance import of_lens
-from gpusim.psf.psf import folded_share, intensity
+from gpusim.psf.psf import intensity, losses_of
 from gpusim.psf.store import from_cache
 
 # Nodes across the pupil. With 512, PSFs of the double Gauss at f/2.8 differ from those of 1024 by
@@ -174,23 +174,18 @@ def field_of(
     grids = pupils(samples, lines, size * pitch_um, NODES)
     inside = distances_um(size, pitch_um) < size / 2 * pitch_um
     psf = np.empty((len(lines), size, size), np.float32)
-    folded = np.zeros(len(lines))
     for line, (pupil, wavelength) in enumerate(zip(grids, lines, strict=True)):
         psf[line] = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-        folded[line] = folded_share(pupil, wavelength, size, pitch_um)
-    in_stop = samples.margin[-1] < 0
     return {
         "psf": psf,
         "real_height_um": 1e3 * samples.chief_y_mm,
         "light_sr": np.array([one.entered for one in grids])
         / stretch(system, reference_nm, theta).area(),
         "outside_energy": 1 - psf.sum(axis=(1, 2), dtype=float),
-        "folded_energy": folded,
-        "fit_residual_waves": np.array([p.fit_residual_mm for p in grids]) / (lines * 1e-6),
-        "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
         "chief": samples.chief_direction[:, ::-1],
         "cone": np.stack(
             [cone_of(p.alpha, p.beta, p.arriving, p.half)[:, [1, 0, 2]] for p in grids]
         ),
         "waves": [wave_of(pupil, 2) for pupil in grids],
+        **losses_of(samples, grids, lines, size, pitch_um),
     }
