@@ -144,9 +144,10 @@ def _ready(frame: Frame, light: Light) -> tuple[Light, Shot] | library.Frame | U
     """Return what to read for a frame; the frame itself where no noise is drawn; or why not."""
     try:
         read_out = dict(frame.read_out)
-        seen = light.at(sensor=frame.sensor())
+        gain = {name: read_out.pop(name, None) for name in ("iso", "gain")}
+        seen = light.at(sensor=frame.sensor(), **gain)
         if read_out.pop("noise", True):
-            return seen.shot(**read_out)
+            return seen, seen.shot(**read_out)
         return seen.capture(**read_out, noise=False)
     except UserError as error:
         return error

@@ -325,6 +325,7 @@ def taken(
     count: int,
     exposure_s: float | Sequence[float] | None,
     iso: int | Sequence[int] | None,
+    *,
     seed: int,
     temperature_c: float | None,
     truth: bool,

@@ -225,24 +225,23 @@ class Light:
         """
         from gpusim.library.frame import Frame
 
-        seen, shot = self.shot(exposure_s, iso, gain, seed, frame, temperature_c)
+        seen = self.at(iso=iso, gain=gain)
+        shot = seen.shot(exposure_s, seed, frame, temperature_c)
         raw = seen.read({"dn": np.uint16}, shot, noise)["dn"]
         return Frame(raw, seen, shot, noise)
 
     def shot(
         self,
         exposure_s: float | None = None,
-        iso: int | None = None,
-        gain: float | None = None,
         seed: int = 0,
         frame: int = 0,
         temperature_c: float | None = None,
-    ) -> tuple[Self, Shot]:
-        """Return the light at a gain, and what `capture` reads of it.
+    ) -> Shot:
+        """Return what `capture` reads of the light at its gain.
 
         Parameters
         ----------
-        exposure_s, iso, gain, seed, frame, temperature_c
+        exposure_s, seed, frame, temperature_c
             As of `capture`.
 
         Raises
@@ -250,12 +249,10 @@ class Light:
         UserError
             A value out of range.
         """
-        seen = self.at(iso=iso, gain=gain)
-        if exposure_s is None:
-            exposure_s = seen.white_exposure_s
-        shot = Shot(exposure_s, seed, frame, temperature_c)
-        checked(shot, seen.sensor)
-        return seen, shot
+        seconds = self.white_exposure_s if exposure_s is None else exposure_s
+        shot = Shot(seconds, seed, frame, temperature_c)
+        checked(shot, self.sensor)
+        return shot
 
     def burst(
         self,
@@ -294,7 +291,16 @@ class Light:
         """
         from gpusim.library.frame import taken
 
-        return taken(self, count, exposure_s, iso, seed, temperature_c, truth, progress)
+        return taken(
+            self,
+            count,
+            exposure_s,
+            iso,
+            seed=seed,
+            temperature_c=temperature_c,
+            truth=truth,
+            progress=progress,
+        )
 
     def read(self, names: dict[str, type], shot: Shot, noise: bool = True) -> dict[str, np.ndarray]:
         """Return planes of one frame: ``dn``, ``electrons``, ``rate`` (electrons/s), ``mean``.
