@@ -22,11 +22,11 @@ def of_lens(system: System, wavelengths_nm: np.ndarray, reference_nm: float) -> 
         "f_number": order.f_number,
         "principal_mm": principal_mm(system.prescription, reference_nm),
         "transmission": transmission(system.prescription, wavelengths_nm),
-        "provenance": provenance_of(system),
+        "provenance": _provenance_of(system),
     }
 
 
-def provenance_of(system: System) -> dict[str, str]:
+def _provenance_of(system: System) -> dict[str, str]:
     """Say in words what the bank is of and how it was made."""
     prescription = system.prescription
     last = system.image_z_mm - system.geometry.vertex_z[-1]
