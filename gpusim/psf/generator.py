@@ -29,6 +29,7 @@ from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import Wave, rim_lost, through_few
 from gpusim.psf.psf import mirrored
+from gpusim.psf.rim import beside, continued, rim_share
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -41,9 +42,6 @@ AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1
 # to lead rays to within 1e-3 of a node's direction: see shaders/psf/wavefront.
 DEGREE = 9
 NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
-# The stencil of a cell on a rim across the grid reaches two nodes beyond it in both directions, and
-# the nearest node that has a ray may be one more away.
-CONTINUED = 5
 NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
 # Light of a node over the chief ray's, at least. Within their rims the library's pupils have 0.8 to
 # 1.4 of it; beyond them the polynomials may say 0, which has no logarithm.
@@ -534,65 +532,6 @@ class Generator:
         self._beams.release()
         for one in (self._twiddle, *self._nodes, *self._exponents):
             one.destroy()
-
-
-def rim_share(reach: np.ndarray) -> np.ndarray:
-    """Return the share of each node's square (L, A, B) that lies inside the rim, reach 1.
-
-    Next to nodes without a ray, reach 0, no slope is known: there it is all or nothing.
-    """
-    known = np.where(reach > 0, reach, np.nan)
-    along, across = np.gradient(known, axis=(1, 2))
-    depth = (1 - known) / np.maximum(np.abs(along) + np.abs(across), 1e-12)
-    whole = (reach > 0) & (reach < 1)
-    return np.where(np.isnan(depth), whole, np.clip(0.5 + depth, 0, 1))
-
-
-def beside(reach: np.ndarray) -> np.ndarray:
-    """Return which nodes (L, A, B) lie within two of one inside the pupil, 0 < reach < 1."""
-    inside = (reach > 0) & (reach < 1)
-    near = inside.copy()
-    for shift in (1, 2):
-        near[:, shift:] |= inside[:, :-shift]
-        near[:, :-shift] |= inside[:, shift:]
-    across = near.copy()
-    for shift in (1, 2):
-        near[:, :, shift:] |= across[:, :, :-shift]
-        near[:, :, :-shift] |= across[:, :, shift:]
-    return near
-
-
-def continued(nodes: np.ndarray) -> np.ndarray:
-    """Continue W and reach beyond where rays arrive, by CONTINUED nodes.
-
-    Rays may fail right beyond a rim, where interpolation needs them. Cubic extrapolation from four
-    nodes in a row, along alpha and beta, the mean of those that there are.
-
-    Parameters
-    ----------
-    nodes : ndarray of float32, shape (L, A, B, 2)
-        Reach 0: no ray.
-    """
-    # The pupil's other half, as far as extrapolation reaches.
-    whole = np.concatenate([nodes[:, 3::-1], nodes], axis=1).astype(float)
-    for _ in range(CONTINUED):
-        known = whole[..., 1] > 0
-        total, count = np.zeros_like(whole), np.zeros(known.shape)
-        for axis in (1, 2):
-            for sign in (1, -1):
-                ahead = [np.roll(whole, -sign * step, axis) for step in (1, 2, 3, 4)]
-                there = np.all([one[..., 1] > 0 for one in ahead], axis=0)
-                # What rolled in from the other edge does not lie ahead.
-                edge = [slice(None)] * 3
-                edge[axis] = slice(-4, None) if sign > 0 else slice(0, 4)
-                there[tuple(edge)] = False
-                value = 4 * ahead[0] - 6 * ahead[1] + 4 * ahead[2] - ahead[3]
-                there &= value[..., 1] > 0
-                total += np.where(there[..., None], value, 0)
-                count += there
-        new = ~known & (count > 0)
-        whole[new] = total[new] / count[new][:, None]
-    return whole[:, 4:].astype(np.float32)
 
 
 def lagrange(t: np.ndarray) -> np.ndarray:
