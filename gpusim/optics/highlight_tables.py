@@ -79,8 +79,7 @@ class Tables:
         at = np.arange(n) - n // 2
         psf_lit = bank.psf.reshape(-1, n, n).any(axis=0)
         self.support = np.hypot(at, at[:, None])[psf_lit].max() + 2 + corner / bank.pitch_um
-        self.side = scipy.fft.next_fast_len(2 * math.ceil(self.support + 5), real=True)
-        self.side += self.side % 2
+        self.side = 2 * scipy.fft.next_fast_len(math.ceil(self.support + 5))
 
     @property
     def reach_um(self) -> float:

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Device, Kernel, Recording, Resident, Use
 from gpusim.optics.convolve import packed_channels
+from gpusim.optics.highlight_sampling import sampling
 from gpusim.optics.highlight_squares import bundled, of_few_spectra, squares_on_sensor
 from gpusim.optics.highlight_tables import (
     TRIED,
@@ -57,6 +58,9 @@ CHANGE = 0.01
 # PSF's width it errs most: by 6e-4 with 16 angles in 90 degrees (double Gauss at f/2.8, pixels of
 # 1.55 um) for squares of 3 um, by 5e-3 for squares of 6 um; and with the square of the step.
 MIXING = 0.5
+# Share of the tolerance by which the light far from a lamp may err for want of samples.
+FAR = 0.5
+FIELDS_TRIED = 5  # with which it is found out how finely tables must be sampled
 # A bundle of highlights has one kernel: so much of that share may PSFs differ by across it. Against
 # the exact model, lamps of a desk before the demonstration camera err by 8.2e-4 of their light (RMS
 # of 60 pixels; 3.9e-3 in the first level of the halo), with a kernel each by 7.9e-4 (3.7e-3), and
@@ -64,7 +68,7 @@ MIXING = 0.5
 BUNDLE = 0.25
 DISPATCH_BYTES = 128 << 20  # of a dispatch's kernels; so much, as texels, every adapter holds
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
-TABLE_BYTES = 512 << 20
+TABLE_BYTES = 768 << 20
 FEWEST = 8
 # Squares that are cut up further for want of memory: 16,000 take 8 s by SPLAT_NS (a window of 64 um
 # before pixels of 1.55 um).
@@ -127,11 +131,12 @@ class Splat:
             sides = np.linalg.norm(squares.slopes, 2, axis=(1, 2)) * squares.size_um
             given = bank, sensor, few @ spectra, sides.max(), wavelengths_nm
             self.kernels = kernels = Tables(*given)
-            self.table_bytes = 16 * -(-len(few) // 4) * channels * kernels.side**2
-            error = 0.0  # of PSFs that are not turned
-            if isinstance(places, Heights):
-                some = {0, len(self.fields) // 2, len(self.fields) - 1}
-                error = mixing_error(kernels, [bank.field(self.fields[n]) for n in sorted(some)])
+            some = np.unique(np.linspace(0, len(self.fields) - 1, FIELDS_TRIED).astype(int))
+            tried = [bank.field(self.fields[number]) for number in some]
+            self.sampling = sampling(kernels, tried, FAR * tolerance)
+            self.table_bytes = 16 * -(-len(few) // 4) * channels * self.sampling.samples
+            # PSFs of lenses without an axis are not turned.
+            error = mixing_error(kernels, tried[::2]) if isinstance(places, Heights) else 0.0
             asked = TRIED * math.sqrt(error / (MIXING * tolerance))
             self.bins = max(FEWEST, math.ceil(asked))
             # Corners turn by 4 A per radian where mixing over a step h errs by 2 h^2 A at most.
@@ -162,16 +167,21 @@ class Splat:
         self.shapes /= np.bincount(self.tables.ravel())[:, None, None]
         self.position = squares.real_um / sensor.pixel_pitch_um
         self.position += np.array([sensor.cols, sensor.rows]) / 2
-        own = 16 * kernels.side**2 * self.tables.shape[1]
+        own = 16 * self.sampling.samples * self.tables.shape[1]
         self.shares = shares(channels, len(few), DISPATCH_BYTES // own)
         self.kernel_of = {
             count: Kernel(
-                "optics/splat", S=self.planes, PERIOD=self.period, C=count, N=kernels.side
+                "optics/splat",
+                S=self.planes,
+                PERIOD=self.period,
+                C=count,
+                NEAR=self.sampling.near,
+                FAR=self.sampling.far,
             )
             for count in {len(one.channels) for one in self.shares}
         }
         largest = max(len(c) * -(-len(m) // 4) for c, m in self.shares)
-        self.groups = groups(self.tables, 16 * largest * kernels.side**2)
+        self.groups = groups(self.tables, 16 * largest * self.sampling.samples)
 
     def _holds(self, mixed: Mixture) -> bool:
         """Return whether the memory for tables holds those of a mixture."""
@@ -311,7 +321,7 @@ class Splat:
             ]
             table = self.kernels.table(*by_field[of_field], weights, angle, self.shapes[number])
             table = half_turned(table) if half else table
-            return np.moveaxis(in_fours(np.moveaxis(table, 1, -1)), -2, 1)
+            return np.moveaxis(in_fours(np.moveaxis(self.sampling.of(table), 1, -1)), -2, 1)
 
         # SciPy and NumPy let go of the interpreter in their loops.
         pool = ThreadPoolExecutor(os.cpu_count())
@@ -408,6 +418,8 @@ class Splat:
                     "across": self.across,
                     # Reaches from a table's middle to zeros, and no tap lies beyond its border.
                     "reach2": (self.kernels.support + 2) ** 2,
+                    "near2": self.sampling.radius**2,
+                    "step": self.sampling.step,
                     "fours": -(-len(share.spectra) // 4),
                     "site_channels": packed_channels(local),
                 },

@@ -242,7 +242,7 @@ def _splat(device: Device) -> dict[str | int, float]:
 
     The boxes are BOXES of what a table takes.
     """
-    side, lines, cells, count = 256, 13, 4 * SQUARE, 2
+    side, lines, near, cells, count = 256, 13, 64, 4 * SQUARE, 2
     shifts = np.linspace(-1.0, 1.0, 2 * lines).reshape(lines, 2)
 
     def one(number: int) -> np.ndarray:
@@ -261,7 +261,7 @@ def _splat(device: Device) -> dict[str | int, float]:
         "radiance": np.ones((count, 1, 4), np.float32),
         "starts": starts,
         "near": np.tile(np.arange(count, dtype=np.uint32), len(starts)),
-        "kernels": np.ones((1, 3, 1, 64, 64, 4), np.float32),
+        "kernels": np.ones((1, 3, 1, near**2, 4), np.float32),
     }
     rec = Recording(device)
     rates = rec.buffer("rates", (4, cells, cells), np.float32)
@@ -273,9 +273,9 @@ def _splat(device: Device) -> dict[str | int, float]:
         rec.upload(buffers[name], array)
     groups = (cells // SQUARE, cells // SQUARE, 4)
     whole = {"first": (0, 0), "origin": (0, 0), "size": (cells, cells)}
-    sites = {"across": groups[0], "reach2": 30.0**2, "site_channels": (0, 0, 0, 0)}
-    sites |= {"fours": 1}
-    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, N=64)
+    sites = {"across": groups[0], "site_channels": (0, 0, 0, 0), "fours": 1}
+    sites |= {"reach2": 30.0**2, "near2": 30.0**2, "step": 1.0}
+    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, NEAR=near, FAR=0)
     kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
     return {
         "tables": 1e9 * boxes_s / BOXES / (lines * side**2),

@@ -12,7 +12,11 @@ def splat(
     centres: np.ndarray,
     axes: np.ndarray,
     radiance: np.ndarray,
-    mixed: list[np.ndarray],
+    near: list[np.ndarray],
+    far: list[np.ndarray],
+    *,
+    radius: float,
+    step: float,
 ) -> np.ndarray:
     """Sum the highlights on some pixels.
 
@@ -24,26 +28,32 @@ def splat(
     centres : ndarray (N, 2)
         Centres of the highlights, in the same units.
     axes : ndarray (N, 2)
-        Radial direction, as long as there are table samples in a unit.
+        Radial direction, as long as there are near samples in a unit.
     radiance : ndarray (N, M)
-    mixed : list of ndarray (C, M, n, n)
+    near, far : lists of ndarray (C, M, n, n)
         Cubic-spline coefficients of each highlight's kernels, row tangential, column radial; the
         highlight's centre at n / 2, zero beyond.
+    radius : float
+        Distance up to which near ones count, and beyond which far ones do; near samples.
+    step : float
+        Near samples from one far sample to the next.
 
     Returns
     -------
     ndarray (P,), float64
     """
     total = np.zeros(len(pixels))
-    for centre, (cos, sin), colour, table in zip(centres, axes, radiance, mixed, strict=True):
+    for number, (centre, (cos, sin)) in enumerate(zip(centres, axes, strict=True)):
         dx, dy = (pixels - centre).T
-        middle = table.shape[-1] // 2
-        where = np.stack([cos * dy - sin * dx, cos * dx + sin * dy]) + middle
-        for channel in np.unique(channels):
-            own = channels == channel
-            kernel = np.tensordot(colour, np.asarray(table[channel], np.float64), axes=1)
-            light = map_coordinates(
-                kernel, where[:, own], order=3, prefilter=False, mode="constant"
-            )
-            total[own] += np.maximum(light, 0.0)  # no highlight takes light away
+        off = np.stack([cos * dy - sin * dx, cos * dx + sin * dy])
+        within = np.hypot(*off) <= radius
+        for table, apart, chosen in ((near[number], 1.0, within), (far[number], step, ~within)):
+            where = off / apart + table.shape[-1] // 2
+            for channel in np.unique(channels):
+                own = chosen & (channels == channel)
+                kernel = np.tensordot(radiance[number], table[channel].astype(np.float64), axes=1)
+                light = map_coordinates(
+                    kernel, where[:, own], order=3, prefilter=False, mode="constant"
+                )
+                total[own] += np.maximum(light, 0.0)  # no highlight takes light away
     return total

@@ -6,11 +6,13 @@
 //   H_i(v) = sum_ab c_i[a, b] beta3(v_x - b) beta3(v_y - a)
 //
 // H_i, of channel and spectrum: the PSF convolved with the pixel aperture and with the square, per unit of spectral radiance.
-// Its spline coefficients c end in zeros at the border and go on so. Cubics between the fields of a lens may lie below 0: what
-// that makes of a highlight's light is not, for no highlight takes light away.
+// Its spline coefficients c end in zeros at the border and go on so. There are two splines: a fine one is taken near the chief
+// ray, and beyond one of coarser samples. Cubics between the fields of a lens may lie below 0: what that makes of a highlight's
+// light is not, for no highlight takes light away.
 // Every pixel takes its highlights in the order of the list, so that tiles repeat the same sums bit for bit.
 // Units: positions in pixels, kernels in samples of their own, a in units of the scene's spectra, rates in electrons/s.
-// kernels (kernels, C, fours, N, N, 4): c, row tangential, column radial, four spectra side by side; N/2 is the chief ray.
+// kernels (kernels, C, fours, NEAR^2 + FAR^2, 4): c, fine ones first, row tangential, column radial, four spectra side by side;
+// the chief ray is at NEAR/2 and at FAR/2.
 // Highlights near to each other share one: lavapipe takes its time to load, not to add.
 // rates (S, rows, cols), of the rectangle.
 // The sensor is cut into squares of 16 x 16 CFA cells, of each of which the host has listed the highlights within reach.
@@ -21,7 +23,8 @@
 override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels that the kernels are of; sites with numbers beyond take no light
-override N: u32 = 320u;       // side of a kernel, samples
+override NEAR: u32 = 64u;     // sides of a kernel's two parts, samples
+override FAR: u32 = 80u;
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square
@@ -29,14 +32,16 @@ struct Params {
     size: vec2i,              // (columns, rows) of the planes
     across: u32,              // squares across the sensor
     fours: u32,               // ceil(M/4) for M spectra of the scene; a param, so that the loop stays a loop
-    reach2: f32,              // squared distance beyond which kernels hold nothing, their samples
+    reach2: f32,              // squared distance beyond which kernels hold nothing, fine samples
+    near2: f32,               // squared distance up to which fine samples are taken, fine samples
+    step: f32,                // fine samples from one coarse one to the next
     site_channels: vec4u,     // channel of each site, four bits a site: site s in word s/8, bits 4 (s%8)
 }
 
 struct Highlight {
     pixel: vec2i,             // column, row of the pixel in which its centre lies
     place: vec2f,             // of the centre in it, from the pixel's centre
-    axis: vec2f,              // the radial unit vector, times a kernel's samples per pixel
+    axis: vec2f,              // the radial unit vector, times a kernel's fine samples per pixel
     kernel: u32,
     padding: u32,
 }
@@ -66,16 +71,18 @@ fn light(i: u32, pixel: vec2i, channel: u32) -> f32 {
     if (dot(v, v) > params.reach2) {
         return 0.0;
     }
-    let at = v + f32(N / 2u);
+    let near = dot(v, v) <= params.near2;
+    let side = select(FAR, NEAR, near);
+    let at = select(v / params.step, v, near) + f32(side / 2u);
     let cell = floor(at);
     let wx = cubic_weights(at.x - cell.x);
     let wy = cubic_weights(at.y - cell.y);
-    let corner = u32(cell.y - 1.0) * N + u32(cell.x - 1.0);
+    let corner = select(NEAR * NEAR, 0u, near) + u32(cell.y - 1.0) * side + u32(cell.x - 1.0);
     var sum = 0.0;
     for (var q = 0u; q < params.fours; q++) {
-        let first = ((h.kernel * C + channel) * params.fours + q) * N * N + corner;
-        let spread = wy.x * row_sum(first, wx) + wy.y * row_sum(first + N, wx)
-            + wy.z * row_sum(first + 2u * N, wx) + wy.w * row_sum(first + 3u * N, wx);
+        let first = ((h.kernel * C + channel) * params.fours + q) * (NEAR * NEAR + FAR * FAR) + corner;
+        let spread = wy.x * row_sum(first, wx) + wy.y * row_sum(first + side, wx)
+            + wy.z * row_sum(first + 2u * side, wx) + wy.w * row_sum(first + 3u * side, wx);
         sum += dot(radiance[i * params.fours + q], spread);
     }
     return max(sum, 0.0);

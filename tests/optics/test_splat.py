@@ -53,13 +53,21 @@ def random_case(period, spectra, count, rect, seed=0):
     `rect` = (first column, first row, columns, rows), of a sensor of 40 x 50 cells.
     """
     rng = np.random.default_rng(seed)
-    side, channels, stages = 64, min(period**2, 3), 6
-    kernels = np.zeros((stages, channels, spectra, side, side))
-    at = np.arange(side) - side // 2
-    inside = np.hypot(at, at[:, None]) < 26
-    # Some cubics between fields are below 0, and so may be a highlight's light: none is taken away.
-    lit = rng.uniform(-0.2, 1, (stages, channels, spectra, int(inside.sum())))
-    kernels[..., inside] = lit * rng.choice([1, -1], (stages, 1, 1, 1), p=[0.8, 0.2])
+    channels, stages = min(period**2, 3), 6
+    near_side, far_side, step = 36, 36, 2
+
+    def made(side: int, radius: float) -> np.ndarray:
+        result = np.zeros((stages, channels, spectra, side, side))
+        at = np.arange(side) - side // 2
+        inside = np.hypot(at, at[:, None]) < radius
+        # Some cubics between fields are below 0, and so may be a highlight's light.
+        lit = rng.uniform(-0.2, 1, (stages, channels, spectra, int(inside.sum())))
+        result[..., inside] = lit * rng.choice([1, -1], (stages, 1, 1, 1), p=[0.8, 0.2])
+        return result
+
+    # Near ones count out to 13 samples; light ends at 26 and is blurred by two far samples.
+    fine, coarse = made(near_side, 17), made(far_side, 13)
+    kernels = np.concatenate([one.reshape(*one.shape[:3], -1) for one in (fine, coarse)], axis=-1)
     site_channels = rng.integers(0, channels, period**2)
     words = [0, 0, 0, 0]
     for site, channel in enumerate(site_channels):
@@ -73,8 +81,14 @@ def random_case(period, spectra, count, rect, seed=0):
     colours = rng.uniform(0, 9, (count, spectra)).astype(F32)
     centres = rows["pixel"] + 0.5 + rows["place"].astype(float)
     across, down = -(-50 // 16), -(-40 // 16)
-    starts, near = lists(centres / period, 28 / 3.1 / period, (across, down))
+    starts, near = lists(centres / period, 31 / 3.1 / period, (across, down))
     x0, y0, cols, lines = rect
+    # Which spline a pixel takes must not hang on a rounding: where no pixel's distance is.
+    corners = np.stack(np.meshgrid(np.arange(50 * period), np.arange(40 * period)), axis=-1) + 0.5
+    apart = 3.1 * np.linalg.norm(corners.reshape(-1, 1, 2) - centres, axis=-1)
+    between = np.sort(apart[(apart > 12.9) & (apart < 13.1)])
+    gap = int(np.argmax(np.diff(between)))
+    radius = between[gap : gap + 2].mean()
     before = rng.uniform(0, 5, (period**2, lines, cols)).astype(F32)
     first = (x0 // 16, y0 // 16)
     found = run_stage(
@@ -85,7 +99,9 @@ def random_case(period, spectra, count, rect, seed=0):
             "origin": (x0, y0),
             "size": (cols, lines),
             "across": across,
-            "reach2": 29.0**2,
+            "reach2": 31.0**2,
+            "near2": radius**2,
+            "step": step,
             "fours": -(-spectra // 4),
             "site_channels": words,
         },
@@ -101,7 +117,8 @@ def random_case(period, spectra, count, rect, seed=0):
         S=period**2,
         PERIOD=period,
         C=channels,
-        N=side,
+        NEAR=near_side,
+        FAR=far_side,
     )["rates"]
     site, y, x = np.indices(before.shape)
     pixels = np.stack(
@@ -113,7 +130,10 @@ def random_case(period, spectra, count, rect, seed=0):
         centres,
         rows["axis"].astype(float),
         colours,
-        list(kernels.astype(F32)[rows["kernel"]]),
+        list(fine.astype(F32)[rows["kernel"]]),
+        list(coarse.astype(F32)[rows["kernel"]]),
+        radius=radius,
+        step=step,
     ).reshape(before.shape)
     amount = colours.sum(axis=1).max()
     each = 2 * 1.5 * 8 * 32 + 36
@@ -420,7 +440,8 @@ def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkey
     squares = squares_on_sensor(LENS, camera, many(), kernels.reach_um)
     used, tables = distinct(mixture(LENS.places(150.0)[1], squares, 16).keys)
     assert (np.diff(used[:, 0]) >= 0).all() and tables.max() == len(used) - 1 > 10
-    bytes_each = 16 * 3 * kernels.side**2
+    samples = Splat(device, LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
+    bytes_each = 16 * 3 * samples
     monkeypatch.setattr(module, "DISPATCH_BYTES", 9 * bytes_each)
     cut = groups(tables, bytes_each)
     assert len(cut) > 2
@@ -437,7 +458,7 @@ def test_spectra_and_channels_too_many_for_one_dispatch_take_turns(device, monke
     camera, seen = sensor(), many()
     seen = replace(seen, excess=np.random.default_rng(9).uniform(0, 1e9, (30, 6)))
     whole = Splat(device, LENS, camera, seen, six, 1e-3)
-    one = 16 * whole.kernels.side**2 * whole.tables.shape[1]
+    one = 16 * whole.sampling.samples * whole.tables.shape[1]
     monkeypatch.setattr(module, "DISPATCH_BYTES", most * one)
     parts = Splat(device, LENS, camera, seen, six, 1e-3)
     assert len(whole.shares) == 1 and len(parts.shares) == {3: 2, 2: 4}.get(most, 6)

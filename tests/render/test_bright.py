@@ -135,8 +135,10 @@ def test_the_sum_is_linear_in_the_highlights():
     planes[:, planes[0] > 1] *= 3
     three, _ = shot(planes, tolerance=1e-2)
     sun = one.rate.astype(float) - plain.rate
-    # Fills are 1e-9 of the excess; f32 sums of 81 highlights.
-    assert_close(three.rate.astype(float), plain.rate + 3 * sun, rtol=200 * ULP)
+    # Fills are 1e-9 of the excess; f32 sums of 81 highlights. Where these have no light, transforms
+    # of their kernels leave up to 2e-11 of the brightest (measured).
+    noise = 1e-10 * three.rate.max()
+    assert_close(three.rate.astype(float), plain.rate + 3 * sun, rtol=200 * ULP, atol=noise)
 
 
 def test_the_suns_energy_is_conserved():
