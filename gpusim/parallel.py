@@ -33,9 +33,14 @@ def each(
     """
     things = list(things)
     results: list[Result] = []
-    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for result in pool.map(work, things):
-            results.append(result)
-            if progress is not None:
-                progress(len(results), len(things))
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        with threadpool_limits(1):
+            for result in pool.map(work, things):
+                results.append(result)
+                if progress is not None:
+                    progress(len(results), len(things))
+    finally:
+        # Whoever stops it waits for what is in work, and for no more.
+        pool.shutdown(cancel_futures=True)
     return results

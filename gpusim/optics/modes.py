@@ -10,9 +10,7 @@ not lie between nodes, and only the modes' spectra stay on the device.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +22,7 @@ from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
 from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
+from gpusim.parallel import each
 from gpusim.sensor.aperture import Response
 
 # Modes of less are rounding errors: of the kernels' own float32, and of the eigenvalues.
@@ -130,9 +129,7 @@ def mode_decomposition(
         sampled = sampled_kernels(kernels, *(at * pitch_um), pitch_um, grid.half_size, planes)
         return sampled.astype(np.float32)
 
-    # SciPy and NumPy let go of the interpreter in their loops.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        sampled = np.stack(list(pool.map(sample, points)))
+    sampled = np.stack(each(sample, points))
     # Each channel in units of its own signal, that of the first plane in the mean.
     signal = sampled[:, 0].sum(axis=(2, 3), dtype=np.float64).mean(axis=0)
     products = sum(

@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.gpu import Device, Kernel, Recording, Resident, Use
 from gpusim.optics.convolve import packed_channels
@@ -30,6 +27,7 @@ from gpusim.optics.highlight_tables import (
     mixture,
     turned,
 )
+from gpusim.parallel import each
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.places import FieldPsfs, Heights, half_turned
 from gpusim.scene.highlights import Highlights
@@ -323,16 +321,8 @@ class Splat:
             table = half_turned(table) if half else table
             return np.moveaxis(in_fours(np.moveaxis(self.sampling.of(table), 1, -1)), -2, 1)
 
-        # SciPy and NumPy let go of the interpreter in their loops.
-        pool = ThreadPoolExecutor(os.cpu_count())
-        try:
-            with threadpool_limits(1):
-                for number, table in zip(lacking, pool.map(one, lacking), strict=True):
-                    made[number] = table
-                    advance()
-        finally:
-            pool.shutdown(cancel_futures=True)
-        return made
+        tables = each(one, lacking, lambda _done, _total: advance())
+        return made | dict(zip(lacking, tables, strict=True))
 
     def _blended(self, bundles: np.ndarray, made: dict[int, np.ndarray]) -> np.ndarray:
         """Return the kernels of bundles, sums of tables."""
@@ -350,8 +340,7 @@ class Splat:
                 for share, table in zip(shares[1:], tables[1:], strict=True):
                     total += share * table[plane]
 
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(one, range(len(bundles))))
+        each(one, range(len(bundles)))
         return kernels
 
     @contextmanager

@@ -21,9 +21,7 @@ two levels it passes from one to the other over half the inner one's radius.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -32,6 +30,7 @@ from scipy.ndimage import map_coordinates
 from scipy.sparse import csr_array
 
 from gpusim.lens.wavefront import Pupil
+from gpusim.parallel import each
 
 AnyBank = TypeVar("AnyBank")  # Bank or PlaneBank
 
@@ -260,10 +259,7 @@ def halo_of(
         given = wavelengths_nm, core_pitch_um, core_radius_um
         return field_halo(lambda line: wave(field, line), *given)
 
-    # NumPy and SciPy let go of the interpreter in their loops.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        fields = list(pool.map(one, range(len(core))))
-    return whole_halo(fields, core_pitch_um, core)
+    return whole_halo(each(one, range(len(core))), core_pitch_um, core)
 
 
 def halo(

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gpusim.parallel import each
 from gpusim.scene.highlights import Highlights, Split, split_outliers
 
 if TYPE_CHECKING:
@@ -89,14 +88,12 @@ class PlacedRaster:
         result = np.empty(self.planes.shape, np.float32)
         count, rows, cols = result.shape
 
-        def band(number: int, first: int) -> None:
+        def band(place: tuple[int, int]) -> None:
+            number, first = place
             wanted = range(first, min(first + BAND_ROWS, rows))
             result[number, first : wanted.stop] = self._fitted(number, wanted, range(cols))
 
-        # NumPy and SciPy let go of the interpreter in their loops.
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            bands = [(n, first) for n in range(count) for first in range(0, rows, BAND_ROWS)]
-            list(pool.map(band, *zip(*bands, strict=True)))
+        each(band, [(n, first) for n in range(count) for first in range(0, rows, BAND_ROWS)])
         return result
 
     def spline_in(self, rows: range, cols: range) -> np.ndarray:
