@@ -19,8 +19,11 @@ from gpusim.scene.scene import Scene
 CONTRAST = 20.0
 LEFT_OUT = 0.1
 # What a level may err by: share of the tolerance. Its light counts by the contrast that edges of
-# charts have where it matters, between a patch and its neighbours of another brightness.
-SHARE = 0.3
+# charts have where it matters, between a patch and its neighbours of another brightness. Plans for
+# levels foresee more than is found: with 0.3 and with 0.6 the certificates of photographs say the
+# same (a desk before the phone: 2.70e-4 and 2.69e-4; a still life before the demonstration camera:
+# 9.0e-4 and 9.2e-4), and levels of the phone take 73 and 37 s.
+SHARE = 0.5
 AROUND = 5.0
 ROUNDING = 1e-9  # of the brightest: what a transform leaves where there is no light
 

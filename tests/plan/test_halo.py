@@ -5,7 +5,7 @@ import pytest
 from optics.made import FLAT
 
 from gpusim.plan.accuracy import Accuracy
-from gpusim.plan.halo import AROUND, halo_levels, seen_shares
+from gpusim.plan.halo import AROUND, SHARE, halo_levels, seen_shares
 from gpusim.scene.make import make_scene
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
@@ -69,4 +69,4 @@ def test_levels_are_allowed_what_their_light_and_the_scene_leave():
     levels = (Level(1.0), Level(0.01), Level(1e-6))
     (level,) = halo_levels(levels, Accuracy(1e-3), np.array([0.05, 1e-5]))
     assert level.number == 1  # the other brings too little
-    assert level.accuracy.tolerance == pytest.approx(0.3 * 1e-3 / 0.05)
+    assert level.accuracy.tolerance == pytest.approx(SHARE * 1e-3 / 0.05)
