@@ -18,7 +18,7 @@ from harness import assert_close
 from optics import made
 
 from gpusim.gpu import Device, Kernel
-from gpusim.optics.kernels import field_images, mirrored
+from gpusim.optics.images import field_images, mirrored
 from gpusim.psf.bank import Bank
 
 TOOLS = Path(__file__).parent.parent / "tools"

@@ -22,9 +22,10 @@ from gpusim.gpu import Device, Recording, default_device
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, sampled_kernels
+from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
+from gpusim.optics.sampling import sampled_kernels
 from gpusim.psf.places import Heights
 
 SITES = [0, 1, 1, 2]

@@ -15,7 +15,7 @@ import numpy as np
 from gpusim.gpu import Array, Device, Kernel, Recording, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import kernel_spectra
+from gpusim.optics.kernel_spectra import kernel_spectra
 from gpusim.optics.nodes import NodeStore, Outputs, Scale, folds_of, outputs_of
 from gpusim.sensor.aperture import Response
 

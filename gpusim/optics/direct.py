@@ -16,8 +16,10 @@ import scipy.fft
 from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, aperture_spectra, sampled_kernels
+from gpusim.optics.kernel_spectra import aperture_spectra
+from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
+from gpusim.optics.sampling import sampled_kernels
 from gpusim.sensor.aperture import Response
 
 # By how much kernels are sampled beyond the support, sim samples: the aperture and the inverse of

@@ -20,8 +20,10 @@ from gpusim.gpu import Array, Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra_bytes
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, kernel_spectra, sampled_kernels
+from gpusim.optics.kernel_spectra import kernel_spectra
+from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
+from gpusim.optics.sampling import sampled_kernels
 from gpusim.parallel import each
 from gpusim.sensor.aperture import Response
 
@@ -73,7 +75,7 @@ class Decomposition:
 def _least_squares(cells: tuple[int, int]) -> tuple[list[tuple[int, int]], np.ndarray]:
     """Return the points around and at a map's nodes, and the nodes as sums of them.
 
-    The sums are those of `gpusim.optics.kernels.node_kernels`; nodes in the order (y, x).
+    The sums are those of `gpusim.optics.sampling.node_kernels`; nodes in the order (y, x).
     """
     across, down = (count + 1 for count in cells)
     points = [

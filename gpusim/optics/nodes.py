@@ -15,7 +15,8 @@ import numpy as np
 from gpusim.gpu import Device, Resident, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, node_kernels, sampled_kernels
+from gpusim.optics.kernels import FieldKernels
+from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.sensor.aperture import Response
 
 Node = tuple[int, int]  # x, y of a PSF node

@@ -11,7 +11,8 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.deadline import predicted_parts

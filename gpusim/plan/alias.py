@@ -61,7 +61,7 @@ class Alias:
     Attributes
     ----------
     images : ndarray (F, J, C, n, n)
-        Channel kernels on the bank's grid, as `gpusim.optics.kernels.field_images` returns them.
+        Channel kernels on the bank's grid, as `gpusim.optics.images.field_images` returns them.
     places : Places
         Places of the F fields.
     bank_pitch_um : float

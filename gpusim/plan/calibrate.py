@@ -23,11 +23,13 @@ from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.highlight_tables import boxes
-from gpusim.optics.kernels import FieldKernels, interleaved, kernel_spectra, sampled_kernels
+from gpusim.optics.kernel_spectra import kernel_spectra
+from gpusim.optics.kernels import FieldKernels, interleaved
 from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
+from gpusim.optics.sampling import sampled_kernels
 from gpusim.optics.splat import HIGHLIGHT, SQUARE
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs, content_of, costs_of

@@ -430,7 +430,7 @@ class _Survey:
     def _transfer(self, found: Spreads, unit_sr: float) -> np.ndarray:
         """Return the transfer functions (F, C, 2, n / 2 + 1) of the channels, along xi and eta.
 
-        Light included; lateral colour is as the engine has it, a streak (`gpusim.optics.kernels`).
+        Light included; lateral colour is as the engine has it, a streak (`gpusim.optics.images`).
         """
         n, lines = found.spread.shape[-1], found.wavelengths_nm
         frequency = np.fft.rfftfreq(n, found.pitch_um)

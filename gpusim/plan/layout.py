@@ -161,8 +161,8 @@ def planes_at_nodes(
 def planes_at_points(planes: np.ndarray, mirrored: tuple[bool, bool]) -> int:
     """Return the planes of PSFs that are sampled for nodes, all points together.
 
-    Each node counts, and so do those beside it (see `gpusim.optics.kernels.node_kernels`), the ones
-    beyond the grid included: with few nodes these are nearly as many again. Where kernels are
+    Each node counts, and so do those beside it (see `gpusim.optics.sampling.node_kernels`), the
+    ones beyond the grid included: with few nodes these are nearly as many again. Where kernels are
     mirrored, points on one side of the axis serve the other.
 
     Parameters

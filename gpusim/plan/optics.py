@@ -16,15 +16,8 @@ from gpusim.optics.convolve import Scratch
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.fold import MAX_PLANES, Basis, camera_basis
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import (
-    RINGING,
-    FieldKernels,
-    core_window,
-    distances_um,
-    field_images,
-    field_kernels,
-    mirrored,
-)
+from gpusim.optics.images import field_images, mirrored
+from gpusim.optics.kernels import RINGING, FieldKernels, core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS, check_method
 from gpusim.optics.modes import Decomposition, mode_decomposition
 from gpusim.optics.nodes import Scale, folds_of, own_kernels

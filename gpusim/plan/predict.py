@@ -11,14 +11,8 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from gpusim.optics.kernels import (
-    BAND_EDGE,
-    FieldKernels,
-    core_window,
-    distances_um,
-    node_kernels,
-    sampled_kernels,
-)
+from gpusim.optics.kernels import BAND_EDGE, FieldKernels, core_window, distances_um
+from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.psf.places import Blend
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
@@ -166,10 +160,10 @@ def even_error(
 
         integral H(x - s; s) ds = m0 - div m1 + div div m2 / 2.
 
-    The engine has these as its nodes have them (`gpusim.optics.kernels.node_kernels`), and straight
-    lines between: m0 errs with the square of the cells, the slope of m1 with the cells themselves,
-    and m2 is not curved within a cell. For kernels wider than a cell m0 alone is compared: moments
-    say little of these. At EVEN places over the sensor.
+    The engine has these as its nodes have them (`gpusim.optics.sampling.node_kernels`), and
+    straight lines between: m0 errs with the square of the cells, the slope of m1 with the cells
+    themselves, and m2 is not curved within a cell. For kernels wider than a cell m0 alone is
+    compared: moments say little of these. At EVEN places over the sensor.
 
     Parameters
     ----------

@@ -26,7 +26,8 @@ from gpusim.optics.flare import veiling_glare
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.halo import Halo, coarse_grid
 from gpusim.optics.halo import needed as coarse_rects
-from gpusim.optics.kernels import field_images, field_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import field_kernels
 from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
 from gpusim.optics.splat import Splat

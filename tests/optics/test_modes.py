@@ -27,9 +27,9 @@ from gpusim.gpu import Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import node_kernels, sampled_kernels
 from gpusim.optics.modes import Decomposition, Modes, mode_decomposition
 from gpusim.optics.nodes import Scale
+from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.plan.layout import TRANSFORMS
 from gpusim.reference.modes import modes
 

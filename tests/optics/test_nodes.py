@@ -12,7 +12,8 @@ from optics.made import at_lines, bank
 from gpusim.gpu import Device
 from gpusim.optics import nodes as optics_nodes
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import FieldKernels, field_images, field_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import FieldKernels, field_kernels
 from gpusim.optics.nodes import NodeStore, Scale
 from gpusim.plan.layout import planes_at_nodes, planes_at_points
 

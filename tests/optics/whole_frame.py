@@ -16,14 +16,11 @@ from optics.made import at_lines, bank
 
 from gpusim.gpu import Device, Recording
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import (
-    aperture_spectrum,
-    field_images,
-    field_kernels,
-    node_kernels,
-    sampled_kernels,
-)
+from gpusim.optics.images import field_images
+from gpusim.optics.kernel_spectra import aperture_spectrum
+from gpusim.optics.kernels import field_kernels
 from gpusim.optics.nodes import Scale
+from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.psf.bank import Bank
 
 F32 = np.float32

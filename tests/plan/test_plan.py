@@ -13,7 +13,8 @@ from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.optics import fold
 from gpusim.optics.grid import SimGrid
-from gpusim.optics.kernels import core_window, distances_um, field_images, field_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan, PlanStage, layout, plan_optics
 from gpusim.plan.candidates import Candidate

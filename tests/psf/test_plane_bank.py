@@ -15,7 +15,9 @@ from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils
 from gpusim.optics.chief_ray import black_share
-from gpusim.optics.kernels import field_images, field_kernels, sampled_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import field_kernels
+from gpusim.optics.sampling import sampled_kernels
 from gpusim.psf import chief_rays, compute_plane
 from gpusim.psf.compute_plane import compute_plane_bank
 from gpusim.psf.plane_bank import PlaneBank

@@ -7,7 +7,8 @@ import pytest
 from optics.made import FLAT, StubCamera, bank, sensor
 
 from gpusim.optics.fold import camera_basis
-from gpusim.optics.kernels import field_images, field_kernels
+from gpusim.optics.images import field_images
+from gpusim.optics.kernels import field_kernels
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene.raster import Raster
