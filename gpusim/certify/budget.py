@@ -22,8 +22,8 @@ from gpusim.plan import Accuracy
 from gpusim.sensor.sensor import Sensor
 
 WORST_TO_RMS = 10.0  # what no probe may exceed, in tolerances
-# What a black patch sends of the light around it, at least: what plans are made for (CONTRAST of
-# `gpusim.plan.optics`). Pixels beyond the image circle count as such.
+# What a black patch sends of the light around it, at least: what plans are made for (CHARTS of
+# `gpusim.plan.contrast`). Pixels beyond the image circle count as such.
 BLACK = 0.05
 
 

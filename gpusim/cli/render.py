@@ -133,8 +133,8 @@ def run(
             seen.scene,
             accuracy,
             costs,
-            noise,
-            method,
+            noise=noise,
+            method=method,
             exposure_s=exposure_s,
             density=seen.density,
         )

@@ -16,9 +16,10 @@ from gpusim.optics.kernels import core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.deadline import predicted_parts
-from gpusim.plan.optics import CUTS_UM as PLANNED_CUTS_UM
-from gpusim.plan.optics import LARGEST_STRIDE, alias_of, held_um
+from gpusim.plan.optics import alias_of
 from gpusim.plan.predict import GUARD, cut_error
+from gpusim.plan.problem import CUTS_UM as PLANNED_CUTS_UM
+from gpusim.plan.ways import LARGEST_STRIDE, held_um
 from gpusim.psf.places import Places
 from gpusim.render import Renderer
 

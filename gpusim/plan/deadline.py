@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from gpusim.errors import UserError
 from gpusim.plan.accuracy import BEST_EFFORT, LARGEST, SMALLEST, Accuracy, rounded_up
-from gpusim.plan.optics import WORST_TO_RMS
+from gpusim.plan.shares import WORST_TO_RMS
 from gpusim.plan.stages import Plan
 
 # Walked from the loosest on: plans for tight tolerances take long to make.

@@ -20,7 +20,7 @@ from gpusim.lens.system import build
 from gpusim.library.expose import lit
 from gpusim.library.light import Light
 from gpusim.plan import Accuracy
-from gpusim.plan.optics import WHOLE
+from gpusim.plan.ways import WHOLE
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import bank_of
 from gpusim.psf.field_bank import FieldBank

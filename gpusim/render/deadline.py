@@ -55,8 +55,10 @@ def resolved(
         return look(camera, scene, asked, exposure_s, progress), asked
 
     def planned(seen: Look, asked: Accuracy, density: Density | None) -> Plan:
-        given = seen.bank, camera.sensor, seen.scene, asked, costs, noise, method, force
-        return plan_optics(*given, exposure_s, density=density)
+        given = {"noise": noise, "method": method, "force": force, "exposure_s": exposure_s}
+        return plan_optics(
+            seen.bank, camera.sensor, seen.scene, asked, costs, density=density, **given
+        )
 
     def plan_for(tolerance: float) -> Plan:
         seen, asked = seen_for(tolerance)

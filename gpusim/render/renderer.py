@@ -225,10 +225,18 @@ class Renderer:
     ) -> list[Plan]:
         """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
         sensor = self.camera.sensor
-        planned = self.accuracy.planned
-        given = self.bank, sensor, self.scene, planned, self._costs, self._noise
         found = plans_optics(
-            *given, method, force, self.longest_s, count=count, density=self.density
+            self.bank,
+            sensor,
+            self.scene,
+            self.accuracy.planned,
+            self._costs,
+            count=count,
+            noise=self._noise,
+            method=method,
+            force=force,
+            exposure_s=self.longest_s,
+            density=self.density,
         )
         return [with_band(plan, self.band) for plan in found]
 

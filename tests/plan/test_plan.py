@@ -20,9 +20,10 @@ from gpusim.plan import Accuracy, Plan, PlanStage, layout, plan_optics
 from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.layout import BLOCK_BYTES, Memory, cheapest_grid, planes_at_nodes
-from gpusim.plan.optics import CUTS_UM, OVERSAMPLINGS
 from gpusim.plan.predict import Edge, cells_within, cut_error, edge_integral, even_error, node_error
+from gpusim.plan.problem import CUTS_UM
 from gpusim.plan.stages import sensor_runs
+from gpusim.plan.ways import OVERSAMPLINGS
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.sensor.cfa import ColourFilterArray

@@ -25,7 +25,7 @@ from gpusim.optics import paint
 from gpusim.optics.fold import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
-from gpusim.plan.optics import WHOLE
+from gpusim.plan.ways import WHOLE
 from gpusim.render import Capture, Renderer, capture
 from gpusim.scene.chart import Disc, Rect
 from gpusim.scene.raster import Raster
@@ -844,7 +844,7 @@ def test_a_renderer_goes_with_its_last_name(monkeypatch):
 
     The direct sum is refused: the error once held the plan's frames, and these the renderer.
     """
-    monkeypatch.setattr("gpusim.plan.optics.DIRECT_REACH", 0)
+    monkeypatch.setattr("gpusim.plan.parts.DIRECT_REACH", 0)
     gc.collect()
     gc.disable()
     try:
