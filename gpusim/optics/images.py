@@ -32,6 +32,7 @@ def field_images(
     bank: FieldBank,
     rates: np.ndarray,
     reach_um: float,
+    *,
     force: bool = False,
     elsewhere: PlaceWeights | None = None,
     wavelengths_nm: np.ndarray = WAVELENGTHS_NM,

@@ -136,21 +136,7 @@ def plans_optics(
 
     floor = None if lens is None else lens.excess
     found, shortfall = within_reach(attempt, accuracy, accuracy.share(*signal), floor)
-    problem, rest = found.problem, [one for one in found.candidates if one is not found.chosen]
-    others = [one for one in rest if one.parts and one.excess <= 1]
-    taken = [found.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
-    runners_up = choose(found.candidates)[1]
-    return [
-        _plan(
-            problem,
-            one,
-            lens,
-            runners_up=runners_up if one is found.chosen else (),
-            noise=noise,
-            shortfall=shortfall,
-        )
-        for one in taken
-    ]
+    return found.plans(count, noise, shortfall)
 
 
 def alias_of(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Alias:
@@ -221,6 +207,24 @@ class _Attempt:
     chosen: Candidate
     lens: LensShare | None
     tolerance: float
+
+    def plans(self, count: int, noise: bool, shortfall: str) -> list[Plan]:
+        """Return the chosen candidate as a plan, and then the next cheapest; `count` at most."""
+        rest = [one for one in self.candidates if one is not self.chosen]
+        others = [one for one in rest if one.parts and one.excess <= 1]
+        taken = [self.chosen, *sorted(others, key=lambda one: one.cost_s)][:count]
+        runners_up = choose(self.candidates)[1]
+        return [
+            _plan(
+                self.problem,
+                one,
+                self.lens,
+                runners_up=runners_up if one is self.chosen else (),
+                noise=noise,
+                shortfall=shortfall,
+            )
+            for one in taken
+        ]
 
     @property
     def excess(self) -> float:

@@ -230,8 +230,8 @@ class Problem:
         # Sources around the sensor count too, and so do the nodes beyond them.
         farthest_um = float(np.hypot(*self.half_um) + np.sqrt(2) * self.reach_um)
         basis, lateral = self.basis, LATERAL in self.force
-        given = lateral, basis.elsewhere, basis.wavelengths_nm
-        return field_images(self.bank, basis.rates, farthest_um, *given)
+        given = {"elsewhere": basis.elsewhere, "wavelengths_nm": basis.wavelengths_nm}
+        return field_images(self.bank, basis.rates, farthest_um, force=lateral, **given)
 
     @property
     def images(self) -> np.ndarray:
