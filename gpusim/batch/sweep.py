@@ -28,7 +28,7 @@ from gpusim.library.light import OPTICAL
 from gpusim.library.session import LENS_SETTINGS
 from gpusim.metrics.summary import MEASURES
 from gpusim.plan import Accuracy
-from gpusim.render.renderer import rectangle
+from gpusim.render.checks import rectangle
 from gpusim.scene.charts import CHARTS
 from gpusim.sensor.frame import areas_of
 from gpusim.sensor.sensor import Sensor

@@ -22,8 +22,9 @@ from gpusim.lens.prescription import Prescription
 from gpusim.library.expose import lit
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import costs_of
+from gpusim.render.checks import rectangle
 from gpusim.render.recipe import exact, given
-from gpusim.render.renderer import Renderer, rectangle
+from gpusim.render.renderer import Renderer
 from gpusim.scene.make import made_again
 from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor

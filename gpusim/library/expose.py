@@ -15,8 +15,9 @@ from gpusim.plan import Accuracy
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import Rect, aligned
 from gpusim.render.anew import planned_anew
+from gpusim.render.checks import rectangle
 from gpusim.render.reading import lit_for, taken_for
-from gpusim.render.renderer import Renderer, rectangle
+from gpusim.render.renderer import Renderer
 from gpusim.sensor.readout import Shot
 
 if TYPE_CHECKING:

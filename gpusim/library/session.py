@@ -19,7 +19,8 @@ from gpusim.library.expose import lit
 from gpusim.library.light import OPTICAL, Light
 from gpusim.plan import Accuracy
 from gpusim.render.anew import planned_anew
-from gpusim.render.renderer import Renderer, rectangle
+from gpusim.render.checks import rectangle
+from gpusim.render.renderer import Renderer
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Frame

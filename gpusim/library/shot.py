@@ -7,7 +7,7 @@ from numbers import Integral, Real
 from typing import TYPE_CHECKING
 
 from gpusim.errors import UserError
-from gpusim.render.renderer import check_shot
+from gpusim.render.checks import check_shot
 from gpusim.sensor.readout import Shot, noise_seed
 
 if TYPE_CHECKING:

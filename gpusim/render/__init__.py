@@ -2,6 +2,7 @@
 
 from gpusim.render.capture import Capture
 from gpusim.render.look import Look, look
-from gpusim.render.renderer import Renderer, capture
+from gpusim.render.renderer import Renderer
+from gpusim.render.take import capture
 
 __all__ = ["Capture", "Look", "Renderer", "capture", "look"]

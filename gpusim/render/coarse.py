@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from gpusim.optics.halo import Halo, coarse_grid
+from gpusim.optics.halo import needed as coarse_rects
+from gpusim.plan import Accuracy
+from gpusim.plan.tiles import Rect
 from gpusim.psf.field_bank import FieldBank
+from gpusim.render.on_device import Progress
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
+
+if TYPE_CHECKING:
+    from gpusim.render.renderer import Renderer
 
 
 @dataclass(frozen=True)
@@ -37,3 +48,38 @@ def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor, level_um: float) -> Sc
     covered = half if source.half_um is None else source.half_um
     whole = source.whole or 2 * source.pitch_um(*half) <= level_um
     return replace(scene, source=replace(source, half_um=covered, whole=whole))
+
+
+def coarse_halo(
+    renderer: Renderer,
+    rect: Rect,
+    lit: Callable[[CoarseCamera, Scene, Accuracy, Rect], np.ndarray],
+    report: Progress,
+) -> Halo:
+    """Return the halo of a rectangle of lit pixels, each of its levels from a coarse grid.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    rect : (row, col, rows, cols)
+    lit : callable
+        Returns the light (S, rows, cols) of a level before a coarse sensor, on a rectangle of it.
+    report : callable
+        Called with (what, done, total).
+    """
+    sensor = renderer.camera.sensor
+    banks = [renderer.bank.levels[level.number] for level in renderer.plan.halo]
+    edges = isinstance(renderer.scene.source, Chart)
+    grids = [
+        coarse_grid(bank, sensor, edges, first=level.number == 1)
+        for level, bank in zip(renderer.plan.halo, banks, strict=True)
+    ]
+    light = []
+    for done, (level, bank, grid, part) in enumerate(
+        zip(renderer.plan.halo, banks, grids, coarse_rects(grids, rect), strict=True)
+    ):
+        report("halo", done, len(banks))
+        seen = seen_by(renderer.scene, sensor, grid.sensor, bank.pitch_um)
+        light.append(lit(CoarseCamera(bank, grid.sensor), seen, level.accuracy, part))
+    report("halo", len(banks), len(banks))
+    return Halo(renderer.device, sensor, grids, light, rect)

@@ -36,7 +36,8 @@ class Lighting:
         seen: Callable[[Rect], Rect] | None = None,
     ) -> None:
         self.renderer, self.rect = renderer, rect
-        self.seen = seen or renderer.lit
+        self.on_device = renderer.on_device
+        self.seen = seen or self.on_device.lit
         self.times_s: dict[str, float] = defaultdict(float)
         self.work = {"tiles": 0, "blocks": 0}
         self.notes: list[str] = []
@@ -80,8 +81,8 @@ class Lighting:
                 parts = halves(tile, period)
                 if not parts:
                     raise self._too_little(error.value) from error
-                renderer.drop()
-                renderer.tight = True
+                self.on_device.drop()
+                self.on_device.tight = True
                 tiles.extendleft(reversed(parts))
                 left = sum(map(self._steps, tiles))
                 # The last such note stands for those of the halves before it.
@@ -92,24 +93,24 @@ class Lighting:
     def _steps(self, tile: Rect) -> int:
         renderer = self.renderer
         whole = aligned(self.seen(tile), renderer.period)
-        return 1 + (0 if whole in renderer.kept else sum(1 for _ in renderer.lines(whole)))
+        return 1 + (0 if whole in renderer.kept else sum(1 for _ in self.on_device.lines(whole)))
 
     def _check_memory(self) -> None:
         pool = self.renderer.device.pool
-        held = sum(convolve.held_bytes for convolve in self.renderer.convolutions)
-        if self.renderer.least_bytes() > pool.budget - pool.in_use + held:
+        held = self.on_device.held_bytes
+        if self.on_device.least_bytes() > pool.budget - pool.in_use + held:
             others = pool.in_use - held
             raise self._too_little(f"{mebibytes(pool.budget)}, {mebibytes(others)} of it in use")
 
     def _too_little(self, found: object) -> UserError:
-        self.renderer.drop()
+        self.on_device.drop()
         others = self.renderer.device.pool.in_use
         return UserError(
             "The GPU memory does not hold the smallest tile: the kernels around one block, the "
             "block, and the scene that it sees.",
             field="memory",
             value=found,
-            allowed=f"at least {mebibytes(self.renderer.least_bytes() + others)}: a larger "
+            allowed=f"at least {mebibytes(self.on_device.least_bytes() + others)}: a larger "
             "--memory, another adapter, or a looser tolerance",
         )
 
@@ -144,12 +145,12 @@ class Lighting:
         """Bring the light to the planes of the sites of a rectangle: blocks, highlights, halo."""
         renderer = self.renderer
         rec = Recording(renderer.device)
-        if renderer.splatted is None:
+        if self.on_device.splatted is None:
             rec.clear(rates)
         else:
-            rec.upload(rates, renderer.splatted.on(whole))
+            rec.upload(rates, self.on_device.splatted.on(whole))
         rec.run()
-        for number, line in renderer.lines(whole):
+        for number, line in self.on_device.lines(whole):
             parts = deque(self._parts(number, line))
             while parts:
                 blocks = parts.popleft()
@@ -162,17 +163,17 @@ class Lighting:
                 else:
                     self._blocks(number, blocks, rates, whole)
             advance()
-        if renderer.halo is not None:
+        if self.on_device.halo is not None:
             rec = Recording(renderer.device)
-            renderer.halo.record(rec, rates, whole)
+            self.on_device.halo.record(rec, rates, whole)
             self.run(rec)
 
     def _parts(self, number: int, line: list[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
         """Cut a line of blocks into parts whose kernels fit the memory together."""
-        convolve, source = self.renderer.convolutions[number], self.renderer.sources[number]
+        convolve, source = self.on_device.convolutions[number], self.on_device.sources[number]
         while line:
-            count = 1 if self.renderer.tight else len(line)
-            while count > 1 and self.renderer.room() < (
+            count = 1 if self.on_device.tight else len(line)
+            while count > 1 and self.on_device.room() < (
                 source.load_bytes(line[:count]) + convolve.load_bytes(line[:count])
             ):
                 count = -(-count // 2)
@@ -181,11 +182,10 @@ class Lighting:
 
     def _load(self, number: int, blocks: list[tuple[int, int]]) -> None:
         """Bring scene and kernels of blocks onto the device."""
-        renderer = self.renderer
-        renderer.sources[number].load(blocks)
-        if renderer.convolutions[number].missing_bytes(blocks):
+        self.on_device.sources[number].load(blocks)
+        if self.on_device.convolutions[number].missing_bytes(blocks):
             started = time.perf_counter()
-            renderer.load(number, blocks)
+            self.on_device.load(number, blocks)
             self.times_s["kernels"] += time.perf_counter() - started
 
     def _blocks(
@@ -193,9 +193,9 @@ class Lighting:
     ) -> None:
         """Add blocks to the planes (S, rows, cols) of the sites of a rectangle."""
         renderer = self.renderer
-        source = renderer.sources[number]
+        source = self.on_device.sources[number]
         rec = Recording(renderer.device)
-        convolve = renderer.convolutions[number]
+        convolve = self.on_device.convolutions[number]
         scratch = convolve.scratch(rec, renderer.plan.basis.coefficients.shape[1])
         for block in blocks:
             source.record(rec, block, scratch.planes)

@@ -17,7 +17,7 @@ from gpusim.library.expose import expose, lit
 from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
-from gpusim.render.renderer import rectangle
+from gpusim.render.checks import rectangle
 from gpusim.scene.scene import Scene
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels

@@ -77,7 +77,9 @@ def whole(renderer: Renderer) -> Capture:
 def test_the_plan_of_these_tests_uses_all_parts(renderer: Renderer):
     plan = renderer.plan
     assert [scale.name for scale in plan.scales] == ["core", "tail"]
-    assert len({*renderer.sources[0].needed.values()}) > 1  # some blocks need fewer planes
+    assert (
+        len({*renderer.on_device.sources[0].needed.values()}) > 1
+    )  # some blocks need fewer planes
     assert np.prod(plan.scales[0].grid.blocks) > 4
 
 
@@ -227,13 +229,13 @@ def test_where_the_psf_is_alike_everywhere_one_mode_serves():
         with rendering(camera, scene(shapes()), tight, force=(), method=method) as one:
             found[method] = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
             if method == "modes":
-                assert {convolve.rank for convolve in one.convolutions} == {1}
+                assert {convolve.rank for convolve in one.on_device.convolutions} == {1}
     # Energies of turned kernels through their splines, 3e-5 (see the even field), of two kernels;
     # and the ends of both, which cut off the ringing of the band's end: 1e-4.
     assert_close(found["modes"], found["fft"], atol=2e-4 * found["fft"].max())
     # The control: where PSFs change over the field, one mode is not enough.
     with rendering(CAMERA, scene(shapes()), tight, force=(), method="modes") as one:
-        assert one.convolutions[0].rank > 1
+        assert one.on_device.convolutions[0].rank > 1
 
 
 def test_a_filter_pattern_of_four_by_four_meets_the_certificate():
@@ -455,7 +457,7 @@ def test_blocks_beyond_the_image_circle_are_left_out(monkeypatch):
     lens = bank(coma_um=0.6, falloff=0.1, circle_um=60.0, size=32)
     camera = StubCamera(lens, monochrome())
     with rendering(camera, EVEN, Accuracy(3e-3, 0), force=()) as one:
-        assert 0 in one.sources[0].needed.values()
+        assert 0 in one.on_device.sources[0].needed.values()
         assert "beyond the image circle" in one.plan.text()
         plan = one.plan
         found = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
@@ -468,7 +470,7 @@ def test_blocks_beyond_the_image_circle_are_left_out(monkeypatch):
     monkeypatch.setattr(paint, "block_bounds_um", all_lit)
     # The same plan: with more blocks to work on, another layout may be the cheapest.
     with rendering(camera, EVEN, Accuracy(3e-3, 0), plan=plan) as one:
-        assert 0 not in one.sources[0].needed.values()
+        assert 0 not in one.on_device.sources[0].needed.values()
         forced = one.capture(EXPOSURE_S, keep=("rate",)).rate.astype(float)
     assert found[0, 0] == 0 and found.max() > 0
     assert_close(found, forced, atol=ROUNDING * forced.max())
@@ -478,7 +480,7 @@ def test_kernels_of_mirror_images_are_left_out(monkeypatch):
     """Made all the same, they change nothing beyond rounding; the plan says how many are made."""
     loose = Accuracy(1e-2, 0)
     with rendering(CAMERA, scene(shapes()), loose, force=(WHOLE,), method="fft") as one:
-        assert [convolve.folds for convolve in one.convolutions] == [(True, True)]
+        assert [convolve.folds for convolve in one.on_device.convolutions] == [(True, True)]
         plan = one.plan
         shot = one.capture(EXPOSURE_S, keep=("rate",))
     rows = next(stage for stage in plan.stages if stage.name == "rows")
@@ -633,7 +635,7 @@ def test_a_rectangle_is_certified_by_probes_inside_it(whole: Capture):
 def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
     with rendering(WIDE, subject, force=()) as one:
         full = one.capture(EXPOSURE_S, seed=3)
-        least = one.least_bytes()
+        least = one.on_device.least_bytes()
     assert "kernels" not in full.times_s  # all of them fit: they were made beforehand
     assert full.memory["budget_bytes"] == one.device.pool.budget
     # Glare, tables of the chart, and a few kernels more than a block has.
@@ -658,7 +660,7 @@ def test_a_small_budget_is_held_and_changes_not_one_bit(subject: Scene):
 
 def test_a_budget_below_the_smallest_tile_is_refused(device: Device):
     with rendering(CAMERA, scene(shapes()), force=()) as one:
-        least = one.least_bytes()
+        least = one.on_device.least_bytes()
     before = device.pool.in_use
     given = {"exposure_s": 0.1, "accuracy": COARSE, "method": "fft"}
     with pytest.raises(UserError, match="does not hold the smallest tile") as caught:
@@ -707,7 +709,7 @@ def test_an_adapter_with_less_than_the_budget_gives_the_same_bits(monkeypatch, d
     subject = wide_photograph()
     with rendering(WIDE, subject) as one:
         full = one.capture(EXPOSURE_S, seed=3)
-        least = one.least_bytes()
+        least = one.on_device.least_bytes()
     adapter = limited(monkeypatch, device, device.pool.in_use + least + (2 << 20))
     with rendering(WIDE, subject) as one:
         for _ in range(2):
@@ -736,7 +738,7 @@ def test_where_the_memory_ends_tiles_are_halved(monkeypatch, device: Device):
 def test_where_the_smallest_tile_does_not_fit_it_says_what_is_needed(monkeypatch, device: Device):
     subject = wide_photograph()
     with rendering(WIDE, subject) as one:
-        least = one.least_bytes()
+        least = one.on_device.least_bytes()
     before = device.pool.in_use
     with rendering(WIDE, subject) as one:
         limited(monkeypatch, device, device.pool.in_use + least // 2)  # in use: the scene's
