@@ -23,8 +23,8 @@
 override S: u32 = 4u;         // planes: CFA sites, PERIOD^2, or the channels of all pixels, where PERIOD is 1
 override PERIOD: u32 = 2u;
 override C: u32 = 3u;         // colour channels that the kernels are of; sites with numbers beyond take no light
-override NEAR: u32 = 64u;     // sides of a kernel's two parts, samples
-override FAR: u32 = 80u;
+override NEAR: u32;           // sides of a kernel's two parts, samples
+override FAR: u32;
 
 struct Params {
     first: vec2u,             // (x, y) of the dispatch's first square

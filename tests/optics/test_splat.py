@@ -665,8 +665,9 @@ def test_every_highlight_within_reach_is_listed():
 
 
 def test_the_dispatch_is_as_the_header_says():
-    assert Kernel("optics/splat").workgroup_size == (16, 16, 1)
-    assert Kernel("optics/splat").params.members.keys() >= {"reach2", "site_channels"}
+    kernel = Kernel("optics/splat", NEAR=64, FAR=80)
+    assert kernel.workgroup_size == (16, 16, 1)
+    assert kernel.params.members.keys() >= {"reach2", "near2", "step", "site_channels"}
 
 
 def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Device, monkeypatch):
