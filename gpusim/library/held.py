@@ -35,7 +35,7 @@ class Held:
         Parameters
         ----------
         rates : ndarray (S, rows / period, cols / period)
-            Of all pixels of the area.
+            All pixels of the area.
         area, whole : (row, col, rows, cols)
         period : int
         """

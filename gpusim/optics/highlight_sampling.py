@@ -21,7 +21,7 @@ from gpusim.psf.places import FieldPsfs
 STEPS = (2, 3, 4, 6, 8)  # of far samples, that are tried
 # Every so many samples of the bank are tried, both ways: prime to all steps, for all places between
 # far samples.
-TRIED = 5
+STRIDE = 5
 RING = 8  # samples across a ring in which it is found out what far samples err
 LEAST = 0.01  # of a PSF's light: what the window holds where its weight is near to 0
 ROUNDING = 1e-12  # of the brightest: what transforms leave where there is no light
@@ -98,7 +98,7 @@ def sampling(kernels: Tables, fields: Sequence[FieldPsfs], allowed: float) -> Sa
     tables = np.concatenate(
         [kernels.table(field, kernels.spectra(field), of_all, 0.0, square) for field in fields]
     ).reshape(-1, side, side)
-    at = np.arange(0, side, TRIED) - side // 2
+    at = np.arange(0, side, STRIDE) - side // 2
     radius = np.hypot(at, at[:, None])
     number = (radius / RING).astype(int).ravel()
 

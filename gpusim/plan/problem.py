@@ -302,7 +302,7 @@ class Sampled:
     Attributes
     ----------
     name : str
-        Of the scale: "whole", "core" or "tail".
+        The scale's: "whole", "core" or "tail".
     stride : int
         Sim samples from a photosite to the next of its site.
     pitch_um : float

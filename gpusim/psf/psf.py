@@ -97,7 +97,7 @@ def losses_of(
         What `gpusim.lens.wavefront.pupils` makes of them.
     wavelengths_nm : ndarray (L,)
     size, pitch_um : int, float
-        Of the window.
+        The window's.
     """
     folded = [
         folded_share(pupil, wavelength, size, pitch_um)

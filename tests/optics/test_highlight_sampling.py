@@ -59,6 +59,7 @@ def test_near_samples_are_the_tables_and_far_ones_go_through_its_values():
     near, far = np.split(one.of(table), [one.near**2])
     middle = len(table) // 2
     inner = slice(middle - 10, middle + 10)
+    # Near samples are copied: no arithmetic, no rounding.
     assert_close(near.reshape(20, 20), table[inner, inner].copy(), atol=0)
     knots = np.stack(np.meshgrid(*[np.arange(-8, 8)] * 2), axis=-1).reshape(-1, 2).astype(float)
     expected = values(table, 4 * knots)
@@ -81,7 +82,7 @@ def test_far_samples_err_by_what_is_allowed(allowed: float):
             places = distance[:, None] * np.stack([np.sin(turn), np.cos(turn)], axis=1)
             exact, found = lamp(table, places, 1), lamp(far, places, chosen.step)
             error = np.sqrt(np.mean(((found - exact) / exact) ** 2))
-            # Of rings of some 100 samples: their root mean square is known to 1 / sqrt(200).
+            # Rings have some 100 samples: their root mean square is known to 1 / sqrt(200).
             assert error < (1 + 3 / np.sqrt(200)) * allowed
 
 
@@ -92,6 +93,7 @@ def test_the_tighter_the_more_samples_up_to_all():
     whole = sampling(kernels, FIELDS, 1e-12)
     assert whole.near == kernels.side and not whole.far
     table = table_of(kernels, 2, 0.2)
+    # Copied: no rounding.
     assert_close(whole.of(table).reshape(table.shape), table, atol=0)
 
 
