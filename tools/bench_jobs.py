@@ -25,7 +25,7 @@ from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
-from gpusim.certify import choose_probes, compare, glare_at, true_rates
+from gpusim.certify import ExactModel, choose_probes, compare, glare_at
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Array, Device, Kernel, Recording
@@ -416,7 +416,8 @@ def tolerances_job(
                 rate = shots[0].rate
                 if pixels is None:
                     pixels = choose_probes(rate, sensor.period[0], probes)
-                    true = true_rates(renderer.bank, sensor, scene, renderer.placed, pixels)
+                    exact = ExactModel(renderer.bank, sensor, scene, renderer.placed)
+                    true = exact.rates(pixels)
                 whole = true + glare_at(sensor, renderer.glare, pixels)
                 at = rate[tuple(pixels.T)].astype(np.float64)
                 asked = Accuracy(tolerance, probes)

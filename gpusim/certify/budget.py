@@ -22,6 +22,8 @@ from gpusim.plan import Accuracy
 from gpusim.sensor.sensor import Sensor
 
 WORST_TO_RMS = 10.0  # what no probe may exceed, in tolerances
+SURE = 3.0  # standard errors of the mean square error, within which a verdict must not change
+CLEAR = 0.5  # of what no probe may exceed: further probes may well be worse than those before
 # What a black patch sends of the light around it, at least: what plans are made for (CHARTS of
 # `gpusim.plan.contrast`). Pixels beyond the image circle count as such.
 BLACK = 0.05
@@ -130,11 +132,42 @@ class Certificate:
 
 
 def errors(
-    sensor: Sensor, truth: np.ndarray, rate: np.ndarray, exposure_s: float, accuracy: Accuracy
+    sensor: Sensor,
+    truth: np.ndarray,
+    rate: np.ndarray,
+    exposure_s: float,
+    accuracy: Accuracy,
+    beyond: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return errors (P,) in the tolerance's unit, of electrons/s truth and rate (P,)."""
-    relative, sigma = _both(sensor, truth * exposure_s, rate * exposure_s)
+    """Return errors (P,) in the tolerance's unit, of electrons/s truth and rate (P,).
+
+    `beyond`: which pixels lie outside the image circle.
+    """
+    relative, sigma = _both(sensor, truth * exposure_s, rate * exposure_s, beyond)
     return relative if accuracy.unit == "relative" else sigma
+
+
+def settled(found: np.ndarray, bank: Judged, tolerance: float) -> bool:
+    """Return whether further probes would hardly change the verdict on a render.
+
+    Parameters
+    ----------
+    found : ndarray (P,)
+        Errors of the engine at the probes so far, in the tolerance's unit: drawn at random.
+    bank : Judged
+        What the bank and the window add to them.
+    tolerance : float
+    """
+    squares = found**2
+    unsure = SURE * squares.std(ddof=1) / math.sqrt(len(squares))
+    low, high = (
+        math.hypot(math.sqrt(max(squares.mean() + way * unsure, 0.0)), bank.share.rms) + bank.window
+        for way in (-1, 1)
+    )
+    worst = math.hypot(found.max(), bank.share.worst) + bank.window
+    if low > tolerance or worst > WORST_TO_RMS * tolerance:
+        return True
+    return high <= tolerance and worst <= CLEAR * WORST_TO_RMS * tolerance
 
 
 def _both(

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from itertools import chain
+from itertools import count
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from gpusim.certify.budget import BLACK, EXACT, Certificate, Judged, Share, compare
-from gpusim.certify.probes import beyond_circle, choose_probes
+from gpusim.certify.budget import (
+    BLACK,
+    EXACT,
+    SURE,
+    Certificate,
+    Judged,
+    Share,
+    compare,
+    errors,
+    settled,
+)
+from gpusim.certify.probes import FEWEST, MOST, beyond_circle, choose_probes, rounds
+from gpusim.parallel import each
 from gpusim.plan import Accuracy
 from gpusim.psf.field_bank import FieldBank
 from gpusim.reference.truth import Truth
@@ -24,15 +32,8 @@ from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 
-def true_rates(
-    bank: FieldBank,
-    sensor: Sensor,
-    scene: Scene,
-    placed: Chart | PlacedRaster,
-    pixels: np.ndarray,
-    progress: Callable[[int, int], None] | None = None,
-) -> np.ndarray:
-    """Return the electrons/s (P,) of pixels (P, 2) by the truth model, without veiling glare.
+class ExactModel:
+    """The exact model of a scene before a camera, without veiling glare.
 
     Parameters
     ----------
@@ -40,35 +41,51 @@ def true_rates(
         All levels of the bank.
     placed : Chart or PlacedRaster
         The scene's source on the sensor, um.
-    pixels : ndarray (P, 2) of int
-        Row and column.
-    progress : callable, optional
-        Called with (done, total) pixels.
     """
-    core, *halo = bank.levels
-    truth = Truth(core, sensor, scene.spectra, scene.wavelengths_nm)
-    evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
-    wide = [Wide(level, sensor, scene.spectra, scene.wavelengths_nm) for level in halo]
-    # Nearby pixels share kernels: in order of radius.
-    centre = np.array([sensor.rows, sensor.cols]) / 2
-    order = np.argsort(np.hypot(*(pixels - centre).T))
-    rates = np.empty(len(pixels))
 
-    def rate_at(number: int) -> float:
-        pixel = pixels[number : number + 1]
-        return evaluate(placed, pixel)[0] + sum(one.at(placed, pixel)[0] for one in wide)
+    def __init__(
+        self, bank: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
+    ) -> None:
+        self.placed = placed
+        self.centre = np.array([sensor.rows, sensor.cols]) / 2
+        core, *halo = bank.levels
+        given = sensor, scene.spectra, scene.wavelengths_nm
+        truth = Truth(core, *given)
+        self._core = truth.chart if isinstance(placed, Chart) else truth.raster
+        self._halo = [Wide(level, *given) for level in halo]
+        self._begun = False
 
-    # NumPy and SciPy let go of the interpreter in their loops; BLAS's own threads wait by spinning.
-    with threadpool_limits(1), ThreadPoolExecutor(os.cpu_count()) as pool:
-        # The first one alone: it makes what all share, highlights' squares and the first kernels,
-        # which every thread would else make for itself.
-        first = [rate_at(number) for number in order[:1]]
-        found = chain(first, pool.map(rate_at, order[1:]))
-        for done, (number, rate) in enumerate(zip(order, found, strict=True), start=1):
-            rates[number] = rate
+    def rates(
+        self, pixels: np.ndarray, progress: Callable[[int, int], None] | None = None
+    ) -> np.ndarray:
+        """Return the electrons/s (P,) of pixels (P, 2): row and column.
+
+        ``progress``: called with (done, total) pixels.
+        """
+        # Nearby pixels share kernels: in order of radius.
+        order = np.argsort(np.hypot(*(pixels - self.centre).T))
+        done = count(1)
+
+        def told(_done: int, _total: int) -> None:
             if progress is not None:
-                progress(done, len(pixels))
-    return rates
+                progress(next(done), len(pixels))
+
+        # The very first one alone: it makes what all share, highlights' squares and the first
+        # kernels, which every thread would else make for itself.
+        alone = order[: 0 if self._begun else 1]
+        self._begun = True
+        found = [
+            one
+            for part in (alone, order[len(alone) :])
+            for one in each(self._rate, pixels[part], told)
+        ]
+        rates = np.empty(len(pixels))
+        rates[order] = found
+        return rates
+
+    def _rate(self, pixel: np.ndarray) -> float:
+        at = self.placed, pixel[None]
+        return self._core(*at)[0] + sum(one.at(*at)[0] for one in self._halo)
 
 
 def certify(
@@ -99,7 +116,7 @@ def certify(
     exposure_s : float
     accuracy : Accuracy
     progress : callable, optional
-        Called with (done, total) probes.
+        Called with (done, total) probes of a round.
     origin : (int, int)
         Row and column of the rectangle's first pixel.
     readout : callable, optional
@@ -108,19 +125,32 @@ def certify(
         Returns the bank's part and the window's; without it there is none.
     """
     started = time.perf_counter()
-    there = choose_probes(rate, math.lcm(*sensor.period), accuracy.probes)
-    pixels = there + origin
-    truth = true_rates(bank, sensor, scene, placed, pixels, progress)
-    truth += glare_at(sensor, glare, pixels)
-    share, *notes = (EXACT,) if readout is None else readout(pixels)
     of_bank = Judged(EXACT, 0.0, ()) if judged is None else judged()
+    first, most = (FEWEST, MOST) if accuracy.probes is None else (accuracy.probes,) * 2
+    chosen = choose_probes(rate, math.lcm(*sensor.period), most)
+    exact = ExactModel(bank, sensor, scene, placed)
+    taken, truth = np.zeros(0, int), np.zeros(most)
+    for one in rounds(most, first):
+        truth[one] = exact.rates(chosen[one] + origin, progress)
+        taken = np.sort(np.append(taken, one))
+        pixels = chosen[taken] + origin
+        whole = truth[taken] + glare_at(sensor, glare, pixels)
+        found = rate[tuple(chosen[taken].T)].astype(np.float64)
+        beyond = beyond_circle(bank, sensor, pixels)
+        erring = errors(sensor, whole, found, exposure_s, accuracy, beyond)
+        if len(taken) < most and settled(erring, of_bank, accuracy.tolerance):
+            break
+    share, *notes = (EXACT,) if readout is None else readout(pixels)
     seconds = time.perf_counter() - started
-    found = rate[tuple(there.T)]
-    beyond = beyond_circle(bank, sensor, pixels)
+    if len(taken) < most:
+        notes.append(
+            f"engine: {len(taken)} probes of {most} settle the verdict, within {SURE:g} standard "
+            "errors of the mean square"
+        )
     if beyond.any():
         words = f"{beyond.sum()} probes lie beyond the image circle, where the signal counts as "
         notes.append(f"{words}{BLACK:.0%} of the mean of the others")
-    given = sensor, pixels, truth, found, exposure_s, accuracy, seconds
+    given = sensor, pixels, whole, found, exposure_s, accuracy, seconds
     return compare(
         *given,
         bank=of_bank.share,

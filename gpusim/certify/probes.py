@@ -9,6 +9,8 @@ from gpusim.sensor.sensor import Sensor
 
 SEED = 1288  # of the probes' positions: fixed, so that two renders are probed alike
 EDGE_SHARE = 0.5  # of the probes lie on the steepest edges
+# Where nobody says how many: so many are looked at first, and at most so many.
+FEWEST, MOST = 64, 256
 
 
 def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
@@ -48,6 +50,24 @@ def choose_probes(rate: np.ndarray, period: int, count: int) -> np.ndarray:
             else:
                 chosen.append((int(rng.integers(row0, row1)), int(rng.integers(col0, col1))))
     return np.array(chosen, int).reshape(-1, 2)
+
+
+def rounds(count: int, first: int) -> list[np.ndarray]:
+    """Cut the probes that `choose_probes` returns into rounds, by number.
+
+    The first is of `first` probes, each further one of as many as all before it. They are taken at
+    random, and as large a share of each lies on edges as of all.
+    """
+    rng = np.random.default_rng(SEED)
+    edges = int(count * EDGE_SHARE)
+    spread = count - edges
+    numbers = np.concatenate([rng.permutation(spread), spread + rng.permutation(edges)])
+    places = [np.arange(number) / max(number, 1) for number in (spread, edges)]
+    order = numbers[np.argsort(np.concatenate(places), kind="stable")]
+    ends = [first]
+    while ends[-1] < count:
+        ends.append(2 * ends[-1])
+    return np.split(order, ends[:-1])
 
 
 def beyond_circle(bank: FieldBank, sensor: Sensor, pixels: np.ndarray) -> np.ndarray:

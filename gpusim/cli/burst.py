@@ -49,7 +49,7 @@ def run(
     luminance_cd_m2: float | None,
     illuminant: str | None,
     tolerance: str,
-    probes: int,
+    probes: int | None,
     tile: str | None,
     best_effort: bool,
     show: str,

@@ -61,7 +61,7 @@ def run(
     chart_height: str | None,
     projection: str,
     tolerance: str,
-    probes: int,
+    probes: int | None,
     gain: float | None,
     iso: int | None,
     ev: float,

@@ -27,7 +27,7 @@ def run(
     *,
     tile: str | None,
     tolerance: str,
-    probes: int,
+    probes: int | None,
     seed: int,
     show: bool,
 ) -> None:

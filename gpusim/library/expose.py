@@ -30,7 +30,7 @@ def expose(
     scene: Scene,
     tolerance: float | str = 1e-3,
     *,
-    probes: int = 64,
+    probes: int | None = None,
     tile: tuple[int, int, int, int] | None = None,
     exposure_s: float | None = None,
     best_effort: bool = False,
@@ -49,8 +49,9 @@ def expose(
         Root mean square error of the mean signal, relative to it; ``"0.1sigma"``: of its noise;
         ``"as good as 0.4 s allows"``: the least whose kernels, light and read-out are predicted to
         take no longer on this adapter, for a whole frame. The light's notes say what that is.
-    probes : int
-        Pixels at which the result is held against the exact model; 0: no certificate.
+    probes : int, optional
+        Pixels at which the result is held against the exact model; 0: no certificate. By default as
+        many as settle whether the tolerance is met, from 64 to 256.
     tile : (x, y, width, height), optional
         The rectangle of lit pixels to make; by default all that is read out.
     exposure_s : float, optional
@@ -119,7 +120,7 @@ def _check_given(
             value=scene,
             allowed="gs.Scene.from_rgb, gs.Scene.from_spectra, or gs.Scene.load of a name or file",
         )
-    if not isinstance(probes, Integral):
+    if probes is not None and not isinstance(probes, Integral):
         raise UserError(
             "not a number of probes", field="probes", value=probes, allowed="whole, 0 or more"
         )
@@ -156,7 +157,7 @@ def lit(
         recipe=renderer.recipe,
         notes=renderer.notes,
     )
-    if not renderer.accuracy.probes:
+    if not renderer.accuracy.certified:
         return light
     exposure_s = min(light.white_exposure_s, renderer.longest_s)
     planes = {"dn": np.uint16, "rate": np.float32, "mean": np.float32}

@@ -164,25 +164,38 @@ def boxes(
     fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
     # Columns are the PSFs' x and y axis.
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    result = np.zeros((len(shifts), side, len(fx)), np.complex128)
+    parallelograms = [turn @ square.T / pitch_um]
+    aperture = None
+    if isinstance(aperture_um, Response):
+        aperture = aperture_um / pitch_um
+    else:
+        parallelograms.append(aperture_um / pitch_um * turn)
+    folded, aliases = [], []
     for down, across in itertools.product(ALIASES, ALIASES):
         y, x = fy + down, fx + across
         of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
-        if of_y.max() * of_x.max() < SLIGHT:
+        nearest = float(np.hypot(np.abs(y).min(), np.abs(x).min()))
+        most = of_y.max() * of_x.max()
+        if most * math.prod(_most(sides, nearest) for sides in parallelograms) < SLIGHT:
             continue
-        one = _turned_box(turn @ square.T / pitch_um, x, y)
-        if isinstance(aperture_um, Response):
-            aperture = aperture_um / pitch_um
+        one = _turned_boxes(np.concatenate(parallelograms), x, y)
+        if aperture is not None:
             one = one * aperture.spectrum(
                 turn[0, 0] * x + turn[0, 1] * y[:, None],
                 turn[1, 0] * x + turn[1, 1] * y[:, None],
             )
-        else:
-            one *= _turned_box(aperture_um / pitch_um * turn, x, y)
         one *= of_x
         one *= of_y[:, None]
-        for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
-            found += np.exp(-2j * np.pi * (across * moved_x + down * moved_y)) * one
+        folded.append((across, down))
+        aliases.append(one)
+    phases = np.exp(-2j * np.pi * shifts @ np.array(folded, float).T)
+    planes = np.reshape(aliases, (len(aliases), -1))
+    result = np.empty((len(shifts), side, len(fx)), np.complex128)
+    if np.iscomplexobj(planes):
+        result[...] = (phases @ planes).reshape(result.shape)
+    else:
+        result.real = (phases.real @ planes).reshape(result.shape)
+        result.imag = (phases.imag @ planes).reshape(result.shape)
     for found, (moved_x, moved_y) in zip(result, shifts, strict=True):
         found *= np.exp(-2j * np.pi * moved_x * fx)
         if moved_y:
@@ -190,24 +203,31 @@ def boxes(
     return result
 
 
-def _turned_box(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the spectrum (Y, X) of an even parallelogram at frequencies x (X,) and y (Y,).
+def _most(sides: np.ndarray, frequency: float) -> float:
+    """Return a bound on the spectrum of a parallelogram at a distance from the frequency 0.
 
-    `sides` (2, 2): its sides as rows; sinc of each one's product with the frequency.
+    A sinc is below 1 over pi times its argument, and the larger of the two arguments is at least
+    the parallelogram's least stretch times the frequency over the root of two.
     """
-    found = 1.0
+    least = np.linalg.svd(sides, compute_uv=False)[-1] * frequency / np.sqrt(2)
+    return 1.0 if np.pi * least <= 1 else float(1 / (np.pi * least))
+
+
+def _turned_boxes(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the spectrum (Y, X) of even parallelograms at frequencies x (X,) and y (Y,).
+
+    `sides` (N, 2): their sides as rows; sinc of each one's product with the frequency.
+    """
+    sines, products = 1.0, 1.0
     for of_x, of_y in np.pi * sides:
-        a, b = of_x * x, (of_y * y)[:, None]
-        # sin(a + b) from those of its parts: two lines instead of a plane of them.
-        sine = np.sin(a) * np.cos(b)
-        sine += np.cos(a) * np.sin(b)
-        total = a + b
+        a, b = of_x * x, of_y * y
+        total = a + b[:, None]
+        # sin(a + b) from those of its parts: lines instead of a plane of them.
+        sine = np.stack([np.cos(b), np.sin(b)], axis=1) @ np.stack([np.sin(a), np.cos(a)])
         small = np.abs(total) < SMALL
-        total[small] = 1.0
-        sine /= total
-        sine[small] = 1.0
-        found = found * sine
-    return found
+        total[small] = sine[small] = 1.0
+        sines, products = sines * sine, products * total
+    return sines / products
 
 
 def mixing_error(kernels: Tables, fields: Sequence[FieldPsfs]) -> float:

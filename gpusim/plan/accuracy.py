@@ -29,8 +29,9 @@ class Accuracy:
         Root mean square error of the mean signal over probe pixels, half of them on the steepest
         edges; no probe may err by more than ten times it. The engine's approximations (planes, PSF
         nodes, oversampling, cut of the PSFs) are planned from it.
-    probes : int
-        Pixels of the certificate; 0 leaves it out.
+    probes : int, optional
+        Pixels of the certificate; 0 leaves it out. None: as many as its verdict needs, see
+        `gpusim.certify.probes`.
     unit : str
         Unit of the tolerance. "relative" is relative to the local signal; "sigma" is the pixel's
         temporal noise at the exposure. An error below a tenth of a sigma is invisible in the raw.
@@ -45,7 +46,7 @@ class Accuracy:
     """
 
     tolerance: float = 1e-3
-    probes: int = 256
+    probes: int | None = None
     unit: str = "relative"
     best_effort: bool = False
     within_s: float | None = None
@@ -75,13 +76,13 @@ class Accuracy:
                 value=self.text,
                 allowed="seconds above 0",
             )
-        if self.probes < 0:
+        if self.probes is not None and self.probes < 0:
             raise UserError(
                 "Too few probes.", field="certify", value=self.probes, allowed="0 or more"
             )
 
     @classmethod
-    def parse(cls, text: str, probes: int = 256, *, best_effort: bool = False) -> Accuracy:
+    def parse(cls, text: str, probes: int | None = None, *, best_effort: bool = False) -> Accuracy:
         """Return what a tolerance in words asks for.
 
         ``1e-3``; ``0.1sigma``; or ``as good as 0.4 s allows``.
@@ -104,6 +105,11 @@ class Accuracy:
                 "The tolerance is no number.", field="tolerance", value=text, allowed=ALLOWED
             ) from None
         return cls(tolerance, probes, unit, best_effort)
+
+    @property
+    def certified(self) -> bool:
+        """Whether a certificate is asked for."""
+        return self.probes != 0
 
     @property
     def planned(self) -> Accuracy:

@@ -263,7 +263,7 @@ class Renderer:
         self._check_planned(exposure_s, tile_px)
         rect = rectangle(tile, sensor)
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
-        if self.accuracy.probes:
+        if self.accuracy.certified:
             names |= dict.fromkeys(("rate", "mean"), np.float32)
         if temperature_c is None:
             temperature_c = sensor.reference_temperature_c
@@ -278,7 +278,7 @@ class Renderer:
         made = self.on_device.made
         wall_s = self._read(lighting, shot, tile_px, report)
         certificate = None
-        if self.accuracy.probes:
+        if self.accuracy.certified:
             certificate = self.certificate(shot, rect, exposure_s, temperature_c, report)
         return Capture(
             costs=self._costs,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,10 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, StubCamera, bank, monochrome, scene, sensor
 
-from gpusim.certify import certify, choose_probes
+from gpusim.certify import Share, certify, choose_probes
 from gpusim.certify import engine as certify_module
+from gpusim.certify.budget import EXACT, Judged, settled
+from gpusim.certify.probes import FEWEST, MOST, rounds
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.optics import convolve
 from gpusim.plan import Accuracy
@@ -75,6 +79,18 @@ def test_the_filter_pattern_is_no_edge():
 def test_two_renders_are_probed_alike():
     rate = np.random.default_rng(3).uniform(1, 2, (50, 60))
     assert_close(choose_probes(rate.copy(), 2, 20), choose_probes(rate, 2, 20), atol=0)
+
+
+@pytest.mark.parametrize(("count", "first"), [(256, 64), (100, 30), (5, 5), (1, 1), (64, 64)])
+def test_rounds_hold_every_probe_once_and_edges_in_proportion(count: int, first: int):
+    found = rounds(count, first)
+    assert [len(one) for one in found][:1] == [first]
+    assert sorted(np.concatenate(found)) == list(range(count))
+    for before, one in pairwise(itertools.accumulate(map(len, found))):
+        assert one in (2 * before, count)
+    for one in found:
+        edges = np.count_nonzero(one >= count - count // 2)
+        assert abs(edges - len(one) / 2) <= 1
 
 
 # How it counts
@@ -206,6 +222,41 @@ def test_it_says_what_the_number_of_probes_supports(monkeypatch):
     assert "15.0%" in certificate(monkeypatch, sound()).confidence
     assert "3.0%" in certificate(monkeypatch, sound(), count=100).confidence
     assert "100.0%" in certificate(monkeypatch, sound(), count=2).confidence
+
+
+def test_as_many_probes_are_taken_as_settle_the_verdict(monkeypatch):
+    """Even errors settle it at once, on either side; of two kinds, close to the tolerance, never."""
+    rate = sound(90, 120)
+    for factor, met in ((1.005, True), (1.02, False)):
+        found = certificate(monkeypatch, factor * rate, count=None)
+        assert (found.probes, found.met) == (FEWEST, met)
+        assert f"{FEWEST} probes of {MOST} settle the verdict" in found.notes[-1]
+    halves = np.where(np.arange(rate.shape[1]) // 10 % 2, 1.0135, 1.002)  # 0.97 tolerances RMS
+    found = certificate(monkeypatch, halves * rate, count=None)
+    assert found.probes == MOST and not any("settle" in note for note in found.notes)
+    assert certificate(monkeypatch, 1.005 * rate, count=20).probes == 20
+
+
+@pytest.mark.parametrize(
+    ("mean", "rare", "bank", "expected"),
+    [
+        (0.5, 0.0, Judged(EXACT, 0.0, ()), True),
+        (2.0, 0.0, Judged(EXACT, 0.0, ()), True),  # not met, for certain
+        (0.5, 0.0, Judged(EXACT, 0.4, ()), True),
+        (0.8, 3.0, Judged(EXACT, 0.0, ()), False),
+        (0.7, 6.0, Judged(EXACT, 0.0, ()), False),
+        (0.1, 11.0, Judged(EXACT, 0.0, ()), True),  # one probe is beyond what any may be
+        (0.1, 0.5, Judged(Share(0.98, 1.0, 8), 0.0, ()), True),
+        (0.1, 2.0, Judged(Share(0.98, 1.0, 8), 0.0, ()), False),
+    ],
+)
+def test_a_verdict_is_settled_three_standard_errors_from_the_tolerance(
+    mean: float, rare: float, bank: Judged, *, expected: bool
+):
+    """64 errors, in tolerances: two of them are rare ones."""
+    found = np.full(64, mean)
+    found[:2] = rare or mean
+    assert settled(found, bank, 1.0) is expected
 
 
 def test_progress_is_told(monkeypatch):

@@ -121,11 +121,15 @@ def no_optics(monkeypatch):
     What is left is the sensor's part; and the truth model is slow.
     """
 
-    def truth(lens, one, scene, placed, pixels, progress=None) -> np.ndarray:
-        return light(" ".join(map("".join, one.cfa.pattern)))[tuple(pixels.T)]
+    class Rendered:
+        def __init__(self, lens, one, scene, placed) -> None:
+            self.light = light(" ".join(map("".join, one.cfa.pattern)))
+
+        def rates(self, pixels, progress=None) -> np.ndarray:
+            return self.light[tuple(pixels.T)]
 
     light("BG GR")  # by shaders without planted defects
-    monkeypatch.setattr(engine, "true_rates", truth)
+    monkeypatch.setattr(engine, "ExactModel", Rendered)
 
 
 def made(**fields) -> Sensor:

@@ -120,8 +120,14 @@ def burst(
         str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
     ] = "1e-3",
     certify: Annotated[
-        int, typer.Option(metavar="N", help="Probe pixels of the certificate; 0: none.")
-    ] = 64,
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Probe pixels of the certificate, 0: none; by default as many as settle it, 64 to "
+            "256.",
+        ),
+    ] = None,
     tile: Annotated[
         str | None, typer.Option(metavar="X,Y,W,H", help="Only this rectangle of lit pixels.")
     ] = None,
@@ -174,8 +180,14 @@ def export_web(
         str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
     ] = "1e-3",
     certify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Probe pixels of the certificate; 0: none.")
-    ] = 64,
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Probe pixels of the certificate, 0: none; by default as many as settle it, 64 to "
+            "256.",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the noise.")] = 0,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")

@@ -113,8 +113,14 @@ def render(
         ),
     ] = "1e-3",
     certify: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Probes of the certificate; 0 for none.")
-    ] = 256,
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=0,
+            help="Probes of the certificate, 0 for none; by default as many as settle it, 64 to "
+            "256.",
+        ),
+    ] = None,
     gain: Annotated[
         float | None,
         typer.Option(metavar="G", help="Analogue gain: a step that the sensor file lists."),
