@@ -225,7 +225,7 @@ def test_it_says_what_the_number_of_probes_supports(monkeypatch):
 
 
 def test_as_many_probes_are_taken_as_settle_the_verdict(monkeypatch):
-    """Even errors settle it at once, on either side; of two kinds, close to the tolerance, never."""
+    """Even errors settle it at once, on either side; two kinds, close to the tolerance, never."""
     rate = sound(90, 120)
     for factor, met in ((1.005, True), (1.02, False)):
         found = certificate(monkeypatch, factor * rate, count=None)
