@@ -122,7 +122,13 @@ class Stretch:
         return float(abs(one[0] * two[1] - one[1] * two[0])) * self.scene
 
 
-def stretch(system: System, reference_nm: float, theta: float, azimuth: float = 0.0) -> Stretch:
+def stretch(
+    system: System,
+    reference_nm: float,
+    theta: float,
+    azimuth: float = 0.0,
+    start: Launch | None = None,
+) -> Stretch:
     """Return how the image is stretched about a field, by chief rays.
 
     Parameters
@@ -134,10 +140,12 @@ def stretch(system: System, reference_nm: float, theta: float, azimuth: float = 
         area too.
     theta, azimuth : float
         Field, rad.
+    start : Launch, optional
+        Launch plane of that field on the chief ray; by default it is sought.
     """
     index = system.index(np.array([reference_nm]))
     # Inwards along the meridian, where chief rays surely pass.
-    start = _chief(system, index, theta, azimuth)
+    start = start or _chief(system, index, theta, azimuth)
     nearer = [_chief(system, index, theta - n * STEP_RAD, azimuth, start) for n in (1, 2)]
     image = [_landed(system, index, launch) for launch in (start, *nearer)]
     along = (1.5 * image[0] - 2 * image[1] + 0.5 * image[2]) / STEP_RAD

@@ -134,13 +134,21 @@ def sample_rays(
     return _sample(system, index, launch, stop_x, stop_y, whole=whole)
 
 
-def field_launch(system: System, index: np.ndarray, theta: float, azimuth: float = 0.0) -> Launch:
+def field_launch(
+    system: System,
+    index: np.ndarray,
+    theta: float,
+    azimuth: float = 0.0,
+    start: Launch | None = None,
+) -> Launch:
     """Return the launch plane of a field, on its chief rays.
 
     Parameters
     ----------
     system, index, theta, azimuth
         As for ``sample_rays``.
+    start : Launch, optional
+        That of a field nearby, from which chief rays are sought; by default from the axis.
 
     Raises
     ------
@@ -150,7 +158,7 @@ def field_launch(system: System, index: np.ndarray, theta: float, azimuth: float
     if np.isfinite(system.geometry.object_z) and abs(theta) >= np.pi / 2:
         raise no_chief_ray(system, theta)
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
-    launch, found = launch_field(system.geometry, index, theta, tolerance, azimuth)
+    launch, found = launch_field(system.geometry, index, theta, tolerance, azimuth, start=start)
     if not found.all():
         raise no_chief_ray(system, theta)
     return launch

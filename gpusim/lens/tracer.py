@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.gpu import Array, Device, Kernel, Recording, need_double_float
+from gpusim.lens.launch import Launch
 from gpusim.lens.samples import field_launch, no_chief_ray
 from gpusim.lens.system import System
 from gpusim.lens.trace import trace
@@ -88,6 +89,8 @@ class Beams:
     ----------
     chief_y_mm, chief_beta : ndarray, shape (F, L)
         Where the chief rays land, and their direction cosine there.
+    launches : list of Launch
+        Launch planes of the fields, on their chief rays.
 
     Raises
     ------
@@ -126,8 +129,12 @@ class Beams:
         # Sine and cosine of the chief rays at their launch, and 1 / distance from the object.
         self._launch = np.zeros((3, *pairs.shape))
         self.chief_y_mm, self.chief_beta = np.empty((2, *pairs.shape))
+        self.launches: list[Launch] = []
         for field, theta in enumerate(angles):
-            chief = self._chief(pairs[field], self._launch[:, field], index, float(theta))
+            before = self.launches[-1] if self.launches else None
+            launch = field_launch(system, index, float(theta), start=before)
+            self.launches.append(launch)
+            chief = self._chief(pairs[field], self._launch[:, field], index, launch)
             self.chief_y_mm[field], self.chief_beta[field] = chief
         pairs["first_index"] = np.arange(len(wavelengths_nm)) * (count + 1)
         pairs["waves_per_mm"] = 1e6 / wavelengths_nm
@@ -139,18 +146,17 @@ class Beams:
         self.count = pairs.size
 
     def _chief(
-        self, pairs: np.ndarray, launched: np.ndarray, index: np.ndarray, theta: float
+        self, pairs: np.ndarray, launched: np.ndarray, index: np.ndarray, launch: Launch
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fill in what the chief rays of one field give, in float64; return height and beta."""
         system, geometry = self.system, self.system.geometry
-        launch = field_launch(system, index, theta)
         # Beside the chief ray, one ray each in x and y: their stop points give the aim's start.
         step = 1e-3 * system.stop_radius_mm
         px, py = (np.tile(line, (index.shape[1], 1)) for line in step * np.eye(3)[1:])
         rays = trace(geometry, index, launch, px, py)
         _, beta, gamma = rays.direction[:, :, 0]
         if not (rays.ok.all() and (gamma > 0).all()):
-            raise no_chief_ray(system, theta)
+            raise no_chief_ray(system, launch.theta)
         at_x, at_y = rays.x[geometry.stop], rays.y[geometry.stop]
         slopes = np.array([at_x[:, 1:] - at_x[:, :1], at_y[:, 1:] - at_y[:, :1]]) / step
         inverse = np.linalg.inv(np.moveaxis(slopes, 0, 1))

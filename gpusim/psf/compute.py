@@ -144,8 +144,8 @@ def bank_of(
     if focus_um:
         facts["provenance"]["focus"] += f"; moved by {focus_um:g} um away from the lens"
     areas = [
-        generator.stretch(float(reference_nm), float(one)).area(1e-3 * focus_um)
-        for one in np.radians(angles)
+        generator.stretch(field, float(reference_nm)).area(1e-3 * focus_um)
+        for field in range(len(angles))
     ]
     light_sr = entered / np.array(areas)[:, None]
     made = Bank(

@@ -9,8 +9,7 @@ not depend on the image plane and are done once: a re-focus costs the last three
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache, partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -18,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
-from gpusim.lens.entering import stretch
+from gpusim.lens.entering import Stretch, stretch
 from gpusim.lens.samples import RAY_OVERSIZE, Losses, field_launch
 from gpusim.lens.system import System
 from gpusim.lens.throughput import goes_with_the_ray
@@ -105,8 +104,6 @@ class Generator:
         Where the chief rays land, and their direction cosine there.
     between : ChiefRays
         Those of other fields.
-    stretch : callable
-        `gpusim.lens.entering.stretch` of the system, once for each field.
     failed_rays : ndarray of int, shape (F, L)
         Rays aimed within the stop that did not arrive, of AIMED_ACROSS across.
     residual_waves : ndarray, shape (F, L)
@@ -140,7 +137,7 @@ class Generator:
         self._beams = Beams(device, system, wavelengths_nm, np.radians(field_deg))
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
         self.between = ChiefRays(system, wavelengths_nm)
-        self.stretch = cache(partial(stretch, system))
+        self._stretches: dict[tuple[int, float], Stretch] = {}
         phase = -2j * np.pi * np.arange(transform) / transform
         self._twiddle = device.resident("twiddle", np.exp(phase).astype(np.complex64))
         shape = (len(field_deg), len(wavelengths_nm))
@@ -159,6 +156,19 @@ class Generator:
             raise
         half_widths = self._na * self._grids["step"][..., 0] / self._grids["cell"]
         self._rows = int(np.ceil(half_widths.max()))
+
+    def stretch(self, field: int, reference_nm: float) -> Stretch:
+        """Return how the image is stretched about a field, by chief rays of one of the wavelengths.
+
+        See `gpusim.lens.entering.stretch`.
+        """
+        key = field, reference_nm
+        if key not in self._stretches:
+            line = list(self.wavelengths_nm).index(reference_nm)
+            launch = self._beams.launches[field]
+            start = replace(launch, base=launch.base[:, [line]])
+            self._stretches[key] = stretch(self.system, reference_nm, launch.theta, start=start)
+        return self._stretches[key]
 
     def _trace_fields(self, progress: Callable[[int, int], None] | None) -> None:
         """Trace field by field, and keep the nodes."""

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.gpu import default_device
-from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.psf.field_map import WIDE_DEG
@@ -163,10 +162,10 @@ def spreads(
     size, pitch_um = window(system, lines)
     given = {"pitch_um": pitch_um, "size": size, "progress": progress}
     given["transform"] = transform if 2 * size <= transform else TRANSFORM
-    areas = [stretch(system, REFERENCE_NM, float(theta)).area() for theta in np.radians(angles)]
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
         found = [generator.spread(field) for field in range(len(angles))]
+        areas = [generator.stretch(field, REFERENCE_NM).area() for field in range(len(angles))]
         return _of(
             prescription,
             lines,
