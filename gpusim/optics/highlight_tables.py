@@ -2,7 +2,7 @@
 
 Tables are made at the fields of the bank, and mixed as the truth mixes these. Behind a lens with an
 axis, the aperture of the pixel and the highlight's square stand at an angle in it, the azimuth
-modulo 90 degrees: tables are made at so many angles, and mixed linearly between the nearest two.
+modulo 90 degrees: tables are made at so many angles, and cubics lead through the nearest four.
 
 Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
 give it (`gpusim.psf.lines`): what aperture and square blur follows the streak between the chief
@@ -230,11 +230,24 @@ def _turned_boxes(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray
     return sines / products
 
 
-def mixing_error(kernels: Tables, fields: Sequence[FieldPsfs]) -> float:
-    """Return by how much mixing half-way between two of TRIED angles errs, of the largest value.
+class MixingErrors(NamedTuple):
+    """What mixing tables of angles errs half-way between two of TRIED in 90 degrees.
 
-    For the largest squares, in the light of the reference wavelength, at the worst of some fields.
+    Of the largest value, in the light of the reference wavelength, at the worst of some fields.
+
+    Attributes
+    ----------
+    linear, cubic : float
+        Through the nearest two tables, and through the nearest four. The first falls with the
+        square of the step from one angle to the next, the second with its fourth power.
     """
+
+    linear: float
+    cubic: float
+
+
+def mixing_errors(kernels: Tables, fields: Sequence[FieldPsfs]) -> MixingErrors:
+    """Return what mixing errs for the largest squares."""
     bank = kernels.bank
     line = slice(bank.reference, bank.reference + 1)
     square = kernels.largest_um * np.eye(2)
@@ -243,13 +256,15 @@ def mixing_error(kernels: Tables, fields: Sequence[FieldPsfs]) -> float:
     for field in fields:
         one = FieldPsfs(field.psf[line], field.shift_um[line], field.relative_illumination[line])
         spectra = kernels.spectra(one)
-        before, between, after = (
-            kernels.table(one, spectra, np.ones((1, 1, 1)), angle, square)
-            for angle in (np.pi / 8 - half, np.pi / 8, np.pi / 8 + half)
+        far, before, between, after, beyond = (
+            kernels.table(one, spectra, np.ones((1, 1, 1)), np.pi / 8 + step * half, square)
+            for step in (-3, -1, 0, 1, 3)
         )
         largest = max(float(between.max()), np.finfo(float).tiny)
-        errors.append(float(np.abs((before + after) / 2 - between).max()) / largest)
-    return max(errors)
+        linear = (before + after) / 2
+        cubic = linear + (linear - (far + beyond) / 2) / 8
+        errors.append([float(np.abs(mixed - between).max()) / largest for mixed in (linear, cubic)])
+    return MixingErrors(*np.max(errors, axis=0).tolist())
 
 
 class Mixture(NamedTuple):
@@ -271,21 +286,30 @@ class Mixture(NamedTuple):
 
 
 def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixture:
-    """Mix fields as the truth does, and, linearly, angles where PSFs are turned.
+    """Mix fields as the truth does, and, by cubics (Lagrange), angles where PSFs are turned.
 
     Tables are the same again after `turns` quarters of a turn.
     """
     fields, weights, cos, sin = places.blends(*squares.real_um.T)
     angle = np.arctan2(sin, cos) / (np.pi / 2) % float(turns) * bins
-    before = angle.astype(int)
-    two = np.stack([before, before + 1], axis=1) % (turns * bins)
-    near = np.stack([1 - (angle - before), angle - before], axis=1)
+    before = np.floor(angle)
+    four = (before.astype(int)[:, None] + np.arange(-1, 3)) % (turns * bins)
+    t = angle - before
+    near = np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=1,
+    )
     size = np.unique(squares.size_um, return_inverse=True)[1]
-    parts = len(fields), fields.shape[1], 2
+    parts = len(fields), fields.shape[1], 4
     keys = np.stack(
         [
             np.broadcast_to(fields[:, :, None], parts),
-            np.broadcast_to(two[:, None], parts),
+            np.broadcast_to(four[:, None], parts),
             np.broadcast_to(size[:, None, None], parts),
         ],
         axis=-1,

@@ -20,10 +20,11 @@ from gpusim.optics.highlight_sampling import sampling
 from gpusim.optics.highlight_squares import bundled, of_few_spectra, squares_on_sensor
 from gpusim.optics.highlight_tables import (
     TRIED,
+    MixingErrors,
     Mixture,
     Tables,
     distinct,
-    mixing_error,
+    mixing_errors,
     mixture,
     turned,
 )
@@ -134,11 +135,13 @@ class Splat:
             self.sampling = sampling(kernels, tried, FAR * tolerance)
             self.table_bytes = 16 * -(-len(few) // 4) * channels * self.sampling.samples
             # PSFs of lenses without an axis are not turned.
-            error = mixing_error(kernels, tried[::2]) if isinstance(places, Heights) else 0.0
-            asked = TRIED * math.sqrt(error / (MIXING * tolerance))
-            self.bins = max(FEWEST, math.ceil(asked))
-            # Corners turn by 4 A per radian where mixing over a step h errs by 2 h^2 A at most.
-            turn = (np.pi / 2 / max(asked, 1.0)) ** 2
+            errors = MixingErrors(0.0, 0.0)
+            if isinstance(places, Heights):
+                errors = mixing_errors(kernels, tried[::2])
+            allowed = MIXING * tolerance
+            self.bins = max(FEWEST, math.ceil(TRIED * (errors.cubic / allowed) ** 0.25))
+            # Corners turn by 4 A per radian where straight lines over a step h err by 2 h^2 A.
+            turn = (np.pi / 2 / max(TRIED * math.sqrt(errors.linear / allowed), 1.0)) ** 2
             self.owner, bundles = bundled(bank, squares, BUNDLE * change, turn)
             mixed = mixture(places, bundles, self.bins, kernels.turns)
             enough = self._holds(mixed) or self.bins == FEWEST

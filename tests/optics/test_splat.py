@@ -30,7 +30,7 @@ from gpusim.optics.highlight_tables import (
     Tables,
     boxes,
     distinct,
-    mixing_error,
+    mixing_errors,
     mixture,
     turned,
 )
@@ -497,7 +497,7 @@ def test_shares_are_those_of_fields_and_angles(bins: int):
     radii = LENS.real_height_um[:, 1]
     squares = squares_on_sensor(LENS, sensor(), many(200), 20.0)
     keys, shares, axis = mixture(LENS.places(150.0)[1], squares, bins)
-    assert keys.shape == (len(squares.light), 8, 3)
+    assert keys.shape == (len(squares.light), 16, 3)
     assert_close(shares.sum(axis=1), np.ones(len(shares)), atol=1e-12)
     assert keys.min() >= 0 and keys[..., 0].max() <= 4 and keys[..., 1].max() < bins
     radius = np.hypot(*squares.real_um.T)
@@ -507,11 +507,11 @@ def test_shares_are_those_of_fields_and_angles(bins: int):
     assert_close(axis, squares.real_um / radius[:, None], atol=1e-12)
     turn = np.exp(4j * np.arctan2(*squares.real_um.T[::-1]))
     mixed = np.sum(shares * np.exp(2j * np.pi * keys[..., 1] / bins), axis=1)
-    # A chord instead of the arc.
-    assert_close(mixed, turn, atol=(2 * np.pi / bins) ** 2 / 8)
+    # Half-way a cubic through four places errs by 9 / 16 h^4 / 24 of the fourth derivative, 1.
+    assert_close(mixed, turn, atol=(2 * np.pi / bins) ** 4 * 9 / 384)
 
 
-def test_mixing_between_angles_errs_with_the_square_of_their_step():
+def test_mixing_between_angles_errs_with_powers_of_their_step():
     kernels = Tables(LENS, monochrome(), SPECTRA[:1], 2 * PITCH)
     field = LENS.field(1)
     spectra = kernels.spectra(field)
@@ -523,13 +523,15 @@ def test_mixing_between_angles_errs_with_the_square_of_their_step():
     errors = []
     for bins in (8, 16):
         half = np.pi / 4 / bins
-        mean = (table(0.4 - half) + table(0.4 + half)) / 2
-        errors.append(np.abs(mean - middle).max() / middle.max())
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
+        mean, wide = ((table(0.4 - n * half) + table(0.4 + n * half)) / 2 for n in (1, 3))
+        mixed = mean, (9 * mean - wide) / 8
+        errors.append([np.abs(one - middle).max() / middle.max() for one in mixed])
+    for power, (coarse, fine) in zip((2, 4), np.transpose(errors), strict=True):
+        assert coarse / fine == pytest.approx(2**power, rel=0.1)
     whole = table(0.4 + np.pi / 2)
     assert_close(whole, middle, atol=1e-12 * middle.max())
     # At one wavelength and another angle it is found out well enough.
-    assert mixing_error(kernels, [field]) == pytest.approx(errors[1], rel=0.2)
+    assert mixing_errors(kernels, [field]) == pytest.approx(errors[1], rel=0.2)
 
 
 WIDE = Highlights(PLACES[:1], 4 * PITCH, np.ones((1, 1)))  # of a lens that does not change
@@ -539,12 +541,12 @@ STILL = bank(coma_um=0.0)
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-4, 1e-5])
 def test_angles_are_as_many_as_the_tolerance_asks(device: Device, tolerance: float):
     stage = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], tolerance)
-    assert stage.tables.shape == (1, 8) and len(stage.squares.light) == 1
-    error = mixing_error(stage.kernels, [STILL.field(n) for n in range(len(STILL.psf))])
-    errs = error * (TRIED / stage.bins) ** 2  # as the test above says
+    assert stage.tables.shape == (1, 16) and len(stage.squares.light) == 1
+    error = mixing_errors(stage.kernels, [STILL.field(n) for n in range(len(STILL.psf))]).cubic
+    errs = error * (TRIED / stage.bins) ** 4  # as the test above says
     # Half of the tolerance is MIXING; one angle fewer would not hold it.
     assert errs <= tolerance / 2
-    assert stage.bins == FEWEST or errs * (stage.bins / (stage.bins - 1)) ** 2 > tolerance / 2
+    assert stage.bins == FEWEST or errs * (stage.bins / (stage.bins - 1)) ** 4 > tolerance / 2
     assert (stage.bins == FEWEST) == (tolerance > 1e-2)
 
 
@@ -556,8 +558,8 @@ def test_squares_are_cut_up_where_the_memory_does_not_hold_the_angles(device: De
     assert few.bins > cut.bins == FEWEST
     parts = len(cut.squares.light)
     assert parts > 1
-    error = mixing_error(cut.kernels, [STILL.field(n) for n in range(len(STILL.psf))])
-    assert error * (TRIED / FEWEST) ** 2 <= 1e-3 / 2
+    error = mixing_errors(cut.kernels, [STILL.field(n) for n in range(len(STILL.psf))]).cubic
+    assert error * (TRIED / FEWEST) ** 4 <= 1e-3 / 2
     light = [one.squares.light.sum() for one in (few, cut)]
     assert light[0] == pytest.approx(light[1], rel=1e-3)  # of the map's slope
     strict = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-6)
