@@ -235,8 +235,8 @@ class Convolve(Transforms, NodeStore):
 
     def made_of(self, kernels: np.ndarray) -> np.ndarray:
         """Return the spectra of a node's kernels."""
-        length, sigma = self.grid.length, self.scale.sigma
-        return kernel_spectra(kernels, length, self.aperture, sigma, self.outputs.places)
+        given = self.grid.length, self.aperture, self.scale.sigma, self.outputs.places
+        return kernel_spectra(kernels, *given, ringing=self.scale.kernels.ringing)
 
     def scratch(self, rec: Recording, planes: int) -> Scratch:
         """Declare what one block needs on the device."""

@@ -91,6 +91,8 @@ def spatial_kernels(
     aperture: float | Response,
     sigma: float,
     places: list[tuple[int, float, float]],
+    *,
+    ringing: bool = False,
 ) -> np.ndarray:
     """Return what a source sample gives to the photosites around it, aperture folded in.
 
@@ -98,7 +100,7 @@ def spatial_kernels(
     ----------
     sampled : ndarray (J, C, 2 R, 2 R)
         As `sampled_kernels` returns them.
-    aperture, sigma
+    aperture, sigma, ringing
         See `aperture_spectra`; sim samples.
     places
         See `Outputs`.
@@ -114,7 +116,7 @@ def spatial_kernels(
     spectra = scipy.fft.rfft2(sampled, s=(length, length))
     result = np.empty((len(sampled), len(places), size, size))
     for number, (channel, shift_x, shift_y) in enumerate(places):
-        through = aperture_spectra(length, aperture, sigma, shift_x, shift_y).T
+        through = aperture_spectra(length, aperture, sigma, shift_x, shift_y, ringing=ringing).T
         whole = scipy.fft.irfft2(spectra[:, channel] * through, s=(length, length))
         result[:, number] = whole[:, :size, :size]
     return result
@@ -197,7 +199,10 @@ def support_within(
         for f in (0.0, 0.5, 1.0)
     ]
     spread = np.concatenate(
-        [spatial_kernels(one, aperture_um / pitch_um, sigma, places)[0] for one in at]
+        [
+            spatial_kernels(one, aperture_um / pitch_um, sigma, places, ringing=kernels.ringing)[0]
+            for one in at
+        ]
     )
     spread /= spread.sum(axis=(1, 2), keepdims=True)
     frequency = scipy.fft.rfftfreq(2 * size)
@@ -302,7 +307,8 @@ class Direct(NodeStore):
     def made_of(self, kernels: np.ndarray) -> np.ndarray:
         """Return the taps of a node."""
         layout = self.layout
-        spread = spatial_kernels(kernels, self.aperture, self.scale.sigma, self.outputs.places)
+        given = self.aperture, self.scale.sigma, self.outputs.places
+        spread = spatial_kernels(kernels, *given, ringing=self.scale.kernels.ringing)
         kept = slice(self.half_size + layout.low, self.half_size + layout.high + 1)
         return packed_taps(
             spread[:, :, kept, kept], layout, self.grid.sites_across, self.outputs.of_site

@@ -12,6 +12,7 @@ import functools
 import numpy as np
 import scipy.fft
 
+from gpusim.optics.kernels import sharpening
 from gpusim.sensor.aperture import Response
 
 
@@ -43,18 +44,30 @@ def aperture_spectrum(length: int, width: float, sigma: float, shift: float) -> 
 
 
 def aperture_spectra(
-    length: int, aperture: float | Response, sigma: float, shift_x: float, shift_y: float
+    length: int,
+    aperture: float | Response,
+    sigma: float,
+    shift_x: float,
+    shift_y: float,
+    *,
+    ringing: bool,
 ) -> np.ndarray:
-    """Return the same in x and y, [kx, ky] (T/2+1, T), of a square's side or of any response."""
-    half = length // 2 + 1
-    if not isinstance(aperture, Response):
-        along_y = aperture_spectrum(length, aperture, sigma, shift_y)
-        return aperture_spectrum(length, aperture, sigma, shift_x)[:half, None] * along_y
+    """Return the same in x and y, [kx, ky] (T/2+1, T), of a square's side or of any response.
+
+    ``ringing``: see `FieldKernels`.
+    """
     # What is left of a square without a side.
-    along_y = aperture_spectrum(length, 0.0, sigma, shift_y)
-    along_x = aperture_spectrum(length, 0.0, sigma, shift_x)[:half, None]
+    side = 0.0 if isinstance(aperture, Response) else aperture
+    along_y = aperture_spectrum(length, side, sigma, shift_y)
+    along_x = aperture_spectrum(length, side, sigma, shift_x)[: length // 2 + 1, None]
+    found = along_x * along_y
     f = scipy.fft.fftfreq(length)
-    return aperture.spectrum(np.abs(f[:half, None]), f) * along_x * along_y
+    across = np.abs(f[: length // 2 + 1, None])
+    if isinstance(aperture, Response):
+        found *= aperture.spectrum(across, f)
+    if ringing:
+        found *= sharpening(np.hypot(across, f))
+    return found
 
 
 def kernel_spectra(
@@ -63,6 +76,8 @@ def kernel_spectra(
     aperture: float | Response,
     sigma: float,
     outputs: list[tuple[int, float, float]],
+    *,
+    ringing: bool = False,
 ) -> np.ndarray:
     """Return the spectra that shaders/optics/columns multiplies with.
 
@@ -72,7 +87,7 @@ def kernel_spectra(
         As `gpusim.optics.sampling.sampled_kernels` returns them.
     length : int
         Transform length T.
-    aperture, sigma
+    aperture, sigma, ringing
         See `aperture_spectra`; sim samples.
     outputs : list of (channel, shift_x, shift_y)
         What to make spectra for: a channel, and where the pixel's centre lies, sim samples.
@@ -96,7 +111,7 @@ def kernel_spectra(
         for place, (of_channel, shift_x, shift_y) in enumerate(outputs):
             if of_channel != channel:
                 continue
-            aperture_xy = _aperture_spectra(length, aperture, sigma, shift_x, shift_y)
+            aperture_xy = _aperture_spectra(length, aperture, sigma, shift_x, shift_y, ringing)
             np.multiply(spectrum, aperture_xy, out=shaped)
             by_lane = shaped.reshape(8, 2, 16, fine, length // 16, 8).transpose(4, 3, 2, 0, 5, 1)
             for odd in (0, 1):  # NumPy's innermost loop is then over eight, not over two
@@ -106,8 +121,14 @@ def kernel_spectra(
 
 @functools.lru_cache(maxsize=64)  # the nodes of a scale share theirs, sixteen sites at most
 def _aperture_spectra(
-    length: int, aperture: float | Response, sigma: float, shift_x: float, shift_y: float
+    length: int,
+    aperture: float | Response,
+    sigma: float,
+    shift_x: float,
+    shift_y: float,
+    ringing: bool,
 ) -> np.ndarray:
     """Return the aperture's spectrum over T^2, [ky, kx], without kx = T/2."""
-    whole = aperture_spectra(length, aperture, sigma, shift_x, shift_y) / length**2
+    whole = aperture_spectra(length, aperture, sigma, shift_x, shift_y, ringing=ringing)
+    whole /= length**2
     return np.ascontiguousarray(whole[:-1].T, np.complex64)

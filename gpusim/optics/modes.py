@@ -259,12 +259,9 @@ class Modes(Transforms, KernelStore):
             ]
             kernels += [np.zeros_like(modes[0, 0])] * (-(-self.lines // 2) - len(kernels))
             # One by one: in between, transforms take twice as much as their results.
-            spectra = [
-                kernel_spectra(
-                    kernel[None], grid.length, self.aperture, self.scale.sigma, self.outputs.places
-                )
-                for kernel in kernels
-            ]
+            given = grid.length, self.aperture, self.scale.sigma, self.outputs.places
+            ringing = self.scale.kernels.ringing
+            spectra = [kernel_spectra(one[None], *given, ringing=ringing) for one in kernels]
             yield node, np.concatenate(spectra)
 
     def scratch(self, rec: Recording, planes: int) -> Scratch:

@@ -27,10 +27,12 @@ from gpusim.gpu import Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
+from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes, mode_decomposition
 from gpusim.optics.nodes import Scale
 from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.plan.layout import TRANSFORMS
+from gpusim.psf.places import Heights
 from gpusim.reference.modes import modes
 
 F32 = np.float32
@@ -237,7 +239,8 @@ def stage_for(device: Device, grid: SimGrid, rank: int) -> Modes:
         np.ones(rank),
         np.ones(rank),
     )
-    scale = Scale("test", grid, 1.0, 0.0, None)
+    kernels = FieldKernels(np.zeros((1, 1, 3, 4, 4), F32), Heights(np.zeros(1)), 1.0)
+    scale = Scale("test", grid, 1.0, 0.0, kernels)
     return Modes(device, scale, {(0, 0): 1}, 1.0, [0, 1, 1, 2], nothing)
 
 

@@ -442,11 +442,11 @@ def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkey
     assert (np.diff(used[:, 0]) >= 0).all() and tables.max() == len(used) - 1 > 10
     samples = Splat(device, LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
     bytes_each = 16 * 3 * samples
-    monkeypatch.setattr(module, "DISPATCH_BYTES", 9 * bytes_each)
+    monkeypatch.setattr(module, "DISPATCH_BYTES", 17 * bytes_each)
     cut = groups(tables, bytes_each)
     assert len(cut) > 2
     assert sorted(np.concatenate(cut)) == list(range(len(tables)))
-    assert max(len(np.unique(tables[one])) for one in cut) <= 9
+    assert max(len(np.unique(tables[one])) for one in cut) <= 17
     # The order of the sums is another: thirty highlights at most.
     assert_close(on_sensor(device, camera, many()), whole.copy(), rtol=30 * 2 * ULP)
 
@@ -678,7 +678,7 @@ def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Devi
     table = Tables.table
     monkeypatch.setattr(Tables, "table", lambda *given: made.append(1) or table(*given))
     stage = Splat(device, LENS, sensor(), many(), SPECTRA, 1e-6)
-    assert len(stage.used) > 60
+    assert len(stage.used) >= 60
 
     def stop(done: int, total: int) -> None:
         assert total >= len(stage.used)
@@ -711,7 +711,7 @@ def test_the_work_is_counted():
         None, LENS, sensor(960, 1280), Highlights(PLACES[:1], 0.1, np.ones((1, 3))), SPECTRA, 1e-3
     )
     work = one.work()
-    assert work["tables"] == 8 * 3 * one.kernels.side**2
+    assert work["tables"] == 16 * 3 * one.kernels.side**2
     assert work["splat"] == pytest.approx(np.pi * (one.kernels.reach_um / PITCH) ** 2)
     far = Splat(
         None,

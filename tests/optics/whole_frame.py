@@ -150,6 +150,13 @@ def in_space(
         weighted = scipy.fft.fft2(whole * np.outer(share[1], share[0]), s=(size, size))
         spectra += np.einsum("jyx,jcyx->cyx", weighted, scipy.fft.fft2(kernel, s=(size, size)))
     spectra *= aperture[:, None] * aperture
+    if scale.kernels.ringing:
+        # Kernels hold the band times a raised cosine over all of it; their spectra are to end as
+        # the grid's does, from 0.85 of the Nyquist frequency on.
+        cycles = np.minimum(np.hypot(f, f[:, None]), 0.5)
+        ends = (1 + np.cos(np.pi * np.clip((2 * cycles - 0.85) / 0.15, 0, 1))) / 2
+        held = (1 + np.cos(2 * np.pi * cycles)) / 2
+        spectra *= np.where(cycles < 0.5, ends / np.where(cycles < 0.5, held, 1.0), 0.0)
     result = np.empty((grid.rows, grid.cols))
     # A pixel's centre, in samples from that of the first source sample plus the kernels' reach.
     rows, cols = (

@@ -296,7 +296,7 @@ def test_a_tolerance_out_of_range_is_refused(tolerance: float):
 
 def test_the_ends_of_the_range_are_in_it():
     assert Accuracy(1e-5, 0).probes == 0 and Accuracy(0.1).tolerance == 0.1
-    assert Accuracy() == Accuracy(1e-3, 256, "relative")
+    assert Accuracy() == Accuracy(1e-3, None, "relative")
 
 
 def test_fewer_probes_than_none_are_refused():
