@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +20,9 @@ from gpusim.sensor.sensor import Sensor
 FIT_ERROR_UM = 1e-4
 # Pieces of a radial spline: doubled until it follows. 4096 take 64 KiB.
 FEWEST_PIECES, MOST_PIECES = 16, 4096
+LANDINGS = 1025  # heights between which it is interpolated where ideal points land
+# Relaxation leaves exp(-RELAXED) of the way, where the map stretches evenly.
+RELAXED, MOST_STEPS = 7, 200
 BETWEEN = 4  # places in a piece at which a spline is held against the map
 # On the axis the map is 0 / 0: its value is taken at this share of the image circle's radius.
 NEAR_AXIS = 1e-4
@@ -68,6 +72,15 @@ class RadialMap:
         """
         rho2 = (real_um[..., 0] ** 2 + real_um[..., 1] ** 2) / self.radius_um**2
         return real_um * (1 + self._values(np.minimum(rho2, 1.0))[0])[..., None]
+
+    def real_um(self, ideal_um: np.ndarray) -> np.ndarray:
+        """Return about where ideal points (N, 2) land, for plans: within 1e-3 of the circle."""
+        real = np.linspace(0, self.radius_um, LANDINGS)
+        ideal = real * (1 + self._values((real / self.radius_um) ** 2)[0])
+        height = np.hypot(*ideal_um.T)
+        beyond = np.maximum(height / ideal[-1], 1.0)
+        landed = np.interp(height, ideal, real) * beyond
+        return ideal_um * (landed / np.maximum(height, NEAR_AXIS))[:, None]
 
     def _values(self, rho2: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return d and its derivative at rho^2 up to 1."""
@@ -147,6 +160,17 @@ class GeneralMap:
     def ideal_um(self, real_um: np.ndarray) -> np.ndarray:
         """Return ideal points (..., 2) of real ones; beyond the image circle those of the rim."""
         return np.stack(self.plane.ideal_points(real_um[..., 0], real_um[..., 1])[:2], axis=-1)
+
+    def real_um(self, ideal_um: np.ndarray) -> np.ndarray:
+        """Return about where ideal points (N, 2) land, for plans; beyond the circle, beyond it.
+
+        Steps that are too short for the largest stretch lead there from the same side.
+        """
+        real = ideal_um / self.stretch
+        steps = math.ceil(RELAXED * self.stretch / max(self.least_stretch, 1 / MOST_STEPS))
+        for _ in range(min(steps, MOST_STEPS)):
+            real = real + (ideal_um - self.ideal_um(real)) / self.stretch
+        return real
 
     @cached_property
     def stretch(self) -> float:

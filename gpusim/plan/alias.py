@@ -228,11 +228,12 @@ class Alias:
     def _at_outlines(self) -> list[tuple[float, float]]:
         """Return where the largest steps of a chart are: in each ring of the field a few."""
         chart, half = self.placed, self._half_um
+        corner = np.abs(self.chief_ray.ideal_um(np.array(half)))
         every = -(-len(chart.primitives) // MOST_SHAPES) or 1
         points = [
             (int(under), shape.material, *point)
             for shape, under in zip(chart.primitives[::every], chart.under[::every], strict=True)
-            for point in _outline(shape, half)
+            for point in _outline(shape, tuple(corner.tolist()))
         ]
         if not points:
             return []
@@ -243,7 +244,8 @@ class Alias:
         contrast = ((high - low) / (low + DARK)).max(axis=0)
         # Straight up or down is one direction, and so is along; an edge of another crosses more.
         turned = np.round(np.degrees(np.arctan2(along_v, along_u))) % 90
-        radius = np.maximum(np.abs(u) / half[0], np.abs(v) / half[1])
+        real = self._real(np.stack([u, v], axis=1))
+        radius = np.max(np.abs(real) / half, axis=1)
         chosen = []
         for ring in range(RINGS):
             seen: list[float] = []
@@ -252,14 +254,15 @@ class Alias:
             for number in order[np.argsort(-contrast[order], kind="stable")]:
                 if turned[number] not in seen:
                     seen.append(float(turned[number]))
-                    chosen.append((float(u[number]), float(v[number])))
+                    chosen.append(tuple(real[number].tolist()))
                 if len(seen) == PLACES_EACH:
                     break
-        return [self._real(place) for place in chosen]
+        return chosen
 
     def _at_steps(self) -> list[tuple[tuple[float, float], int]]:
         """Return where a photograph is steepest in its cells, and for how many each stands."""
-        placed, half = self.placed, self._half_um
+        placed = self.placed
+        half = np.abs(self.chief_ray.ideal_um(np.array(self._half_um)))
         rates = self._rates.sum(axis=0).astype(np.float32)
         light = np.tensordot(rates, placed.planes.astype(np.float32, copy=False), axes=1)
         light = np.maximum(light, DARK * light.max() + np.float32(1e-30))
@@ -285,7 +288,7 @@ class Alias:
             own = found[first : first + count]
             if own:
                 _, *place = own[len(own) // 2]
-                chosen.append((self._real(tuple(place)), len(own)))
+                chosen.append((tuple(self._real(np.array([place]))[0].tolist()), len(own)))
             first += count
         return chosen
 
@@ -294,12 +297,10 @@ class Alias:
         pitch = self.sensor.pixel_pitch_um
         return self.sensor.cols * pitch / 2, self.sensor.rows * pitch / 2
 
-    def _real(self, ideal: tuple[float, float]) -> tuple[float, float]:
-        """Return about where a point of the ideal plane lands, on the sensor."""
-        at = np.array(ideal)
-        for _ in range(8):
-            at = at + np.array(ideal) - self.chief_ray.ideal_um(at[None])[0]
-        return tuple(float(np.clip(one, -h, h)) for one, h in zip(at, self._half_um, strict=True))
+    def _real(self, ideal_um: np.ndarray) -> np.ndarray:
+        """Return about where points (N, 2) of the ideal plane land; beyond the sensor, its edge."""
+        half = np.array(self._half_um)
+        return np.clip(self.chief_ray.real_um(ideal_um), -half, half)
 
 
 def _side(oversampling: int) -> int:

@@ -6,6 +6,7 @@ is bright. It is planned for an edge, relative to the light beside it, and count
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -35,7 +36,10 @@ OUTLINE = 64  # points of a disc's
 
 
 def edge_contrast(
-    placed: Chart | PlacedRaster, light: np.ndarray, half_um: tuple[float, float]
+    placed: Chart | PlacedRaster,
+    light: np.ndarray,
+    half_um: tuple[float, float],
+    real_um: Callable[[np.ndarray], np.ndarray],
 ) -> float:
     """Return the contrast of a scene's steepest edges, each of a part of the sensor.
 
@@ -47,6 +51,8 @@ def edge_contrast(
         The chart's materials' own, to a common factor.
     half_um : (float, float)
         Half the sensor's sides.
+    real_um : callable
+        Returns about where points (N, 2) of the ideal plane land, um.
 
     Returns
     -------
@@ -59,9 +65,15 @@ def edge_contrast(
     steepest = np.zeros(CELLS)
     ratio = np.ones(CELLS)
     light = np.maximum(light, light.max() / STEEPEST)
-    for shape, under in zip(placed.primitives, placed.under, strict=True):
+    outlines = [_outline(shape) for shape in placed.primitives]
+    if not outlines:
+        return 1.0
+    landed = real_um(np.concatenate(outlines))
+    ends = np.cumsum([len(one) for one in outlines])[:-1]
+    parts = zip(placed.primitives, placed.under, np.split(landed, ends), strict=True)
+    for shape, under, outline_um in parts:
         one, other = light[shape.material], light[under]
-        at = (_outline(shape) / half_um + 1) / 2 * CELLS
+        at = (outline_um / half_um + 1) / 2 * CELLS
         there = at[np.all((at >= 0) & (at < CELLS), axis=1)].astype(int)
         for col, row in np.unique(there, axis=0):
             if abs(one - other) > steepest[col, row]:

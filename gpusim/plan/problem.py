@@ -189,7 +189,8 @@ class Problem:
     @cached_property
     def edge_contrast(self) -> float:
         """How hard the edges of the scene are."""
-        return edge_contrast(self.placed, self.scene.spectra.sum(axis=1), self.half_um)
+        light = self.scene.spectra.sum(axis=1)
+        return edge_contrast(self.placed, light, self.half_um, self.chief_ray.real_um)
 
     @cached_property
     def lost(self) -> dict[float, float]:

@@ -12,7 +12,7 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System, build, first_order
-from gpusim.optics.chief_ray import FIT_ERROR_UM, black_share, chief_ray_map, radial_map
+from gpusim.optics.chief_ray import FIT_ERROR_UM, LANDINGS, black_share, chief_ray_map, radial_map
 from gpusim.psf.bank import Bank
 from gpusim.psf.chief_rays import MIDDLE, MISS_UM, ChiefRays, between_fields
 from gpusim.psf.field_bank import seen_as
@@ -163,6 +163,21 @@ def test_it_leads_from_the_real_to_the_ideal_plane(distortion: float):
     real = np.random.default_rng(1).uniform(0, lens.image_circle_um, 500)
     ideal = chief_ray.ideal_um(np.stack([real, 0 * real], axis=-1))[:, 0]
     assert_close(lens.real_from_ideal(ideal)[0], real, atol=FIT_ERROR_UM)
+
+
+@pytest.mark.parametrize("name", [*LENSES, "without an axis"])
+def test_it_leads_back_to_the_real_plane(name: str):
+    """As closely as heights lie between which it is interpolated; points beyond stay beyond."""
+    lens = plane_bank(distortion=-0.2) if name == "without an axis" else lens_of(name)[1]
+    found = chief_ray_map(lens)
+    rng = np.random.default_rng(4)
+    height, turn = 0.98 * np.sqrt(rng.random(200)), 2 * np.pi * rng.random(200)
+    real = np.stack([np.cos(turn), np.sin(turn)], axis=1) * (found.radius_um * height)[:, None]
+    real += found.centre_um
+    step = found.radius_um / (LANDINGS - 1)
+    assert_close(found.real_um(found.ideal_um(real)), real, atol=step)
+    beyond = found.real_um(found.ideal_um(1.5 * (real[height > 0.8] - found.centre_um)))
+    assert np.hypot(*(beyond - found.centre_um).T).min() > found.radius_um - step
 
 
 def test_near_a_fold_it_takes_more_pieces_and_follows():

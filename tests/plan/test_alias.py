@@ -11,10 +11,12 @@ import math
 
 import numpy as np
 import pytest
+from optics import made
 from optics.made import FLAT, StubCamera, bank, monochrome
 
 from gpusim.certify import certify
 from gpusim.gpu import Device
+from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
@@ -100,6 +102,21 @@ def test_finer_grids_err_less_and_none_where_all_is_even():
         assert errors == sorted(errors, reverse=True) and errors[-1] < 1e-3 * errors[0]
     even = photograph(np.full((6, 8), 0.3))
     assert alias_of(stub.bank(), stub.sensor, even, TIGHT).error(1) < 1e-12
+
+
+def test_edges_that_distortion_brings_onto_the_sensor_count():
+    """By barrel distortion: on the ideal plane a square next to the corner lies beyond it."""
+    stub = camera(0.4)
+    lens = bank(distortion=-0.3, circle_um=100.0, sigma_um=(0.4,) * 3)
+    corner = np.array([COLS, ROWS]) * stub.sensor.pixel_pitch_um / 2
+    ideal = chief_ray_map(lens).ideal_um(corner) * 0.93
+    assert (ideal > corner).all()
+    there = ideal / corner[1]  # charts are in half-heights
+    found = []
+    for x, y in (there, 2 * there):
+        subject = made.scene((Rect(float(x), float(y), 0.05, 0.05, 0.1, 1),))
+        found.append(alias_of(lens, stub.sensor, subject, TIGHT).error(1))
+    assert found[0] > 1e-4 and found[1] == 0.0
 
 
 def test_a_chart_of_nothing_has_no_alias():

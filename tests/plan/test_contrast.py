@@ -64,22 +64,32 @@ def chart(*shapes) -> Chart:
     ],
 )
 def test_one_outline_has_its_own_contrast(shape):
-    assert edge_contrast(chart(shape), LIGHT, HALF_UM) == pytest.approx(4.0)
+    assert edge_contrast(chart(shape), LIGHT, HALF_UM, np.copy) == pytest.approx(4.0)
 
 
 def test_each_part_of_the_sensor_counts_by_its_steepest_edge():
     """Parts are 200 um wide: one has an edge of 4:1, another one of 16:1 and a faint one."""
     grey, dark = Rect(-500.0, -400.0, 40.0, 40.0, 0.0, 1), Rect(500.0, 400.0, 40.0, 40.0, 0.0, 2)
     pale = Rect(440.0, 440.0, 9.0, 9.0, 0.0, 3)
-    found = edge_contrast(chart(grey, dark, pale), LIGHT, HALF_UM)
+    found = edge_contrast(chart(grey, dark, pale), LIGHT, HALF_UM, np.copy)
     assert np.log(found) == pytest.approx(np.sqrt((np.log(4) ** 2 + np.log(16) ** 2) / 2))
     # What lies beyond the sensor is not seen.
     beyond = Rect(900.0, 0.0, 40.0, 40.0, 0.0, 2)
-    assert edge_contrast(chart(grey, beyond), LIGHT, HALF_UM) == pytest.approx(4.0)
+    assert edge_contrast(chart(grey, beyond), LIGHT, HALF_UM, np.copy) == pytest.approx(4.0)
+
+
+def test_edges_count_where_distortion_brings_them():
+    """Half as far from the middle as on the ideal plane: what is far out there is seen."""
+    far = Rect(900.0, 0.0, 40.0, 40.0, 0.0, 2)
+    given = chart(far), LIGHT, HALF_UM
+    assert edge_contrast(*given, np.copy) == 1.0
+    assert edge_contrast(*given, lambda ideal: ideal / 2) == pytest.approx(16.0)
 
 
 def test_black_counts_as_what_is_seen_of_it_and_an_even_chart_as_nothing():
     hole = chart(Disc(0.0, 0.0, 50.0, 2))
-    assert edge_contrast(hole, np.array([1.0, 1.0, 0.0, 1.0]), HALF_UM) == pytest.approx(STEEPEST)
-    assert edge_contrast(chart(), LIGHT, HALF_UM) == 1.0
-    assert edge_contrast(placed(np.full((9, 9), 0.2)), LIGHT, HALF_UM) == PHOTOGRAPH
+    assert edge_contrast(hole, np.array([1.0, 1.0, 0.0, 1.0]), HALF_UM, np.copy) == pytest.approx(
+        STEEPEST
+    )
+    assert edge_contrast(chart(), LIGHT, HALF_UM, np.copy) == 1.0
+    assert edge_contrast(placed(np.full((9, 9), 0.2)), LIGHT, HALF_UM, np.copy) == PHOTOGRAPH
