@@ -22,7 +22,7 @@ MISSING = Unknown(700.0, 1200.0, ("the <filter>",), 0.234, "R")
 STAGES = (
     PlanStage("paint", True, "drawn on the sim grid", 1e-5, 0.3),
     PlanStage("warp", False, "the scene is a <chart> & needs none"),
-    PlanStage("rows", True, "2 blocks", 2e-4, 1.0),
+    PlanStage("fft rows", True, "2 blocks", 2e-4, 1.0),
     PlanStage("adc", True, "12 bit", None, 0.01),
 )
 RUNNERS_UP = (
@@ -105,7 +105,7 @@ def fake_capture(
             tolerance=tolerance,
             shortfall="",
         ),
-        times_s={"paint": 0.25, "rows": 1.5, "adc": 0.004},
+        times_s={"paint": 0.25, "fft rows": 1.5, "adc": 0.004},
         wall_s=2.25,
         prepare_s={"lens": 0.125},
         memory={"budget_bytes": 1 << 30, "peak_bytes": 123 << 20},

@@ -22,7 +22,7 @@ from gpusim.optics.images import field_images, mirrored
 from gpusim.psf.bank import Bank
 
 TOOLS = Path(__file__).parent.parent / "tools"
-STAGES = ["paint", "warp", "rows", "columns", "lattice", "modes", "direct"]
+STAGES = ["paint", "warp", "fft-rows", "fft-columns", "inverse-fft", "modes", "direct"]
 STAGES += ["mosaic", "crosstalk", "exposure", "noise", "adc", "sensor-12mp"]
 STAGES += ["smear", "cti-linear", "cti-trap"]
 DEVELOP = ["develop-12mp", "develop-12mp-directional"]
@@ -119,7 +119,9 @@ def test_a_stage_runs_and_is_compared_with_its_reference(
     job.run()
     assert job.pixels == SMALL[0] * SMALL[1]
     assert job.nbytes >= 4 * job.samples > 0
-    assert (job.flops > 0) == (stage in ("rows", "columns", "lattice", "modes", "direct"))
+    assert (job.flops > 0) == (
+        stage in ("fft-rows", "fft-columns", "inverse-fft", "modes", "direct")
+    )
     assert 0 <= job.error["worst"] <= WORST[stage]
     for run, share in job.peers.values():
         run()
@@ -144,13 +146,13 @@ def test_operations_are_counted_as_usual(jobs: ModuleType, own_device: Device):
     assert jobs.of_transforms(3, 256) == 3 * 5 * 256 * 8
     # One block of this frame, of 256 samples: rows of it one by one.
     grid = jobs.sim_grid(SMALL)
-    rows = jobs.JOBS["rows"][1](own_device, SMALL)
+    rows = jobs.JOBS["fft-rows"][1](own_device, SMALL)
     blocks = grid.blocks[0] * grid.blocks[1]
     assert rows.flops == blocks * grid.block[1] * 5 * grid.length * np.log2(grid.length)
 
 
 def test_operations_stand_beside_multiply_adds_alone(own_device: Device):
-    found = json.loads(bench("lattice", "--json", "--megapixels", 0.05).stdout)
+    found = json.loads(bench("inverse-fft", "--json", "--megapixels", 0.05).stdout)
     assert found["flops_per_s"] == pytest.approx(found["flops"] / found["best_s"])
     assert found["arithmetic_flops_per_s"] > found["flops_per_s"]
     # A line is a product and a sum of four numbers, and there are as many as are counted.
@@ -177,7 +179,7 @@ def test_operations_stand_beside_multiply_adds_alone(own_device: Device):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["columsn"], "columns"),
+        (["fft-columsn"], "fft-columns"),
         ([], "render-demo"),
         (["adc", "--megapixels", "0"], "0.02 to 12.3"),
     ],

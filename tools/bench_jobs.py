@@ -49,16 +49,16 @@ from gpusim.psf.places import Heights
 from gpusim.psf.psf import intensity
 from gpusim.psf.sampling import default_fields_deg
 from gpusim.reference.adc import adc
-from gpusim.reference.columns import columns
 from gpusim.reference.crosstalk import crosstalk
 from gpusim.reference.direct import direct
 from gpusim.reference.exposure import exposure
-from gpusim.reference.lattice import lattice
+from gpusim.reference.fft_columns import fft_columns
+from gpusim.reference.fft_rows import fft_rows
+from gpusim.reference.inverse_fft import inverse_fft
 from gpusim.reference.modes import modes as modes_reference
 from gpusim.reference.mosaic import mosaic
 from gpusim.reference.noise import noise
 from gpusim.reference.paint import paint
-from gpusim.reference.rows import rows
 from gpusim.reference.warp import warp
 from gpusim.render import Capture, Renderer
 from gpusim.scene import Chart, Disc, PlacedRaster, Raster, Scene, make_scene
@@ -546,7 +546,7 @@ def warp_job(device: Device, frame: tuple[int, int]) -> Job:
 
 
 def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
-    """Time rows, columns or lattice alone over all blocks: one plane, three channels."""
+    """Time one pass of the FFTs alone over all blocks: one plane, three channels."""
     grid = sim_grid(frame)
     length, window = grid.length, grid.window
     part = Convolve(device, scale_of(grid), {}, PITCH_UM, SITES)
@@ -577,22 +577,22 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     (first_x, step_x), (first_y, step_y) = grid.node_weights((0, 0))
     peers: dict[str, tuple[Run, float]] = {}
     blocks = grid.blocks[0] * grid.blocks[1]
-    if stage == "rows":
+    if stage == "fft_rows":
         lines = complex_of(spectra)[0]
         found = error(
             complex_of(device.read(scratch.spectra))[:, :8],
-            rows(planes[:, :8], first_x, step_x, length),
+            fft_rows(planes[:, :8], first_x, step_x, length),
         )
         nbytes, samples = planes.nbytes + spectra.nbytes, lines.size
         flops = of_transforms(grid.block[1], length)
         peers["scipy"] = (lambda: scipy.fft.fft(lines, workers=2), blocks)
-    elif stage == "columns":
+    elif stage == "fft_columns":
         packed = [device.read(part.nodes[x, y]) for y in (0, 1) for x in (0, 1)]
         kernels = [unpacked(node, length) for node in packed]
         places = [(channel, 2 * (s % 2), 2 * (s // 2)) for s, channel in enumerate(SITES)]
         found = error(
             by_site(device.read(scratch.folded)),
-            columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride),
+            fft_columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride),
         )
         nbytes = spectra.nbytes + 4 * packed[0].nbytes + folded.nbytes
         samples = length**2 // 2
@@ -608,7 +608,9 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         peers["scipy"] = (peer, blocks)
     else:
         start = grid.window_origin((0, 0))
-        expected = lattice(by_site(folded), np.zeros((4, window, window)), start, (1, 1), grid.seen)
+        expected = inverse_fft(
+            by_site(folded), np.zeros((4, window, window)), start, (1, 1), grid.seen
+        )
         found = error(device.read(rates)[:, :window, :window], expected)
         samples = 4 * window**2
         nbytes = folded.nbytes + 2 * 4 * samples
@@ -980,12 +982,15 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     ),
     "paint": ("a chart onto the sim grid, one plane", paint_job),
     "warp": ("a photograph onto the sim grid, one plane", warp_job),
-    "rows": ("row transforms, one plane", partial(convolution_job, "rows")),
-    "columns": (
+    "fft-rows": ("row transforms, one plane", partial(convolution_job, "fft_rows")),
+    "fft-columns": (
         "column transforms and kernel products, one plane to three channels",
-        partial(convolution_job, "columns"),
+        partial(convolution_job, "fft_columns"),
     ),
-    "lattice": ("inverse row transforms and overlap-add", partial(convolution_job, "lattice")),
+    "inverse-fft": (
+        "inverse row transforms and overlap-add",
+        partial(convolution_job, "inverse_fft"),
+    ),
     "modes": ("row transforms weighted with two maps, one plane", modes_job),
     "direct": ("a sum over 16 x 16 taps, one plane to three channels", direct_job),
     "mosaic": ("filter sites to pixels", partial(sensor_job, "mosaic")),

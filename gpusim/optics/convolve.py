@@ -1,4 +1,4 @@
-"""Space-variant convolution of one frame: rows, columns and lattice, block after block.
+"""Space-variant convolution of one frame: FFTs of rows and columns, inverse FFT, block by block.
 
 Scatter: every source sample is spread by the PSF that belongs to *it*, interpolated bilinearly
 between the four PSF nodes of its cell. The weights separate in x and y, so two row spectra and four
@@ -42,7 +42,7 @@ class Scratch:
         """Return the shape of each array, of floats."""
         pairs = -(-grid.sites // 2)
         lines = lines or planes
-        # Squares of 16 x 17 numbers: see shaders/optics/columns.
+        # Squares of 16 x 17 numbers: see shaders/optics/fft_columns.
         slots = (
             grid.length // 256 * 2 * lines * 16 * 17 + pairs * grid.length // 16 // grid.stride * 17
         )
@@ -60,7 +60,7 @@ class Scratch:
 
 
 def packed_channels(of_site: list[int]) -> list[int]:
-    """Return the kernel of each site, four bits a site, as shaders/optics/columns reads them."""
+    """Return the kernel of each site, four bits a site, as optics/fft_columns reads them."""
     words = [0, 0, 0, 0]
     for site, kernel in enumerate(of_site):
         words[site // 8] |= kernel << (4 * (site % 8))
@@ -83,10 +83,10 @@ def block_transform(grid: SimGrid) -> dict[str, int]:
     }
 
 
-def columns_passes(
+def fft_columns_passes(
     grid: SimGrid, outputs: Outputs, nodes: int
 ) -> list[tuple[Kernel, dict[str, object]]]:
-    """Return the dispatches of shaders/optics/columns for a block: kernels, and params of sizes.
+    """Return a block's dispatches of optics/fft_columns: kernels, and params of sizes.
 
     Parameters
     ----------
@@ -114,11 +114,11 @@ def columns_passes(
             {"first": first, "pairs": (first // 2, min(first // 2 + 2, pairs))}
             for first in range(0, channels, 4)
         ]
-    products = Kernel("optics/columns", PHASE=1, C=min(channels, 4), NODES=nodes, **stride)
+    products = Kernel("optics/fft_columns", PHASE=1, C=min(channels, 4), NODES=nodes, **stride)
     return [
-        (Kernel("optics/columns", PHASE=0, NODES=nodes, **length), sizes),
+        (Kernel("optics/fft_columns", PHASE=0, NODES=nodes, **length), sizes),
         *((products, sizes | four) for four in fours),
-        (Kernel("optics/columns", PHASE=2, **length, **stride), sizes),
+        (Kernel("optics/fft_columns", PHASE=2, **length, **stride), sizes),
     ]
 
 
@@ -131,16 +131,16 @@ class Transforms:
     scale : Scale
     outputs : Outputs
     nodes : int
-        Four PSF nodes, or one or two lines of modes: see shaders/optics/columns.
+        Four PSF nodes, or one or two lines of modes: see shaders/optics/fft_columns.
     """
 
     use = Use.TEXELS  # of kernels, of which there are most numbers to load
 
     def __init__(self, device: Device, scale: Scale, outputs: Outputs, nodes: int) -> None:
         self.grid = grid = scale.grid
-        self.columns = columns_passes(grid, outputs, nodes)
-        self.lattice = Kernel(
-            "optics/lattice",
+        self.fft_columns = fft_columns_passes(grid, outputs, nodes)
+        self.inverse_fft = Kernel(
+            "optics/inverse_fft",
             T=grid.length,
             D=grid.stride,
             M=grid.window,
@@ -163,12 +163,12 @@ class Transforms:
     ) -> None:
         """Multiply the spectra in the scratch with four kernels, and add the block to the rates.
 
-        `columns` are the params of shaders/optics/columns, but for the sizes; of a block that is
-        `mirrored` there, `block` is the one whose mirror image it is.
+        `columns` are the params of shaders/optics/fft_columns, but for the sizes; of a block that
+        is `mirrored` there, `block` is the one whose mirror image it is.
         """
         grid = self.grid
         names = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
-        for kernel, sizes in self.columns:
+        for kernel, sizes in self.fft_columns:
             kernel.record(
                 rec,
                 groups=(grid.length // 16, 1, 1),
@@ -190,7 +190,7 @@ class Transforms:
         ):
             origin.append((side // grid.period - 1 - at if mirrored else at) - before)
             step.append(-1 if mirrored else 1)
-        self.lattice.record(
+        self.inverse_fft.record(
             rec,
             groups=(-(-grid.seen[1] // grid.stride), -(-grid.sites // 4), 1),
             params={"origin": origin, "step": step, "size": (cols, rows), "seen": grid.seen},
@@ -228,7 +228,7 @@ class Convolve(Transforms, NodeStore):
         folds = folds_of(grid, scale.kernels.mirrored, aperture_um, self.outputs.step)
         NodeStore.__init__(self, device, scale, needed, folds)
         Transforms.__init__(self, device, scale, self.outputs, 4)
-        self.rows = Kernel("optics/rows", **block_transform(grid))
+        self.fft_rows = Kernel("optics/fft_rows", **block_transform(grid))
         self.aperture = aperture_um / scale.pitch_um  # sim samples
         self.half_size = grid.half_size
         self.plane_bytes = spectra_bytes(grid, self.outputs)
@@ -278,7 +278,7 @@ class Convolve(Transforms, NodeStore):
         grid = self.grid
         block, mirrored = grid.folded(block, self.folds)
         (first_x, step_x), (first_y, step_y) = grid.node_weights(block)
-        self.rows.record(
+        self.fft_rows.record(
             rec,
             groups=(-(-grid.block[1] // 2), needed, 1),
             params={"first_s": first_x, "step_s": step_x, "mirrored": mirrored},

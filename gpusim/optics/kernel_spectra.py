@@ -79,7 +79,7 @@ def kernel_spectra(
     *,
     ringing: bool = False,
 ) -> np.ndarray:
-    """Return the spectra that shaders/optics/columns multiplies with.
+    """Return the spectra that shaders/optics/fft_columns multiplies with.
 
     Parameters
     ----------

@@ -82,8 +82,8 @@ class Outputs:
 def own_kernels(stride: int, period: int, layers: int, channels: int) -> bool:
     """Return whether each site has a kernel of its own.
 
-    Where a site lies whole samples from the next, shaders/optics/columns shifts those of up to four
-    channels.
+    Where a site lies whole samples from the next, shaders/optics/fft_columns shifts those of up to
+    four channels.
     """
     return layers > 1 or stride % period != 0 or channels > 4
 

@@ -34,6 +34,7 @@ from gpusim.optics.splat import HIGHLIGHT, SQUARE
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
 from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.stage import stage_of
 from gpusim.psf.places import Heights
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
@@ -54,8 +55,8 @@ from gpusim.sensor.smear import record_smear
 from gpusim.sensor.smear_model import Smear
 from gpusim.sensor.traps import record_traps
 
-# Numbers that shaders/optics/columns loads and stores for a sample of a transform, of a product,
-# and of the inverse; and how much they weigh against a measured time.
+# Numbers that shaders/optics/fft_columns loads and stores for a sample of a transform, of a
+# product, and of the inverse; and how much they weigh against a measured time.
 LOADS, HELD = np.array([9.0, 2.0, 6.0]), 0.2
 NODES = 16  # of which kernels are timed
 # Blocks of 256 that one run convolves: a pass of one such dispatch is mostly its beginning and end.
@@ -182,7 +183,7 @@ def _fastest(rec: Recording) -> dict[str, float]:
     """Return the least seconds of each stage over some runs."""
     rec.run()  # compiles, and fills the pool
     runs = [rec.run().times_s for _ in range(RUNS)]
-    return {stage.rpartition("/")[2]: min(run[stage] for run in runs) for stage in runs[0]}
+    return {stage_of(path): min(run[path] for run in runs) for path in runs[0]}
 
 
 def _grid(length: int, period: int) -> SimGrid:
@@ -326,7 +327,7 @@ def _stage_time(device: Device, stage: Paint | Warp) -> dict[str, float]:
 
 
 def _transforms(device: Device) -> dict[str | int, float]:
-    """Time rows, columns and lattice: by planes, channels and length."""
+    """Time FFT of rows, FFT of columns and inverse FFT: by planes, channels and length."""
     at_256 = {
         (channels, planes): _convolved(device, 256, channels, planes)
         for channels in (1, 3)
@@ -337,21 +338,24 @@ def _transforms(device: Device) -> dict[str | int, float]:
     others = {
         length: _convolved(device, length, 3, PLANES) for length in TRANSFORMS if length != 256
     }
-    # The three rates of columns from four times, each counted by its share.
+    # The three rates of the FFT of columns from four times, each counted by its share.
     work, times = [], []
     grid = _grid(256, 2)
-    unit = {name: 1e9 if name in ("columns", "products", "inverse") else 0.0 for name in UNITS}
+    unit = {
+        name: 1e9 if name in ("fft columns", "products", "inverse columns") else 0.0
+        for name in UNITS
+    }
     for (channels, planes), found in at_256.items():
         count = np.array([planes])
         work.append(
             [
                 Costs(
                     "", unit | {other: 0.0 for other in unit if other != name}, {256: 1.0}
-                ).transforms(grid, channels, count)["columns"]
-                for name in ("columns", "products", "inverse")
+                ).transforms(grid, channels, count)["fft columns"]
+                for name in ("fft columns", "products", "inverse columns")
             ]
         )
-        times.append(found["columns"])
+        times.append(found["fft columns"])
     parts = np.array(work) / np.array(times)[:, None]
     # Four times that differ little tell three rates badly apart: they are held to what counts on a
     # processor, the numbers that each unit loads and stores.
@@ -360,8 +364,11 @@ def _transforms(device: Device) -> dict[str | int, float]:
         np.concatenate([parts, np.diag(HELD / likely)]), np.append(np.ones(len(times)), [HELD] * 3)
     )
     units = Costs("", dict.fromkeys(UNITS, 1e9), {256: 1.0}).transforms(grid, 3, np.array([PLANES]))
-    ns = {stage: 1e9 * at_256[3, PLANES][stage] / units[stage] for stage in ("rows", "lattice")}
-    ns |= dict(zip(("columns", "products", "inverse"), 1e9 * rates, strict=True))
+    ns = {
+        stage: 1e9 * at_256[3, PLANES][stage] / units[stage]
+        for stage in ("fft rows", "inverse fft")
+    }
+    ns |= dict(zip(("fft columns", "products", "inverse columns"), 1e9 * rates, strict=True))
     alike = Costs("", dict.fromkeys(UNITS, 0.0) | ns, dict.fromkeys(TRANSFORMS, 1.0))
     lengths = {256: 1.0}
     for length, found in others.items():
@@ -386,7 +393,7 @@ def _others(device: Device) -> dict[str | int, float]:
 
 
 def _convolved(device: Device, length: int, channels: int, planes: int) -> dict[str, float]:
-    """Return the seconds of rows, columns and lattice for one block of a Bayer pattern."""
+    """Return the seconds of each pass of the FFTs for one block of a Bayer pattern."""
     grid = _grid(length, 2)
     sites = [0, 1, 1, 2] if channels == 3 else [0] * 4
     convolution = Convolve(device, _scale(grid, channels), {}, 1.0, sites)

@@ -17,12 +17,12 @@ UNITS = {
     "paint": "sample of the sim grid",
     "edges": "sample and primitive, where a tile sees its edge",
     "warp": "sample and plane",
-    "rows": "complex sample of a transform, and log2 of its length",
+    "fft rows": "complex sample of a transform, and log2 of its length",
     "modes": "complex sample of a transform, and log2 of its length",
-    "columns": "complex sample of a transform",
-    "products": "complex product with a kernel, in the columns pass",
-    "inverse": "complex sample of the inverse transform, in the columns pass",
-    "lattice": "complex sample of a transform, and log2 of its length",
+    "fft columns": "complex sample of a transform",
+    "products": "complex product with a kernel, in the FFT of columns",
+    "inverse columns": "complex sample of the inverse transform, in the FFT of columns",
+    "inverse fft": "complex sample of a transform, and log2 of its length",
     "direct": "multiply-add of a source sample and a tap",
     "tables": "sample of a table of highlights, and wavelength, on the host",
     "splat": "highlight and pixel in its reach",
@@ -52,7 +52,7 @@ class Costs:
     ns : mapping of str to float
         Nanoseconds for each unit of work: see UNITS.
     lengths : mapping of int to float
-        By transform length: what rows, columns and lattice cost relative to transforms of 256.
+        By transform length: what the FFTs cost relative to transforms of 256.
     """
 
     source: str
@@ -66,7 +66,7 @@ class Costs:
     def transforms(
         self, grid: SimGrid, outputs: int, planes: np.ndarray, rank: int | None = None
     ) -> dict[str, float]:
-        """Return the time of rows, columns and lattice; of modes, columns and lattice.
+        """Return the time of each pass of the FFTs; with modes in place of the FFT of rows.
 
         Parameters
         ----------
@@ -80,20 +80,22 @@ class Costs:
         """
         if rank is None:
             # Left and right node share a line, upper and lower have a transform each.
-            first, lines, transforms, products = "rows", int(np.sum(planes)), 2, 4
+            first, lines, transforms, products = "fft rows", int(np.sum(planes)), 2, 4
         else:
             first, lines = "modes", int(np.sum(-(-planes * rank // 2)))
             transforms, products = 1, min(2, rank * int(np.max(planes, initial=0)))
         blocks = np.count_nonzero(planes)
         length, window, pairs = grid.length, grid.window, -(-grid.sites // 2)
         samples = length**2 // 2  # the other half are their mirrors
-        columns = self.seconds("columns", transforms * lines * samples)
+        columns = self.seconds("fft columns", transforms * lines * samples)
         columns += self.seconds("products", products * outputs * lines * samples)
-        columns += self.seconds("inverse", blocks * pairs * samples / grid.stride)
+        columns += self.seconds("inverse columns", blocks * pairs * samples / grid.stride)
         seconds = {
             first: self.seconds(first, lines * grid.block[1] * length * np.log2(length)),
-            "columns": columns,
-            "lattice": self.seconds("lattice", blocks * pairs * window**2 * np.log2(window)),
+            "fft columns": columns,
+            "inverse fft": self.seconds(
+                "inverse fft", blocks * pairs * window**2 * np.log2(window)
+            ),
         }
         return {stage: self.lengths[length] * time for stage, time in seconds.items()}
 
@@ -107,12 +109,12 @@ LAVAPIPE = Costs(
         "paint": 2.4,
         "edges": 41.0,
         "warp": 6.0,
-        "rows": 1.0,
+        "fft rows": 1.0,
         "modes": 1.2,
-        "columns": 10.0,
+        "fft columns": 10.0,
         "products": 1.1,
-        "inverse": 5.0,
-        "lattice": 3.5,
+        "inverse columns": 5.0,
+        "inverse fft": 3.5,
         "direct": 0.07,
         "tables": 30.0,
         "splat": 50.0,

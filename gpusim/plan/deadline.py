@@ -21,8 +21,8 @@ def predicted_parts(plan: Plan) -> dict[str, float]:
     of = {stage.name: stage.predicted_error or 0.0 for stage in plan.stages if stage.runs}
     # The planes' prediction is that of the worst spectrum in its weakest channel.
     planes = max(of.get("paint", 0.0), of.get("warp", 0.0)) / WORST_TO_RMS
-    nodes = max(of.get(stage, 0.0) for stage in ("columns", "direct"))  # by method
-    return {"planes": planes, "alias": of.get("rows", 0.0), "nodes": nodes}
+    nodes = max(of.get(stage, 0.0) for stage in ("fft columns", "direct"))  # by method
+    return {"planes": planes, "alias": of.get("fft rows", 0.0), "nodes": nodes}
 
 
 def predicted_error(plan: Plan) -> float:

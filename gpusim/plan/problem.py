@@ -258,7 +258,7 @@ class Problem:
     def coarse_stride(self) -> int:
         """Sim samples of the tails' grid from a photosite to the next of its site."""
         # Half a sample a pixel, but a whole one for 4 x 4 sites: between samples each would have
-        # kernels of its own, and shaders/optics/columns sums four.
+        # kernels of its own, and shaders/optics/fft_columns sums four.
         return 4 if self.planes.period == 4 else 1
 
     @property

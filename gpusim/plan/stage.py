@@ -11,11 +11,16 @@ from gpusim.sensor.effects import EFFECTS
 _BEFORE_THE_SENSOR = (
     *("wavelengths", "no data", "bank", "window", "illumination", "paint", "warp", "dark blocks"),
     *("image circle", "distortion", "lateral", "halo", "qe by angle"),
-    *("rows", "modes", "columns", "lattice", "direct", "tail", "splat"),
+    *("fft rows", "modes", "fft columns", "inverse fft", "direct", "tail", "splat"),
 )
 _NAMES = (*_BEFORE_THE_SENSOR, *(effect.name for effect in EFFECTS))
 Stage = StrEnum("Stage", {name.upper().replace(" ", "_"): name for name in _NAMES})
-"""Every stage that a plan may tell of: ``Stage("rows")``; another name is a ValueError."""
+"""Every stage that a plan may tell of: ``Stage("fft rows")``; another name is a ValueError."""
+
+
+def stage_of(path: str) -> str:
+    """Return the stage that a shader does: ``optics/fft_rows`` does "fft rows"."""
+    return path.rpartition("/")[2].replace("_", " ")
 
 
 @dataclass(frozen=True)

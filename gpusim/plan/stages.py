@@ -18,7 +18,8 @@ from gpusim.sensor.effects import EFFECTS, EXPOSURE, Effect, running
 from gpusim.sensor.sensor import Sensor
 
 COLUMNS = 100  # of the plan's text
-REASON = 60  # of which a reason may take
+NAME = 26  # of which a stage and whether it runs take
+REASON = 52  # of which a reason may take
 RIM = "image circle"  # the stage that leaves black what lies beyond it
 
 
@@ -78,7 +79,7 @@ class Plan:
 
     def text(self) -> str:
         """Return the plan as lines of text, at most 100 columns wide."""
-        lines = [f"{'':18}{'':{REASON}}{'error':>10}{'time':>11}"]
+        lines = [f"{'':{NAME}}{'':{REASON}}{'error':>10}{'time':>11}"]
         for stage in self.stages:
             state = "run" if stage.runs else "skip"
             first = f"{state:5}{stage.name}"
@@ -102,8 +103,8 @@ def _row(first: str, reason: str, error: float | None, cost_s: float | None) -> 
     """Return a reason in as many lines as it needs, the numbers on the first of them."""
     lines = textwrap.wrap(reason, REASON)
     numbers = ("" if error is None else f"{error:.1e}", "" if cost_s is None else f"{cost_s:.3f} s")
-    lines[0] = f"{first:18}{lines[0]:{REASON}}{numbers[0]:>10}{numbers[1]:>11}".rstrip()
-    return [lines[0], *(f"{'':18}{line}" for line in lines[1:])]
+    lines[0] = f"{first:{NAME}}{lines[0]:{REASON}}{numbers[0]:>10}{numbers[1]:>11}".rstrip()
+    return [lines[0], *(f"{'':{NAME}}{line}" for line in lines[1:])]
 
 
 def describe(
@@ -199,16 +200,19 @@ def _convolution_stages(chosen: Candidate, cost: Callable[[str], float]) -> tupl
 
     transformed = scales("fft", "modes")
     used = {
-        "rows": (scales("fft"), "no scale is convolved by PSF nodes and transforms"),
+        "fft rows": (scales("fft"), "no scale is convolved by PSF nodes and transforms"),
         "modes": (scales("modes"), "no scale has PSFs that are sums of few modes"),
-        "columns": (transformed and "products with the kernels' spectra", "no transforms"),
-        "lattice": (transformed and "inverse transform at the photosites only", "no transforms"),
+        "fft columns": (transformed and "products with the kernels' spectra", "no transforms"),
+        "inverse fft": (
+            transformed and "inverse transform at the photosites only",
+            "no transforms",
+        ),
         "direct": (scales("direct"), "no scale has a support that is small enough"),
     }
     errors = {
-        "rows": chosen.errors["alias"],
+        "fft rows": chosen.errors["alias"],
         "modes": chosen.errors.get("modes"),
-        "columns": chosen.errors["nodes"],
+        "fft columns": chosen.errors["nodes"],
         "direct": chosen.errors.get("support"),
     }
     if not transformed:  # else they are counted there, of both scales

@@ -19,7 +19,8 @@ from gpusim.psf.sampling import PITCH_UM
 # On one sample a pixel kernels are sharp-edged in frequency and ring beyond their support: an even
 # scene lost up to 2.5 % of its light.
 OVERSAMPLINGS = (2, 4, 8, 16)
-LARGEST_STRIDE = 16  # samples from a photosite to the next of its site: shaders/optics/columns
+# Samples from a photosite to the next of its site: see shaders/optics/fft_columns.
+LARGEST_STRIDE = 16
 WHOLE = "whole"  # forced: PSFs are not cut
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu import OutOfMemoryError, Recording, Resident, Result
 from gpusim.gpu.pool import mebibytes
+from gpusim.plan.stage import stage_of
 from gpusim.plan.tiles import Rect, aligned, halves, tiles_of
 
 if TYPE_CHECKING:
@@ -206,6 +207,6 @@ class Lighting:
     def run(self, rec: Recording) -> Result:
         """Run a recording, and count its seconds."""
         result = rec.run()
-        for stage, seconds in result.times_s.items():
-            self.times_s[stage.rpartition("/")[2]] += seconds
+        for path, seconds in result.times_s.items():
+            self.times_s[stage_of(path)] += seconds
         return result

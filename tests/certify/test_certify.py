@@ -313,12 +313,12 @@ def test_light_that_lands_a_tenth_of_a_pixel_off_is_seen(monkeypatch, sound_rms:
     ("shader", "line", "planted"),
     [
         (
-            "optics/rows",
+            "optics/fft_rows",
             "return vec4f(a * (1.0 - s), a * s, b * (1.0 - s), b * s);",
             "return vec4f(a * (0.97 - s), a * s, b * (0.97 - s), b * s);",
         ),
         ("optics/paint", "planes[d] = s.low.x;", "planes[d] = 0.99 * s.low.x;"),
-        ("optics/lattice", "rates[i] += pair.x;", "rates[i] += pair.x;"),
+        ("optics/inverse_fft", "rates[i] += pair.x;", "rates[i] += pair.x;"),
     ],
     ids=["a weight", "a factor", "nothing"],
 )

@@ -1,4 +1,4 @@
-"""Rows, columns and lattice together, against a convolution summed in space over whole frames."""
+"""FFTs and inverse FFT together, against a convolution summed in space over whole frames."""
 
 import numpy as np
 import pytest
@@ -163,12 +163,12 @@ def test_every_planned_kernel_fits_16_kib_of_workgroup_memory(
     )
     scale = Scale("test", grid, 1.0, 0.0, None)
     modes = [Modes(device, scale, {(0, 0): planes}, 1.0, sites, one) for planes in (1, 2)]
-    kernels = [stage.rows, stage.lattice]
-    kernels += [kernel for one in modes for kernel in (one.modes, one.lattice)]
+    kernels = [stage.fft_rows, stage.inverse_fft]
+    kernels += [kernel for one in modes for kernel in (one.modes, one.inverse_fft)]
     for kernel in kernels:
         assert kernel.workgroup_bytes == 16 * length <= 16384
         assert np.prod(kernel.workgroup_size) == length // 8 <= 256
-    for passes in (stage.columns, *(one.columns for one in modes)):
+    for passes in (stage.fft_columns, *(one.fft_columns for one in modes)):
         assert all(kernel.workgroup_bytes == 0 for kernel, _ in passes)
     for part in (stage, *modes):
         part.release()
@@ -177,4 +177,4 @@ def test_every_planned_kernel_fits_16_kib_of_workgroup_memory(
 def test_the_next_longer_transform_is_refused():
     """The control of the test above: 2048 samples need 32 KiB, which not every adapter has."""
     with pytest.raises(ShaderError, match="32768 bytes of workgroup storage"):
-        Kernel("optics/rows", T=2048, LANES=256, FIRST_RADIX=4, BX=64, BY=64)
+        Kernel("optics/fft_rows", T=2048, LANES=256, FIRST_RADIX=4, BX=64, BY=64)

@@ -173,7 +173,7 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(
 
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(device, make, scale, site_channels, blocks, needed, frame)
-    # The same bound as that of rows, columns and lattice: the taps left out give less than 50 ULP.
+    # The same bound as that of the FFTs: the taps left out give less than 50 ULP.
     for image, expected in by_layer(found, scale, site_channels, blocks, needed):
         assert_close(image, expected, atol=300 * ULP * np.abs(expected).max())
 

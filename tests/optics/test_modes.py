@@ -131,7 +131,7 @@ def test_all_modes_are_the_mixture_of_the_nodes(device: Device, name: str):
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(device, make, scale, site_channels, blocks, needed, frame)
     expected = in_space(scale, site_channels, blocks, needed, cells)
-    # As for rows, columns and lattice; the modes' float32 adds one rounding for each of 24 at most.
+    # As for the FFTs of PSF nodes; the modes' float32 adds one rounding for each of 24 at most.
     image = mosaic(found, grid.period, expected.shape)
     assert_close(image, expected, atol=324 * ULP * np.abs(expected).max())
 
@@ -221,11 +221,11 @@ def test_the_host_makes_the_kernels_for_its_grid(device: Device, length: int):
     assert (made.modes.overrides["BX"], made.modes.overrides["BY"]) == grid.block
     # All but the number of nodes as for nodes.
     nodes = convolve_for(device, grid, [0, 1, 1, 2], 3)
-    for (own, sizes), (other, expected) in zip(made.columns, nodes.columns, strict=True):
+    for (own, sizes), (other, expected) in zip(made.fft_columns, nodes.fft_columns, strict=True):
         two = {} if other.overrides["PHASE"] == 2 else {"NODES": 2}
         assert own.overrides == other.overrides | two
         assert sizes == expected
-    assert made.lattice.overrides == nodes.lattice.overrides
+    assert made.inverse_fft.overrides == nodes.inverse_fft.overrides
     made.release()
     nodes.release()
 

@@ -17,7 +17,9 @@ TOO_BIG = UserError("The kernels do not fit.", value="352 samples", allowed="les
 
 def candidate(name: str, cost_s: float | None, nodes: float = 5e-4, alias: float = 1e-4):
     parts = (
-        () if cost_s is None else (Part("whole", 0.775, Layout(GRID, {}, {"rows": cost_s}, 0.0)),)
+        ()
+        if cost_s is None
+        else (Part("whole", 0.775, Layout(GRID, {}, {"fft rows": cost_s}, 0.0)),)
     )
     limits = {"nodes": 1e-3, "alias": 1e-3}
     return Candidate(name, 2, None, 0.8, {"nodes": nodes, "alias": alias}, limits, parts)
@@ -44,7 +46,7 @@ def test_the_cheapest_within_the_tolerance_is_chosen():
 
 
 def test_a_cost_is_the_sum_over_scales_and_stages():
-    one = Layout(GRID, {}, {"rows": 1.0, "dispatch": 0.25}, 0.25)
+    one = Layout(GRID, {}, {"fft rows": 1.0, "dispatch": 0.25}, 0.25)
     assert one.frame_s == 1.25
     both = replace(candidate("a", 1.0), parts=(Part("core", 1, one), Part("tail", 1, one)))
     assert both.cost_s == 3.0

@@ -18,7 +18,7 @@ from gpusim.plan import Accuracy, Plan, PlanStage, plan_optics
 from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.plan.layout import BLOCK_BYTES
-from gpusim.plan.stages import sensor_runs
+from gpusim.plan.stages import NAME, sensor_runs
 from gpusim.plan.ways import OVERSAMPLINGS
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
@@ -51,10 +51,10 @@ def test_every_stage_says_why_it_runs_or_not():
         "lateral",
         "halo",
         "qe by angle",
-        "rows",
+        "fft rows",
         "modes",
-        "columns",
-        "lattice",
+        "fft columns",
+        "inverse fft",
         "direct",
         "tail",
         "splat",
@@ -125,7 +125,7 @@ def test_the_text_says_everything_within_100_columns():
     first_lines = [line for line in text.splitlines() if line[:4] in ("run ", "skip")]
     for line, stage in zip(first_lines, plan.stages, strict=True):
         assert line.startswith(f"{'run' if stage.runs else 'skip':5}{stage.name} ")
-        assert line[18:].startswith(stage.reason[:40].rsplit(" ", 1)[0])
+        assert line[NAME:].startswith(stage.reason[:40].rsplit(" ", 1)[0])
         if stage.predicted_cost_s is not None:
             assert line.endswith(f"{stage.predicted_cost_s:.3f} s")
     assert plan.name in words_of(text) and plan.rates in text and len(plan.runners_up) > 1
@@ -266,7 +266,7 @@ def test_filter_patterns_of_one_two_and_four(pattern: list[str]):
         assert grid.period == len(pattern) and grid.half_size % grid.stride == 0
         assert grid.length in (256, 512, 1024)
         # Sites a whole number of samples apart share kernels by channel; else each has its own, and
-        # shaders/optics/columns sums four at most.
+        # shaders/optics/fft_columns sums four at most.
         assert grid.stride % grid.period == 0 or grid.sites <= 4
         assert scale.pitch_um == pytest.approx(1.55 / grid.oversampling)
 
@@ -365,9 +365,9 @@ def test_a_method_that_is_asked_for_is_taken(method: str):
     assert plan.name.startswith(method)
     grids = tuple(f"{count} sample" for count in OVERSAMPLINGS)  # that were not worked out
     assert all(other.name.startswith((method, *grids)) for other in plan.runners_up)
-    used = {"fft": {"rows", "columns", "lattice"}, "direct": {"direct"}}
-    used["modes"] = {"modes", "columns", "lattice"}
-    for stage in ("rows", "modes", "columns", "lattice", "direct"):
+    used = {"fft": {"fft rows", "fft columns", "inverse fft"}, "direct": {"direct"}}
+    used["modes"] = {"modes", "fft columns", "inverse fft"}
+    for stage in ("fft rows", "modes", "fft columns", "inverse fft", "direct"):
         assert plan.runs(stage) == (stage in used[method])
 
 
@@ -382,7 +382,7 @@ def test_without_a_method_the_cheapest_of_all_is_taken():
     assert chosen.predicted_s <= min(best)
     tried = {other.name.split(",")[0] for other in chosen.runners_up} | {chosen.name.split(",")[0]}
     assert tried >= set(METHODS)
-    dear = {"direct": "direct", "fft": "rows", "modes": "modes"}[chosen.scales[0].method]
+    dear = {"direct": "direct", "fft": "fft rows", "modes": "modes"}[chosen.scales[0].method]
     costs = replace(LAVAPIPE, ns=LAVAPIPE.ns | {dear: 1e6})
     other = plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2), costs)
     assert other.scales[0].method != chosen.scales[0].method

@@ -38,7 +38,7 @@ LENS = bank(coma_um=0.6, falloff=0.1, halo=0.01)
 CAMERA = StubCamera(LENS, sensor())
 EXPOSURE_S = 0.01
 COARSE = Accuracy(tolerance=1e-2, probes=0)
-PER_PLANE = ("rows", "columns", "products", "paint", "edges", "kernels", "spectra")
+PER_PLANE = ("fft rows", "fft columns", "products", "paint", "edges", "kernels", "spectra")
 TAIL = ("tail",)  # cut PSFs, though they are cheaper whole on a frame so small
 EVEN = scene(spectra=FLAT[None])
 PITCH = 1.55
@@ -216,7 +216,7 @@ def test_each_method_meets_the_certificate(method: str | None):
         tiled = one.capture(EXPOSURE_S, tile_px=50, keep=("rate",))
     assert shot.certificate.met and 1e-6 < shot.certificate.rms_relative
     if method is not None:
-        assert method in shot.times_s and "rows" not in shot.times_s
+        assert method in shot.times_s and "fft rows" not in shot.times_s
     assert_close(tiled.rate, shot.rate, atol=0)
 
 
@@ -483,7 +483,7 @@ def test_kernels_of_mirror_images_are_left_out(monkeypatch):
         assert [convolve.folds for convolve in one.on_device.convolutions] == [(True, True)]
         plan = one.plan
         shot = one.capture(EXPOSURE_S, keep=("rate",))
-    rows = next(stage for stage in plan.stages if stage.name == "rows")
+    rows = next(stage for stage in plan.stages if stage.name == "fft rows")
     said = re.findall(r"kernels of (\d+)", rows.reason)
     assert sum(map(int, said)) == shot.work["nodes"]
     monkeypatch.setattr("gpusim.optics.convolve.folds_of", lambda *given: (False, False))
@@ -528,7 +528,16 @@ def test_a_capture_says_how_it_was_made(renderer: Renderer, whole: Capture):
     assert whole.camera is CAMERA and whole.plan is renderer.plan and whole.accuracy is COARSE
     assert (whole.seed, whole.frame, whole.exposure_s) == (5, 0, EXPOSURE_S)
     assert set(whole.prepare_s) == {"lens", "plan", "scene", "kernels", "halo"}
-    running = {"paint", "rows", "columns", "lattice", "mosaic", "exposure", "noise", "adc"}
+    running = {
+        "paint",
+        "fft rows",
+        "fft columns",
+        "inverse fft",
+        "mosaic",
+        "exposure",
+        "noise",
+        "adc",
+    }
     assert set(whole.times_s) == running and min(whole.times_s.values()) > 0
     assert whole.device["adapter"] and whole.wall_s > 0
     white = spectral_weights(LENS, CAMERA.sensor).sum(axis=1) @ FLAT * EXPOSURE_S

@@ -103,7 +103,7 @@ def test_facts_are_json_and_have_every_parameter(facts: dict):
     assert facts["plan"]["scales"][0]["length"] == 256
     assert facts["plan"]["runners_up"] == plain(RUNNERS_UP)
     assert (facts["plan"]["predicted_s"], facts["plan"]["rates"]) == (1.75, "rates of a test")
-    assert facts["times_s"]["rows"] == 1.5
+    assert facts["times_s"]["fft rows"] == 1.5
     assert [point["truth"] for point in facts["certificate"]["points"]] == [100.0, 50.0]
     assert facts["files"] == FILES
     assert facts["command"] == COMMAND

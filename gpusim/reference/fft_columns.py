@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 
-def columns(
+def fft_columns(
     spectra: np.ndarray,
     kernels: Sequence[np.ndarray],
     first_s: float,
@@ -20,7 +20,7 @@ def columns(
     Parameters
     ----------
     spectra : ndarray (J, B, T), complex
-        Row spectra as `gpusim.reference.rows.rows` returns them.
+        Row spectra as `gpusim.reference.fft_rows.fft_rows` returns them.
     kernels : four ndarrays (T/2+1, J, C, T), complex
         Channel kernels [kx, plane, channel, ky] of the nodes (left, upper), (right, upper), (left,
         lower), (right, lower).

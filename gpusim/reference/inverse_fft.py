@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def lattice(
+def inverse_fft(
     folded: np.ndarray,
     rates: np.ndarray,
     origin_xy: tuple[int, int],
@@ -17,7 +17,8 @@ def lattice(
     Parameters
     ----------
     folded : ndarray (S, T/2+1, M), complex
-        Half spectra in x at every lattice row, as `gpusim.reference.columns.columns` returns them.
+        Half spectra in x at every row of photosites, as
+        `gpusim.reference.fft_columns.fft_columns` returns them.
     rates : ndarray (S, rows, cols)
         Planes of the CFA sites, electrons/s.
     origin_xy : (int, int)

@@ -9,7 +9,7 @@
 // Where the PSFs are sums of modes (shaders/optics/modes), NODES = 2: there are no weights in y and no lower nodes, `planes`
 // are pairs of lines, and the left and right node's kernels are those of a pair's two lines. NODES = 1: of a single line.
 // Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D. Of a block that
-// is convolved as its mirror image (shaders/optics/rows), sites lie the other way round.
+// is convolved as its mirror image (shaders/optics/fft_rows), sites lie the other way round.
 //
 // T = 16 16 E: with y = n + 16 r + 256 e and ky = E (p + 16 q) + g, the sums over e (turned by g y / T), r and q are taken in
 // that order, for one g after another. Between r and q, and between q and p on the way back, sixteen times sixteen numbers

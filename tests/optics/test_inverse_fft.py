@@ -1,4 +1,4 @@
-"""Lattice: against the definitions, for windows over every border of the planes.
+"""Inverse FFT: against the definitions, for windows over every border of the planes.
 
 Tolerance: a result is a sum over M frequencies of two sites that share a transform. They are added
 (one rounding), 108 follow in the transform (see test_line_fft), one where it is added: in units of
@@ -12,7 +12,7 @@ from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
 from gpusim.optics.grid import SimGrid
-from gpusim.reference.lattice import lattice
+from gpusim.reference.inverse_fft import inverse_fft
 
 F32 = np.float32
 
@@ -22,7 +22,7 @@ def case(
 ):
     """Add a window of noise to planes of noise; return result, reference, bound and the planes."""
     grid = SimGrid(32, 40, stride, period, length, 16, (1, 1), layers)
-    kernel = convolve_for(device, grid, [0] * grid.sites, 1).lattice
+    kernel = convolve_for(device, grid, [0] * grid.sites, 1).inverse_fft
     seen = seen or (grid.window, grid.window)
     rng = np.random.default_rng(seed)
     pairs = -(-grid.sites // 2)
@@ -39,12 +39,12 @@ def case(
         {"twiddle": twiddles(length), "folded": side_by_side.copy(), "rates": rates},
         {"rates": (rates.shape, F32)},
     )["rates"]
-    # The sum over each lattice row and site: the inner frequencies count with their mirrors.
+    # The sum over each row of photosites and site: the inner frequencies count with their mirrors.
     amount = 2 * np.abs(folded.view(F32)).sum(axis=1, dtype=float)
     amount = amount.reshape(grid.sites, grid.window, 2).sum(axis=2)
     paired = np.add.reduceat(amount, range(0, grid.sites, 2))
     roundings = 1 + 108 + 1
-    expected = lattice(folded, rates, origin, step, seen)
+    expected = inverse_fft(folded, rates, origin, step, seen)
     return found, expected, roundings * ULP * paired.max() + ULP * 100, rates
 
 
@@ -99,9 +99,9 @@ def test_a_window_beside_the_planes_changes_nothing(device: Device, origin):
 
 def test_the_defaults_are_of_one_grid(device: Device):
     made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
-    assert Kernel("optics/lattice").overrides == made.lattice.overrides
+    assert Kernel("optics/inverse_fft").overrides == made.inverse_fft.overrides
 
 
 def test_the_dispatch_is_as_the_header_says():
-    kernel = Kernel("optics/lattice", T=256, LANES=32, M=64)
+    kernel = Kernel("optics/inverse_fft", T=256, LANES=32, M=64)
     assert kernel.workgroup_size == (32, 1, 1)

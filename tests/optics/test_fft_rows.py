@@ -1,4 +1,4 @@
-"""Rows: against the definition of the transform, for every length, odd blocks and several planes.
+"""FFT of rows: against the definition, for every length, odd blocks and several planes.
 
 Tolerance: 108 roundings of the transform (see test_line_fft), and before it three of the weight
 (the position s is a sum of a product, and 1 - s) and one of the product with it. Each is one of a
@@ -14,7 +14,7 @@ from gpusim.gpu import Device, Kernel
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
 from gpusim.plan.layout import TRANSFORMS
-from gpusim.reference.rows import rows
+from gpusim.reference.fft_rows import fft_rows
 
 F32 = np.float32
 
@@ -38,7 +38,7 @@ def on_device(
     # would look unwritten.
     given = np.append(a.ravel(), np.ones(width, F32))
     result = run_stage(
-        "optics/rows",
+        "optics/fft_rows",
         (-(-height // 2), count if needed is None else needed, 1),
         {"first_s": first_s, "step_s": step_s, "mirrored": mirrored},
         {"twiddle": twiddles(length), "planes": given},
@@ -67,7 +67,7 @@ def test_spectra_are_those_of_the_reference(length: int, shape: tuple[int, int, 
     found = on_device(a, length, first_s, step_s, spare=70)
     size = a.size // shape[2] * length
     assert unwritten(found[size:]).all()
-    expected = rows(a, first_s, step_s, length)
+    expected = fft_rows(a, first_s, step_s, length)
     s = first_s + step_s * np.arange(shape[2])
     assert_close(found[:size].reshape(expected.shape), expected, atol=bounds(a, s, length))
 
@@ -77,7 +77,7 @@ def test_a_mirror_image_is_read_from_its_end(mirrored: tuple[int, int]):
     a = planes(2, 5, 203)
     found = on_device(a, 256, 0.1, 0.004, mirrored=mirrored).reshape(2, 5, 256)
     turned = a[:, :: -1 if mirrored[1] else 1, :: -1 if mirrored[0] else 1]
-    expected = rows(turned, 0.1, 0.004, 256)
+    expected = fft_rows(turned, 0.1, 0.004, 256)
     s = 0.1 + 0.004 * np.arange(203)
     assert_close(found, expected, atol=bounds(turned, s, 256))
 
@@ -86,7 +86,7 @@ def test_a_plane_that_is_not_needed_is_left_out():
     a = planes(3, 4, 65)
     found = on_device(a, 256, 0.0, 0.0, needed=2).reshape(3, 4, 256)
     assert unwritten(found[2]).all()
-    assert_close(found[:2], rows(a[:2], 0.0, 0.0, 256), atol=bounds(a[:2], np.zeros(65), 256))
+    assert_close(found[:2], fft_rows(a[:2], 0.0, 0.0, 256), atol=bounds(a[:2], np.zeros(65), 256))
 
 
 def test_the_right_node_is_the_imaginary_part():
@@ -103,7 +103,7 @@ def test_the_right_node_is_the_imaginary_part():
 @pytest.mark.parametrize("length", TRANSFORMS)
 def test_the_host_makes_the_kernel_for_its_grid(device: Device, length: int):
     grid = SimGrid(50, 75, 4, 2, length, 40, (1, 1))
-    kernel = convolve_for(device, grid, [0, 1, 1, 2], 3).rows
+    kernel = convolve_for(device, grid, [0, 1, 1, 2], 3).fft_rows
     assert kernel.workgroup_size == (length // 8, 1, 1)
     assert (kernel.overrides["BX"], kernel.overrides["BY"]) == grid.block
     assert length in kernel.overrides["FIRST_RADIX"] * 8 ** np.arange(5)
@@ -111,4 +111,4 @@ def test_the_host_makes_the_kernel_for_its_grid(device: Device, length: int):
 
 def test_the_defaults_are_of_one_grid(device: Device):
     made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
-    assert Kernel("optics/rows").overrides == made.rows.overrides
+    assert Kernel("optics/fft_rows").overrides == made.fft_rows.overrides

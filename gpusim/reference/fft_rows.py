@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def rows(planes: np.ndarray, first_s: float, step_s: float, length: int) -> np.ndarray:
+def fft_rows(planes: np.ndarray, first_s: float, step_s: float, length: int) -> np.ndarray:
     """Transform every row of a block, weighted for its left and right PSF node.
 
     Parameters

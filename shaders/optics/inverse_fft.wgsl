@@ -5,7 +5,7 @@
 // Two sites share one complex transform, F_s + i F_s', and two of those share the lanes.
 // folded (ceil(S/2), M, T/2, 2) electrons/s -> rates (S, rows, cols) electrons/s.
 // Only those photosites of the window are added that the block's light reaches: beyond them lie rounding errors.
-// Dispatch: (ceil(seen_y/D), ceil(S/4), 1) workgroups of LANES invocations: D lattice rows of four sites each.
+// Dispatch: (ceil(seen_y/D), ceil(S/4), 1) workgroups of LANES invocations: D rows of photosites of four sites each.
 // Blocks are added one after another, in a fixed order, so that tiles repeat the same sums bit for bit.
 #include "line_fft"
 

@@ -1,4 +1,4 @@
-"""Columns: against the definitions, for every length, stride, period, and number of channels.
+"""FFT of columns: against the definitions, for all lengths, strides, periods and channels.
 
 Tolerance, as a norm along ky, where each step is a rotation (times sqrt T or sqrt M) and the
 roundings of its elements keep their share of its norm: 108 roundings of the forward transform (see
@@ -17,9 +17,9 @@ from harness import assert_close, filled, run_stage, unwritten
 from optics.made import DEFAULT_GRID, ULP, complex_noise, convolve_for, twiddles
 
 from gpusim.gpu import Device, Kernel
-from gpusim.optics.convolve import Scratch, columns_passes
+from gpusim.optics.convolve import Scratch, fft_columns_passes
 from gpusim.optics.grid import SimGrid
-from gpusim.reference.columns import columns
+from gpusim.reference.fft_columns import fft_columns
 
 F32 = np.float32
 NODES = ("kernels_00", "kernels_10", "kernels_01", "kernels_11")
@@ -58,7 +58,7 @@ def case(
     made = convolve_for(device, grid, site_channels, channels)
     passes = [
         (kernel, params | {"height": height})
-        for kernel, params in columns_passes(grid, made.outputs, nodes)
+        for kernel, params in fft_columns_passes(grid, made.outputs, nodes)
     ]
     outputs, step = len(made.outputs.places), made.outputs.step
     rng = np.random.default_rng(length + stride)
@@ -98,7 +98,7 @@ def case(
     spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
     if nodes < 4:  # no weights: the upper nodes of a block on their line
         first_s = step_s = 0.0
-    expected = columns(spectra, kernels, first_s, step_s, sites, stride)
+    expected = fft_columns(spectra, kernels, first_s, step_s, sites, stride)
     s = first_s + step_s * np.arange(height)
     # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
     norm = sum(np.sqrt(length * np.sum(2 * weight**2)) for weight in (1 - s, 1 - s, s, s)) * needed
@@ -177,7 +177,7 @@ def test_planes_that_are_not_needed_are_left_out(device: Device):
 
 def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device):
     made = case(device, 512, 8, 4, 4, 70, 1)[3]
-    words = made.columns[0][1]["site_channels"]
+    words = made.fft_columns[0][1]["site_channels"]
     channels = [words[site // 8] >> 4 * (site % 8) & 15 for site in range(16)]
     assert channels == [(3 * site + site // 4 + 1) % 4 for site in range(16)]
     assert set(channels) == {0, 1, 2, 3}
@@ -185,10 +185,10 @@ def test_the_host_packs_the_channels_of_the_sites_four_bits_each(device: Device)
 
 def test_the_defaults_are_of_one_grid(device: Device):
     made = convolve_for(device, DEFAULT_GRID, [0, 1, 1, 2], 3)
-    passes = [kernel.overrides for kernel, _ in made.columns]
-    defaults = [Kernel("optics/columns", PHASE=phase).overrides for phase in range(3)]
+    passes = [kernel.overrides for kernel, _ in made.fft_columns]
+    defaults = [Kernel("optics/fft_columns", PHASE=phase).overrides for phase in range(3)]
     assert passes == defaults
 
 
 def test_the_dispatch_is_as_the_header_says():
-    assert Kernel("optics/columns").workgroup_size == (8, 1, 1)
+    assert Kernel("optics/fft_columns").workgroup_size == (8, 1, 1)
