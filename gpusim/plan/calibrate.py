@@ -29,8 +29,8 @@ from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
+from gpusim.optics.point_sources import HIGHLIGHT, SQUARE
 from gpusim.optics.sampling import sampled_kernels
-from gpusim.optics.splat import HIGHLIGHT, SQUARE
 from gpusim.optics.warp import Warp
 from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
 from gpusim.plan.layout import TRANSFORMS
@@ -161,7 +161,7 @@ def measure(device: Device, progress: Progress | None = None) -> Costs:
     them against one another, and a machine with other work runs now faster and now slower.
     """
     tell = progress or (lambda done, total: None)
-    parts = (_host, _splat, _source, _transforms, _others, _sensor, _ccd, _dispatch)
+    parts = (_host, _point_sources, _source, _transforms, _others, _sensor, _ccd, _dispatch)
     best: dict[Callable, tuple[float, dict[str | int, float]]] = {}
     for number, part in enumerate(TURNS * parts):
         tell(number, TURNS * len(parts))
@@ -240,7 +240,7 @@ def _host(device: Device) -> dict[str | int, float]:
     }
 
 
-def _splat(device: Device) -> dict[str | int, float]:
+def _point_sources(device: Device) -> dict[str | int, float]:
     """Time the spectra of tables' boxes, on all cores, and highlights that light every pixel.
 
     The boxes are BOXES of what a table takes.
@@ -278,11 +278,11 @@ def _splat(device: Device) -> dict[str | int, float]:
     whole = {"first": (0, 0), "origin": (0, 0), "size": (cells, cells)}
     sites = {"across": groups[0], "site_channels": (0, 0, 0, 0), "fours": 1}
     sites |= {"reach2": 30.0**2, "near2": 30.0**2, "step": 1.0}
-    kernel = Kernel("optics/splat", S=4, PERIOD=2, C=3, NEAR=near, FAR=0)
+    kernel = Kernel("optics/point_sources", S=4, PERIOD=2, C=3, NEAR=near, FAR=0)
     kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
     return {
         "tables": 1e9 * boxes_s / BOXES / (lines * side**2),
-        "splat": 1e9 * _fastest(rec)["splat"] / (count * 4 * cells**2),
+        "point sources": 1e9 * _fastest(rec)["point sources"] / (count * 4 * cells**2),
     }
 
 

@@ -16,11 +16,11 @@ from gpusim.plan.density import Density, LensShare
 from gpusim.plan.halo import describe_halo, halo_levels
 from gpusim.plan.lens import describe_lens
 from gpusim.plan.mixtures import commonest_first, shown_mixtures
+from gpusim.plan.point_sources import describe_point_sources
 from gpusim.plan.problem import Problem
 from gpusim.plan.reach import within_reach
 from gpusim.plan.shares import ANGLE_SHARE, WORST_TO_RMS
 from gpusim.plan.signal import brightest_e
-from gpusim.plan.splat import describe_splat
 from gpusim.plan.stages import Plan, describe
 from gpusim.plan.ways import candidates, scales_of
 from gpusim.psf.field_bank import FieldBank
@@ -163,7 +163,9 @@ def _plan(
     halo = halo_levels(problem.levels, problem.accuracy, problem.seen_shares)
     identity = problem.identity(scales[0])
     tolerance = problem.accuracy.tolerance
-    splat = describe_splat(problem.bank, sensor, scene, problem.placed, tolerance, costs)
+    point_sources = describe_point_sources(
+        problem.bank, sensor, scene, problem.placed, tolerance, costs
+    )
     stages = describe(
         chosen,
         basis,
@@ -178,7 +180,7 @@ def _plan(
             *(() if lens is None else lens.stages),
             describe_halo(problem.levels, halo),
         ),
-        splat,
+        point_sources,
     )
     of_sensor = {effect.name for effect in EFFECTS}
     return Plan(
@@ -189,7 +191,7 @@ def _plan(
         predicted_s=sum(part.layout.frame_s for part in chosen.parts)
         + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
         kernels_s=sum(part.layout.kernels_s for part in chosen.parts)
-        + (splat.predicted_cost_s or 0.0),
+        + (point_sources.predicted_cost_s or 0.0),
         rates=costs.source,
         runners_up=runners_up,
         halo=halo,

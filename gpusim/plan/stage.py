@@ -11,7 +11,7 @@ from gpusim.sensor.effects import EFFECTS
 _BEFORE_THE_SENSOR = (
     *("wavelengths", "no data", "bank", "window", "illumination", "paint", "warp", "dark blocks"),
     *("image circle", "distortion", "lateral", "halo", "qe by angle"),
-    *("fft rows", "modes", "fft columns", "inverse fft", "direct", "tail", "splat"),
+    *("fft rows", "modes", "fft columns", "inverse fft", "direct", "tail", "point sources"),
 )
 _NAMES = (*_BEFORE_THE_SENSOR, *(effect.name for effect in EFFECTS))
 Stage = StrEnum("Stage", {name.upper().replace(" ", "_"): name for name in _NAMES})

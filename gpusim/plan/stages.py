@@ -117,12 +117,12 @@ def describe(
     noise: bool,
     force: Collection[str],
     of_lens: tuple[PlanStage, ...],
-    splat: PlanStage,
+    point_sources: PlanStage,
 ) -> tuple[PlanStage, ...]:
     """Describe the chain, stage by stage.
 
     ``identity``: of the warp onto the first grid; ``of_lens``: what the lens does to the image;
-    ``splat``: how highlights are held apart.
+    ``point_sources``: how highlights are held apart.
     """
     planes = basis.coefficients.shape[1]
     is_chart = isinstance(scene.source, Chart)
@@ -184,7 +184,7 @@ def describe(
             else "whole PSFs on one grid cost less, or the tolerance allows no cut",
             chosen.errors.get("cut"),
         ),
-        splat,
+        point_sources,
         *_sensor_stages(sensor, costs, noise, force),
     )
 

@@ -8,7 +8,7 @@ from gpusim.plan.tiles import Rect, aligned
 from gpusim.sensor.frame import overlap
 
 
-class SplattedLight:
+class PointSourceLight:
     """The light of highlights on a rectangle of lit pixels, electrons/s of the planes, by tile."""
 
     def __init__(self, rect: Rect, period: int, tiles: list[Rect], light: list[np.ndarray]) -> None:

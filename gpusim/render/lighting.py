@@ -146,10 +146,10 @@ class Lighting:
         """Bring the light to the planes of the sites of a rectangle: blocks, highlights, halo."""
         renderer = self.renderer
         rec = Recording(renderer.device)
-        if self.on_device.splatted is None:
+        if self.on_device.point_source_light is None:
             rec.clear(rates)
         else:
-            rec.upload(rates, self.on_device.splatted.on(whole))
+            rec.upload(rates, self.on_device.point_source_light.on(whole))
         rec.run()
         for number, line in self.on_device.lines(whole):
             parts = deque(self._parts(number, line))

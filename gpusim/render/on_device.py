@@ -11,7 +11,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.halo import Halo
 from gpusim.optics.methods import Convolution, convolution
 from gpusim.optics.paint import Paint
-from gpusim.optics.splat import Splat
+from gpusim.optics.point_sources import PointSources
 from gpusim.optics.warp import Warp
 from gpusim.plan import Plan
 from gpusim.plan.tiles import (
@@ -23,7 +23,7 @@ from gpusim.plan.tiles import (
     tiles_of,
 )
 from gpusim.psf.field_bank import FieldBank
-from gpusim.render.highlights import SplattedLight
+from gpusim.render.highlights import PointSourceLight
 from gpusim.render.reading import lit_for
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -53,9 +53,9 @@ class OnDevice:
     convolutions : list of Convolution
         With the kernels, for each scale.
     halo : Halo or None
-    splat : Splat or None
+    point_sources : PointSources or None
         What brings the light of highlights, where there are any.
-    splatted : SplattedLight or None
+    point_source_light : PointSourceLight or None
         That light, once it is worked out: it lies on the host.
     tight : bool
         The adapter has less than the budget: kernels of one block at a time.
@@ -68,8 +68,8 @@ class OnDevice:
         self.sources: list[Paint | Warp] = []
         self.convolutions: list[Convolution] = []
         self.halo: Halo | None = None
-        self.splat: Splat | None = None
-        self.splatted: SplattedLight | None = None
+        self.point_sources: PointSources | None = None
+        self.point_source_light: PointSourceLight | None = None
         self.tight = False
 
     def place(
@@ -100,7 +100,9 @@ class OnDevice:
             self.sources.append(source)
         if isinstance(first, PlacedRaster) and len(first.highlights):
             lights = first.highlights, scene.spectra, plan.tolerance
-            self.splat = Splat(self.device, core, sensor, *lights, scene.wavelengths_nm)
+            self.point_sources = PointSources(
+                self.device, core, sensor, *lights, scene.wavelengths_nm
+            )
         self.convolve(plan)
         return first
 
@@ -216,14 +218,16 @@ class OnDevice:
             self.halo = None
         self.halo = made(rect)
 
-    def hold_splat(self, rect: Rect, report: Progress) -> None:
+    def hold_point_sources(self, rect: Rect, report: Progress) -> None:
         """Work out what highlights bring to a rectangle of lit pixels, and keep it on the host."""
-        if self.splatted is not None and self.splatted.covers(rect):
+        if self.point_source_light is not None and self.point_source_light.covers(rect):
             return
-        self.splatted = None
+        self.point_source_light = None
         tiles = tiles_of(rect, self.grid.period, self.memory_bytes, None, self.grid.layers)
-        light = self.splat.light(tiles, lambda done, total: report("splat", done, total))
-        self.splatted = SplattedLight(rect, self.grid.period, tiles, light)
+        light = self.point_sources.light(
+            tiles, lambda done, total: report("point sources", done, total)
+        )
+        self.point_source_light = PointSourceLight(rect, self.grid.period, tiles, light)
 
     def hold_scene(self, rect: Rect) -> None:
         """Make ready the scene around a rectangle of lit pixels."""

@@ -420,9 +420,9 @@ class Renderer:
         whole = aligned(seen, self.period)
         held.hold_halo(whole, lambda part: coarse_halo(self, part, self._coarse_light, report))
         started = self._spent("halo", started)
-        if held.splat is not None:
-            held.hold_splat(whole, report)
-            started = self._spent("splat", started)
+        if held.point_sources is not None:
+            held.hold_point_sources(whole, report)
+            started = self._spent("point sources", started)
         held.hold_scene(seen)
         started = self._spent("scene", started)
         held.hold_kernels(rect, tile_px, report)

@@ -2,7 +2,7 @@
 
 What a lamp does to the target is part of the target's radiance, so the map is folded into the
 coefficients of the scene, sample by sample, before anything else sees them: the renderer, the
-splatted highlights, the halo, the veiling glare and the exact model take the same scene. A stage of
+point sources, the halo, the veiling glare and the exact model take the same scene. A stage of
 its own on the sim grid would multiply what was low-passed before, which is another picture wherever
 the light is not even, and would have to be judged besides.
 """

@@ -57,7 +57,7 @@ def test_every_stage_says_why_it_runs_or_not():
         "inverse fft",
         "direct",
         "tail",
-        "splat",
+        "point sources",
         "mosaic",
         "flare",
         "border",

@@ -109,7 +109,7 @@ def test_a_photograph_with_the_sun_meets_the_certificate():
     planes[:, 4, 20] = 1e4
     photograph = Scene("photograph", np.stack([FLAT, RED]), Raster(planes), "D65", FLAT)
     found = shot(LENS, CAMERA, photograph, CERTIFIED)
-    assert found.plan.runs("splat")
+    assert found.plan.runs("point sources")
     assert found.certificate.met
 
 

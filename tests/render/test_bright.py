@@ -84,7 +84,7 @@ def test_shadows_beside_the_sun_are_right(sunny):
     assert np.sqrt(np.mean(near**2)) < TOLERANCE
 
 
-def test_without_the_splat_shadows_drown(monkeypatch):
+def test_without_point_sources_shadows_drown(monkeypatch):
     """The planted error: no sample is an outlier."""
     monkeypatch.setattr(highlights, "OUTLIER", np.inf)
     # By transforms: a direct sum's roundings are of what it sums.
@@ -97,25 +97,25 @@ def test_without_the_splat_shadows_drown(monkeypatch):
 
 def test_the_plan_and_the_notes_say_how_many(sunny):
     capture, placed = sunny
-    stage = next(stage for stage in capture.plan.stages if stage.name == "splat")
+    stage = next(stage for stage in capture.plan.stages if stage.name == "point sources")
     count = len(placed.highlights)
     assert count in (1, 81)
     assert stage.runs and stage.reason.startswith(f"{count} highlights")
     assert stage.predicted_cost_s > 0
     assert any(f"{count} samples brighter" in note for note in capture.notes)
-    assert capture.prepare_s["splat"] > 0
+    assert capture.prepare_s["point sources"] > 0
 
 
-def test_a_scene_without_outliers_has_no_splat():
+def test_a_scene_without_outliers_has_no_point_sources():
     planes = scenery(10.0)
     capture, placed = shot(planes, tolerance=1e-2)
-    assert "splat" not in capture.prepare_s
-    stage = next(stage for stage in capture.plan.stages if stage.name == "splat")
+    assert "point sources" not in capture.prepare_s
+    stage = next(stage for stage in capture.plan.stages if stage.name == "point sources")
     assert not stage.runs and stage.predicted_cost_s is None
     assert len(placed.highlights) == 0 and placed.planes is planes
 
 
-def test_the_splat_adds_to_what_the_rest_of_the_scene_gives(monkeypatch):
+def test_the_point_sources_add_to_what_the_rest_of_the_scene_gives(monkeypatch):
     """With the highlights dimmed to nothing the frame is, bit for bit, that of the filled scene."""
     planes = scenery(1e9)
     filled = Raster(planes).split.planes

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 
-def splat(
+def point_sources(
     pixels: np.ndarray,
     channels: np.ndarray,
     centres: np.ndarray,

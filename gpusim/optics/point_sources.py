@@ -1,4 +1,4 @@
-"""Host side of the splat stage: a photograph's highlights, each with the kernels of its own place.
+"""Host side of point_sources: a photograph's highlights, each with the kernels of its own place.
 
 All sums are of what is not negative, or compact: light ends where the PSF does.
 """
@@ -69,17 +69,17 @@ DISPATCH_BYTES = 128 << 20  # of a dispatch's kernels; so much, as texels, every
 # All tables together. Scattered highlights need many, and are content with FEWEST angles.
 TABLE_BYTES = 768 << 20
 FEWEST = 8
-# Squares that are cut up further for want of memory: 16,000 take 8 s by SPLAT_NS (a window of 64 um
-# before pixels of 1.55 um).
+# Squares that are cut up further for want of memory: 16,000 take 8 s by HIGHLIGHT_NS (a window
+# of 64 um before pixels of 1.55 um).
 MOST_CUT = 1 << 13
 SMALLER = 0.75  # each time that squares are cut up further for want of memory
 ALIKE = 0.1  # of the tolerance: what a highlight may differ by from a sum of others' spectra
 NOT_HERE = 15  # in place of the channel of a site that has none of the tables
-SPLAT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
+HIGHLIGHT_NS = 300.0  # for each highlight and pixel: lavapipe, 2 cores
 PIECE_S = 0.25  # of the device's time in one go: as long as a person who interrupts it waits
 
 
-class Splat:
+class PointSources:
     """Highlights, and the light that they bring to the pixels.
 
     Parameters
@@ -172,7 +172,7 @@ class Splat:
         self.shares = shares(channels, len(few), DISPATCH_BYTES // own)
         self.kernel_of = {
             count: Kernel(
-                "optics/splat",
+                "optics/point_sources",
                 S=self.planes,
                 PERIOD=self.period,
                 C=count,
@@ -191,14 +191,14 @@ class Splat:
     def work(self) -> dict[str, float]:
         """Return the samples of all tables by wavelength, and the highlights' pixels."""
         if not self.groups:
-            return {"tables": 0.0, "splat": 0.0}
+            return {"tables": 0.0, "point sources": 0.0}
         lines = len(self.bank.wavelengths_nm)
         pixels = math.pi * (self.kernels.reach_um / self.sensor.pixel_pitch_um) ** 2
         pixels = min(pixels, self.sensor.rows * self.sensor.cols)
         pixels *= self.planes / self.period**2
         return {
             "tables": float(len(self.used) * lines * self.kernels.side**2),
-            "splat": float(len(self.squares.light) * pixels),
+            "point sources": float(len(self.squares.light) * pixels),
         }
 
     def light(
@@ -278,7 +278,7 @@ class Splat:
         """
         row, col, rows, cols = tile
         counts = np.diff(starts.astype(np.int64)).reshape(self.down, self.across)
-        most = PIECE_S / (1e-9 * SPLAT_NS * self.planes * SQUARE**2)
+        most = PIECE_S / (1e-9 * HIGHLIGHT_NS * self.planes * SQUARE**2)
         top, left = row // SQUARE, col // SQUARE
         bottom, right = (row + rows - 1) // SQUARE + 1, (col + cols - 1) // SQUARE + 1
         todo, found = [(top, left, bottom - top, right - left)], []
@@ -373,9 +373,11 @@ class Splat:
         resident: dict[str, Resident] = {}
         try:
             for name, array in arrays.items():
-                resident[name] = self.device.resident(f"splat {name}", array)
+                resident[name] = self.device.resident(f"point sources: {name}", array)
             kernels = self._blended(bundles, made)
-            resident["kernels"] = self.device.resident("splat kernels", kernels, Use.TEXELS)
+            resident["kernels"] = self.device.resident(
+                "point sources: kernels", kernels, Use.TEXELS
+            )
             yield resident
         finally:
             for one in resident.values():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusim.optics.splat import Splat
+from gpusim.optics.point_sources import PointSources
 from gpusim.plan.costs import Costs
 from gpusim.plan.stage import PlanStage
 from gpusim.psf.field_bank import FieldBank
@@ -12,7 +12,7 @@ from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 
-def describe_splat(
+def describe_point_sources(
     bank: FieldBank,
     sensor: Sensor,
     scene: Scene,
@@ -23,9 +23,9 @@ def describe_splat(
     """Describe the stage; its cost is that of the whole frame, and no further frame has it."""
     count = 0 if isinstance(placed, Chart) else len(placed.highlights)
     if not count:
-        return PlanStage("splat", False, "no part of the scene outshines the rest")
+        return PlanStage("point sources", False, "no part of the scene outshines the rest")
     given = placed.highlights, scene.spectra, tolerance, scene.wavelengths_nm
-    work = Splat(None, bank, sensor, *given).work()
+    work = PointSources(None, bank, sensor, *given).work()
     cost_s = sum(costs.seconds(name, amount) for name, amount in work.items())
     text = f"{count} highlights, each with the PSF of its own place, once a scene"
-    return PlanStage("splat", True, text, None, cost_s)
+    return PlanStage("point sources", True, text, None, cost_s)

@@ -1,4 +1,4 @@
-"""Splat: against the reference and the truth, for highlights anywhere, of any size and colour.
+"""Point sources: against reference and exact model, for highlights of any place, size and colour.
 
 Tolerance of the shader. A coordinate has 8 roundings of at most |axis| times the distance, here
 32 samples; the splines' gradient is at most 1.5 C along each axis, C the largest coefficient (see
@@ -16,7 +16,7 @@ from optics.made import BLUE, FLAT, RED, ULP, bank, monochrome, plane_bank, sens
 from scipy.interpolate import BSpline
 
 from gpusim.gpu import Device, Kernel
-from gpusim.optics import splat as module
+from gpusim.optics import point_sources as module
 from gpusim.optics.fold import spectral_weights
 from gpusim.optics.highlight_squares import (
     bundled,
@@ -34,8 +34,17 @@ from gpusim.optics.highlight_tables import (
     mixture,
     turned,
 )
-from gpusim.optics.splat import BUNDLE, CHANGE, FEWEST, HIGHLIGHT, Splat, groups, in_fours, lists
-from gpusim.reference.splat import splat
+from gpusim.optics.point_sources import (
+    BUNDLE,
+    CHANGE,
+    FEWEST,
+    HIGHLIGHT,
+    PointSources,
+    groups,
+    in_fours,
+    lists,
+)
+from gpusim.reference.point_sources import point_sources
 from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -92,7 +101,7 @@ def random_case(period, spectra, count, rect, seed=0):
     before = rng.uniform(0, 5, (period**2, lines, cols)).astype(F32)
     first = (x0 // 16, y0 // 16)
     found = run_stage(
-        "optics/splat",
+        "optics/point_sources",
         ((x0 + cols - 1) // 16 - first[0] + 1, (y0 + lines - 1) // 16 - first[1] + 1, period**2),
         {
             "first": first,
@@ -124,7 +133,7 @@ def random_case(period, spectra, count, rect, seed=0):
     pixels = np.stack(
         [(x + x0) * period + site % period, (y + y0) * period + site // period], axis=-1
     )
-    expected = before + splat(
+    expected = before + point_sources(
         pixels.reshape(-1, 2) + 0.5,
         site_channels[site].ravel(),
         centres,
@@ -186,7 +195,7 @@ PLACES = np.array([[40.3, 21.0], [-60.1, 30.7], [-9.4, -55.0], [31.0, -62.3], [0
 
 def on_sensor(device, camera, highlights, lens=LENS, tolerance=1e-3, rects=None) -> np.ndarray:
     """Return electrons/s of each pixel by the highlights alone."""
-    stage = Splat(device, lens, camera, highlights, SPECTRA, tolerance)
+    stage = PointSources(device, lens, camera, highlights, SPECTRA, tolerance)
     period = camera.period[0]
     frame = np.full((camera.rows, camera.cols), np.nan, F32)
     tiles = rects or [(0, 0, camera.rows, camera.cols)]
@@ -400,7 +409,7 @@ def test_a_bundle_lights_pixels_as_its_squares_do(device: Device, monkeypatch):
     """Three lamps of ten samples each, by few kernels and by one each."""
     camera = sensor()
     bundles = on_sensor(device, camera, many()).astype(float)
-    stage = Splat(device, LENS, camera, many(), SPECTRA, 1e-3)
+    stage = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3)
     assert len(stage.tables) < len(stage.squares.light) * 0.9
     monkeypatch.setattr(module, "BUNDLE", 1e-9)
     alone = on_sensor(device, camera, many()).astype(float)
@@ -440,7 +449,7 @@ def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkey
     squares = squares_on_sensor(LENS, camera, many(), kernels.reach_um)
     used, tables = distinct(mixture(LENS.places(150.0)[1], squares, 16).keys)
     assert (np.diff(used[:, 0]) >= 0).all() and tables.max() == len(used) - 1 > 10
-    samples = Splat(device, LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
+    samples = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
     bytes_each = 16 * 3 * samples
     monkeypatch.setattr(module, "DISPATCH_BYTES", 17 * bytes_each)
     cut = groups(tables, bytes_each)
@@ -457,10 +466,10 @@ def test_spectra_and_channels_too_many_for_one_dispatch_take_turns(device, monke
     six = np.concatenate([SPECTRA, SPECTRA[::-1] * np.linspace(0.5, 1.5, SPECTRA.shape[1])])
     camera, seen = sensor(), many()
     seen = replace(seen, excess=np.random.default_rng(9).uniform(0, 1e9, (30, 6)))
-    whole = Splat(device, LENS, camera, seen, six, 1e-3)
+    whole = PointSources(device, LENS, camera, seen, six, 1e-3)
     one = 16 * whole.sampling.samples * whole.tables.shape[1]
     monkeypatch.setattr(module, "DISPATCH_BYTES", most * one)
-    parts = Splat(device, LENS, camera, seen, six, 1e-3)
+    parts = PointSources(device, LENS, camera, seen, six, 1e-3)
     assert len(whole.shares) == 1 and len(parts.shares) == {3: 2, 2: 4}.get(most, 6)
     tile = [(0, 0, camera.rows, camera.cols)]
     calls = []
@@ -540,7 +549,7 @@ STILL = bank(coma_um=0.0)
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-4, 1e-5])
 def test_angles_are_as_many_as_the_tolerance_asks(device: Device, tolerance: float):
-    stage = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], tolerance)
+    stage = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], tolerance)
     assert stage.tables.shape == (1, 16) and len(stage.squares.light) == 1
     error = mixing_errors(stage.kernels, [STILL.field(n) for n in range(len(STILL.psf))]).cubic
     errs = error * (TRIED / stage.bins) ** 4  # as the test above says
@@ -552,9 +561,9 @@ def test_angles_are_as_many_as_the_tolerance_asks(device: Device, tolerance: flo
 
 def test_squares_are_cut_up_where_the_memory_does_not_hold_the_angles(device: Device, monkeypatch):
     """Until few angles are enough, and no further; then there are few, whatever they take."""
-    few = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
+    few = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
     monkeypatch.setattr(module, "TABLE_BYTES", 1)
-    cut = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
+    cut = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
     assert few.bins > cut.bins == FEWEST
     parts = len(cut.squares.light)
     assert parts > 1
@@ -562,14 +571,14 @@ def test_squares_are_cut_up_where_the_memory_does_not_hold_the_angles(device: De
     assert error * (TRIED / FEWEST) ** 4 <= 1e-3 / 2
     light = [one.squares.light.sum() for one in (few, cut)]
     assert light[0] == pytest.approx(light[1], rel=1e-3)  # of the map's slope
-    strict = Splat(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-6)
+    strict = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-6)
     assert strict.bins == FEWEST and strict.squares.size_um.max() <= PITCH
 
 
 def test_squares_of_a_lens_without_an_axis_need_no_angles(device: Device, monkeypatch):
     """Its PSFs are not turned: nothing is mixed, and nothing cut up for want of memory."""
     monkeypatch.setattr(module, "TABLE_BYTES", 1)
-    stage = Splat(device, plane_bank(coma_um=0.0), monochrome(), WIDE, SPECTRA[:1], 1e-5)
+    stage = PointSources(device, plane_bank(coma_um=0.0), monochrome(), WIDE, SPECTRA[:1], 1e-5)
     whole = squares_on_sensor(stage.bank, monochrome(), WIDE, 200.0, CHANGE / 10)
     assert len(stage.squares.light) == len(whole.light)
     assert stage.bins == FEWEST and set(stage.used[:, 1]) == {0}
@@ -583,9 +592,11 @@ def test_lamps_of_few_colours_need_tables_of_few_spectra(device: Device):
     bands = rng.uniform(0, 1, (16, SPECTRA.shape[1]))
     camera, seen = sensor(), many()
     light = share @ colours * 10.0 ** rng.uniform(3, 9, (30, 1))
-    stage = Splat(device, LENS, camera, replace(seen, excess=light), bands, 1e-3)
+    stage = PointSources(device, LENS, camera, replace(seen, excess=light), bands, 1e-3)
     assert stage.squares.light.shape[1] == 3
-    three = Splat(device, LENS, camera, replace(seen, excess=light @ bands), np.eye(61), 1e-3)
+    three = PointSources(
+        device, LENS, camera, replace(seen, excess=light @ bands), np.eye(61), 1e-3
+    )
     assert three.squares.light.shape[1] == 3
     tile = [(0, 0, camera.rows, camera.cols)]
     found, expected = stage.light(tile)[0], three.light(tile)[0]
@@ -667,7 +678,7 @@ def test_every_highlight_within_reach_is_listed():
 
 
 def test_the_dispatch_is_as_the_header_says():
-    kernel = Kernel("optics/splat", NEAR=64, FAR=80)
+    kernel = Kernel("optics/point_sources", NEAR=64, FAR=80)
     assert kernel.workgroup_size == (16, 16, 1)
     assert kernel.params.members.keys() >= {"reach2", "near2", "step", "site_channels"}
 
@@ -677,7 +688,7 @@ def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Devi
     made = []
     table = Tables.table
     monkeypatch.setattr(Tables, "table", lambda *given: made.append(1) or table(*given))
-    stage = Splat(device, LENS, sensor(), many(), SPECTRA, 1e-6)
+    stage = PointSources(device, LENS, sensor(), many(), SPECTRA, 1e-6)
     assert len(stage.used) >= 60
 
     def stop(done: int, total: int) -> None:
@@ -697,7 +708,7 @@ def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Devi
 def test_sums_are_cut_into_pieces_that_take_a_moment(device: Device, monkeypatch):
     """Whose sums are, bit for bit, those of the whole."""
     camera = sensor()
-    stage = Splat(device, LENS, camera, many(), SPECTRA, 1e-3)
+    stage = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3)
     whole, *_ = stage.light([(0, 0, 96, 128)])
     monkeypatch.setattr(module, "PIECE_S", 1e-4)
     pieces = stage._pieces(stage._lists(stage.groups[0])[0], (0, 0, 48, 64))
@@ -707,13 +718,13 @@ def test_sums_are_cut_into_pieces_that_take_a_moment(device: Device, monkeypatch
 
 def test_the_work_is_counted():
     """One highlight takes the tables of its fields and angles, and the pixels within its reach."""
-    one = Splat(
+    one = PointSources(
         None, LENS, sensor(960, 1280), Highlights(PLACES[:1], 0.1, np.ones((1, 3))), SPECTRA, 1e-3
     )
     work = one.work()
     assert work["tables"] == 16 * 3 * one.kernels.side**2
-    assert work["splat"] == pytest.approx(np.pi * (one.kernels.reach_um / PITCH) ** 2)
-    far = Splat(
+    assert work["point sources"] == pytest.approx(np.pi * (one.kernels.reach_um / PITCH) ** 2)
+    far = PointSources(
         None,
         LENS,
         sensor(),
@@ -721,4 +732,4 @@ def test_the_work_is_counted():
         SPECTRA,
         1e-3,
     )
-    assert far.work() == {"tables": 0.0, "splat": 0.0}
+    assert far.work() == {"tables": 0.0, "point sources": 0.0}
