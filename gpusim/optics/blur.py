@@ -86,13 +86,13 @@ class Blur:
         down, across = (count * self.per_cell for count in (nodes[0] - 1, nodes[1] - 1))
         self.blocks = (down, across)
         self.rows = 2 * -(-(self.margin + size // 2 + 1) // 2)
-        self.spread, self.gather = (
-            Kernel(f"optics/{name}", SIDE=self.side) for name in ("spread", "gather")
+        self.blur_fft, self.overlap_add = (
+            Kernel(f"optics/{name}", SIDE=self.side) for name in ("blur_fft", "overlap_add")
         )
         straight = straight_through(str(self.device.report()["driver"]))
         keep = straight and self.per_cell == 1
-        self.mix = Kernel(
-            "optics/mix", SIDE=self.side, ROWS=self.rows, STRAIGHT=straight, KEEP=keep
+        self.blur_product = Kernel(
+            "optics/blur_product", SIDE=self.side, ROWS=self.rows, STRAIGHT=straight, KEEP=keep
         )
         # As many channels at once as a binding holds the spectra and the PSFs of. With the copies
         # and the columns, half as large, that is less than six times what the larger takes.
@@ -173,18 +173,18 @@ class Blur:
         blocks = {"across": across, "per_cell": self.per_cell}
         for turn, source, psfs in zip(self.turns, sources, self.psfs, strict=True):
             lines = len(turn) * count * self.side
-            self.spread.record(
+            self.blur_fft.record(
                 rec,
-                self.spread.cover(lines),
+                self.blur_fft.cover(lines),
                 {"lines": lines, "stride": covered[1] // 4, **blocks},
                 image=source,
                 spectra=spectra,
             )
             rec.copy(spectra, rows)
             lines = len(turn) * across * HALF
-            self.mix.record(
+            self.blur_product.record(
                 rec,
-                self.mix.cover(lines),
+                self.blur_product.cover(lines),
                 {"lines": lines, "down": down, **blocks},
                 spectra=rows,
                 psfs=psfs,
@@ -192,9 +192,9 @@ class Blur:
             )
             rec.copy(columns, mixed)
             lines, first = len(turn) * pairs, turn.start * pairs * frame[1] // 2
-            self.gather.record(
+            self.overlap_add.record(
                 rec,
-                self.gather.cover(lines),
+                self.overlap_add.cover(lines),
                 {"lines": lines, "rows": frame[0], "across": across, "first": first},
                 columns=mixed,
                 image=blurred,
@@ -219,7 +219,7 @@ def blur(
 def straight_through(driver: str) -> bool:
     """Return whether the middle step's nodes are better not in a loop, with the driver so called.
 
-    Only with lavapipe of Mesa 22: see shaders/optics/mix.wgsl for the times.
+    Only with lavapipe of Mesa 22: see shaders/optics/blur_product.wgsl for the times.
     """
     return driver.startswith("Mesa 22.")
 

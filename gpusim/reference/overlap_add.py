@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def gather(columns: np.ndarray, side: int, length: int) -> np.ndarray:
+def overlap_add(columns: np.ndarray, side: int, length: int) -> np.ndarray:
     """Transform the windows of all columns of blocks back, and add them.
 
     Parameters

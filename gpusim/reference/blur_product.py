@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def mix(
+def blur_product(
     spectra: np.ndarray, psfs: np.ndarray, across: int, per_cell: int, length: int
 ) -> np.ndarray:
     """Convolve every column of the blocks' row spectra, and add the windows downwards.

@@ -1,9 +1,9 @@
-"""Mix: columns convolved with four nodes' PSFs, against the definition.
+"""Blur product: columns convolved with four nodes' PSFs, against the definition.
 
-Tolerance: two transforms of 160 (see test_spread, 20 roundings each of the sum of the moduli), the
-weight (5), the product (3), the sums over four nodes (3) and over two windows (1): 52 2^-24 of S, S
-the sum over ky of |A| |H| with |A| the sum of the column's moduli. And the transform of the PSF's
-rows h, of which the norm errs by 20 2^-24 of itself: by Schwarz' inequality
+Tolerance: two transforms of 160 (see test_blur_fft, 20 roundings each of the sum of the moduli),
+the weight (5), the product (3), the sums over four nodes (3) and over two windows (1): 52 2^-24 of
+S, S the sum over ky of |A| |H| with |A| the sum of the column's moduli. And the transform of the
+PSF's rows h, of which the norm errs by 20 2^-24 of itself: by Schwarz' inequality
 20 2^-24 |A| sqrt(160) |H|_2, and |H|_2 = sqrt(160) |h|_2.
 """
 
@@ -14,7 +14,7 @@ from optics.made import ULP
 
 from gpusim.gpu import default_device
 from gpusim.optics.blur import straight_through
-from gpusim.reference.mix import mix
+from gpusim.reference.blur_product import blur_product
 
 LENGTH, HALF, CHANNELS = 160, 81, 2
 
@@ -53,7 +53,7 @@ def on_device(
     lines = CHANNELS * across * HALF if lines is None else lines
     height = (down - 1) * side + LENGTH
     result = run_stage(
-        "optics/mix",
+        "optics/blur_product",
         (-(-lines // 8), 1, 1),
         {"lines": lines, "across": across, "down": down, "per_cell": per_cell},
         {
@@ -98,7 +98,7 @@ def test_columns_are_those_of_the_reference(
     found = on_device(spectra, psfs, side, per_cell, cells, rows, straight=straight)
     across = cells[1] * per_cell
     expected = np.stack(
-        [mix(*one, across, per_cell, LENGTH) for one in zip(spectra, psfs, strict=True)]
+        [blur_product(*one, across, per_cell, LENGTH) for one in zip(spectra, psfs, strict=True)]
     )
     allowed = bound(spectra, psfs)
     # An error of the size that is sought, a node taken for its neighbour, is far above the bound.

@@ -1,4 +1,4 @@
-"""Spread: row spectra of blocks against the definition.
+"""Blur FFT: row spectra of blocks against the definition.
 
 Tolerance, in 2^-24 of the sum S = sum |a| along the row: a transform of 160 has the levels 5 (two
 constants and their products, 8 roundings), 4 (2), a turn (4), 4 (2), the root of one half (3) and 2
@@ -10,7 +10,7 @@ import pytest
 from harness import assert_close, run_stage, unwritten
 from optics.made import ULP
 
-from gpusim.reference.spread import spread
+from gpusim.reference.blur_fft import blur_fft
 
 LENGTH = 160
 
@@ -20,7 +20,7 @@ def on_device(image: np.ndarray, side: int, per_cell: int, lines: int | None = N
     shape = (down * across, 2, side // 2, LENGTH // 2 + 1, 2)
     lines = down * across * side if lines is None else lines
     result = run_stage(
-        "optics/spread",
+        "optics/blur_fft",
         (-(-lines // 64), 1, 1),
         {"lines": lines, "across": across, "per_cell": per_cell, "stride": image.shape[1] // 4},
         {"image": image},
@@ -36,7 +36,7 @@ def test_spectra_are_those_of_the_reference(side: int, per_cell: int, down: int,
     rng = np.random.default_rng(side)
     image = rng.uniform(-1, 1, (down * side, across * side)).astype(np.float32)
     found = on_device(image, side, per_cell)
-    expected = spread(image, side, per_cell, LENGTH)
+    expected = blur_fft(image, side, per_cell, LENGTH)
     rows = np.abs(image.reshape(down, side, across, side)).sum(axis=3, dtype=float)
     bound = 26 * ULP * rows.swapaxes(1, 2).reshape(-1, side, 1, 1)
     assert_close(found, expected, atol=np.broadcast_to(bound, expected.shape))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def spread(image: np.ndarray, side: int, per_cell: int, length: int) -> np.ndarray:
+def blur_fft(image: np.ndarray, side: int, per_cell: int, length: int) -> np.ndarray:
     """Transform every row of every block, once for the left and once for the right node.
 
     Parameters

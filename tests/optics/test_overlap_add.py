@@ -1,6 +1,6 @@
-"""Gather: windows transformed back and added, against the definition.
+"""Overlap-add: windows transformed back and added, against the definition.
 
-Tolerance: 20 roundings of a transform of 160 (see test_spread) of the sum of the moduli of one
+Tolerance: 20 roundings of a transform of 160 (see test_blur_fft) of the sum of the moduli of one
 window's line, twice each frequency, one addition before; and at most two windows on one sample with
 one addition: 22 2^-24 of twice the largest sum.
 """
@@ -10,7 +10,7 @@ import pytest
 from harness import assert_close, run_stage, unwritten
 from optics.made import ULP
 
-from gpusim.reference.gather import gather
+from gpusim.reference.overlap_add import overlap_add
 
 LENGTH, HALF = 160, 81
 
@@ -29,7 +29,7 @@ def on_device(columns: np.ndarray, side: int, lines: int, before: int = 0) -> np
     cols = (across - 1) * side + LENGTH
     pairs = columns.reshape(channels, across, HALF, rows // 2, 2).swapaxes(2, 3)
     result = run_stage(
-        "optics/gather",
+        "optics/overlap_add",
         (-(-lines // 8), 1, 1),
         {"lines": lines, "rows": rows, "across": across, "first": before // 4},
         {"columns": np.ascontiguousarray(pairs)},
@@ -48,7 +48,7 @@ def test_the_image_is_that_of_the_reference(side: int, across: int, rows: int):
     found = on_device(columns, side, rows, before=400)  # channels before them
     allowed = 22 * ULP * 2 * 2 * np.abs(columns).sum(axis=2).max()
     for image, of_channel in zip(found, columns, strict=True):
-        assert_close(image, gather(of_channel, side, LENGTH), atol=allowed)
+        assert_close(image, overlap_add(of_channel, side, LENGTH), atol=allowed)
 
 
 def test_no_more_lines_than_asked_for_are_written():
