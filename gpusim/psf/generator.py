@@ -444,7 +444,7 @@ class Generator:
             "FIRST_RADIX": FIRST_RADIX[transform],
             "N": size,
         }
-        Kernel("psf/along", **overrides).record(
+        Kernel("psf/fft_along", **overrides).record(
             rec,
             (-(-rows // 2), lines, 1),
             {"rows": rows},
@@ -452,7 +452,7 @@ class Generator:
             field=filled,
             lines=half,
         )
-        Kernel("psf/across", **overrides).record(
+        Kernel("psf/fft_across", **overrides).record(
             rec,
             (size // 2, lines, 1),
             {"rows": rows},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def across(lines: np.ndarray, length: int) -> np.ndarray:
+def fft_across(lines: np.ndarray, length: int) -> np.ndarray:
     """Return the intensity at and above the middle row of the PSF.
 
     Parameters

@@ -1,4 +1,4 @@
-"""Across: against the definition, for pupils of any half width and several beams.
+"""FFT across: against the definition, for pupils of any half width and several beams.
 
 Tolerance. The amplitude takes 108 roundings of the transform (see test_line_fft), 2^-24 each of a
 sum of at most S: all |parts| of both columns that share a transform, and of both halves of the
@@ -13,13 +13,13 @@ from optics.made import ULP, complex_noise, twiddles
 
 from gpusim.gpu import Kernel
 from gpusim.optics.convolve import FIRST_RADIX
-from gpusim.reference.across import across
+from gpusim.reference.fft_across import fft_across
 
 
 def on_device(lines: np.ndarray, length: int, pairs: int) -> np.ndarray:
     _, columns, rows = lines.shape
     return run_stage(
-        "psf/across",
+        "psf/fft_across",
         (columns // 2, pairs, 1),
         {"rows": rows},
         {"twiddle": twiddles(length), "lines": lines},
@@ -38,7 +38,7 @@ def on_device(lines: np.ndarray, length: int, pairs: int) -> np.ndarray:
 def test_intensities_are_those_of_the_reference(length: int, columns: int, rows: int):
     lines = complex_noise(np.random.default_rng(rows), 2, columns, rows)
     found = on_device(lines, length, 2)
-    expected = across(lines, length)
+    expected = fft_across(lines, length)
     parts = np.abs(lines.real.astype(float)) + np.abs(lines.imag.astype(float))
     off = 2**0.5 * 108 * ULP * 2 * 2 * parts.sum(axis=2).max()
     bound = 2 * np.sqrt(expected) * off + off**2 + 2 * ULP * expected
@@ -68,6 +68,6 @@ def test_a_slit_gives_its_closed_form():
 
 
 def test_the_defaults_are_of_one_grid():
-    made = Kernel("psf/across")
+    made = Kernel("psf/fft_across")
     assert made.overrides == {"T": 1024, "LANES": 128, "FIRST_RADIX": 2, "N": 256}
     assert made.workgroup_size == (128, 1, 1)

@@ -1,4 +1,4 @@
-"""Along: against the definition, for odd and even rows, narrow and wide windows, several beams.
+"""FFT along: against the definition, for odd and even rows, wide and narrow windows, many beams.
 
 Tolerance: 108 roundings of the transform (see test_line_fft) of a sum of at most S, the sum of all
 |parts| of both rows that share a transform; 2^-24 S each. The first pass of a line of 2 8^n is one
@@ -12,14 +12,14 @@ from optics.made import ULP, complex_noise, twiddles
 
 from gpusim.gpu import Kernel
 from gpusim.optics.convolve import FIRST_RADIX
-from gpusim.reference.along import along
+from gpusim.reference.fft_along import fft_along
 
 
 def on_device(field: np.ndarray, columns: int, pairs: int, **changed: int) -> np.ndarray:
     _, rows, length = field.shape
     overrides = {"T": length, "LANES": length // 8, "FIRST_RADIX": FIRST_RADIX[length]}
     return run_stage(
-        "psf/along",
+        "psf/fft_along",
         (-(-rows // 2), pairs, 1),
         {"rows": rows},
         {"twiddle": twiddles(length), "field": field},
@@ -35,7 +35,7 @@ def on_device(field: np.ndarray, columns: int, pairs: int, **changed: int) -> np
 def test_lines_are_those_of_the_reference(length: int, columns: int, rows: int):
     field = complex_noise(np.random.default_rng(rows), 2, rows, length)
     found = on_device(field, columns, 2)
-    expected = along(field, columns)
+    expected = fft_along(field, columns)
     parts = np.abs(field.real.astype(float)) + np.abs(field.imag.astype(float))
     bound = 108 * ULP * 2 * parts.sum(axis=2).max()
     assert_close(found, expected, atol=bound)
@@ -62,6 +62,6 @@ def test_a_tilt_moves_the_light_to_its_column():
 
 
 def test_the_defaults_are_of_one_grid():
-    made = Kernel("psf/along")
+    made = Kernel("psf/fft_along")
     assert made.overrides == {"T": 1024, "LANES": 128, "FIRST_RADIX": 2, "N": 256}
     assert made.workgroup_size == (128, 1, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 
-def along(field: np.ndarray, columns: int) -> np.ndarray:
+def fft_along(field: np.ndarray, columns: int) -> np.ndarray:
     """Return the wanted columns of the transform of every row.
 
     Parameters
