@@ -33,7 +33,14 @@ LEAST_STEPS = 16  # of the converter, and sigmas of dark noise, up to saturation
 # Stages that move light or charge between pixels: the standard's camera (release 3.1, section 2)
 # has none, and its figures are those of the pixels for themselves. The light comes in pulses, so
 # that none falls while charge is shifted.
-BETWEEN_PIXELS = ("crosstalk", "coupling", "smear", "bloom", "parallel cti", "serial cti")
+BETWEEN_PIXELS = (
+    "crosstalk",
+    "electrical crosstalk",
+    "smear",
+    "bloom",
+    "parallel cti",
+    "serial cti",
+)
 
 
 @dataclass(frozen=True)

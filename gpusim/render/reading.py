@@ -277,7 +277,8 @@ class CcdReading(CmosReading):
         seen = overlap(self.wanted, self.rect)
         rows = seen[0], self.rect[1], seen[2], self.rect[3]
         mean = _on_host("mean", rows[2:], np.float32, self.folder)
-        later = ("noise", "coupling", "defects")  # what comes once the charge has arrived
+        # What comes once the charge has arrived.
+        later = ("noise", "electrical crosstalk", "defects")
         self._read_out(Recording.run, later).rows(charge, rows[1], rows, {"electrons": mean})
         return MeanSignal(self._light, Placed(mean, rows), Placed(charge, columns))
 

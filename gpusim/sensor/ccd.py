@@ -9,7 +9,7 @@ Towards row 0 and column 0, which are read first; what is read after the last of
 4. bloom: charge above the full well flows along the columns
 5. cti or traps, parallel: along the columns
 6. cti or traps, serial: along the rows
-7. crosstalk, electrical ("coupling" in the plan): between what is read one after the other
+7. electrical crosstalk: between what is read one after the other
 8. noise, its second half: what is added when the charge is read; stuck pixels
 9. adc
 
@@ -70,8 +70,8 @@ def needed(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
 
 
 def _around(sensor: Sensor, runs: Callable[[str], bool]) -> int:
-    """Return how many pixels around a rectangle its electrical cross-talk needs."""
-    return reach(sensor.crosstalk.electrical, sensor.period) if runs("coupling") else 0
+    """Return how many pixels around a rectangle its electrical crosstalk needs."""
+    return reach(sensor.crosstalk.electrical, sensor.period) if runs("electrical crosstalk") else 0
 
 
 def taking(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
@@ -216,7 +216,7 @@ def record_rows(
         # The register is as long as the sensor, however much of it a tile needs.
         beyond = charge.shape[1] - sensor.frame.pixels[3]
         electrons = _shifted(rec, charge, sensor.serial_cti, sensor, beyond, serial=True)
-    if runs("coupling"):
+    if runs("electrical crosstalk"):
         kernels, frame = sensor.crosstalk.electrical, sensor.frame.read
         electrons = record_crosstalk(
             rec, electrons, kernels, sensor, given, rect, frame=frame, label="coupled"

@@ -6,7 +6,7 @@
    current of each pixel (DCNU)
 4. defects: dead and hot pixels
 5. noise, its first half: shot noise of light and dark current, full well
-6. crosstalk, electrical ("coupling" in the plan): collected charge that is seen at other pixels
+6. electrical crosstalk: collected charge that is seen at other pixels
 7. noise, its second half, what the read-out adds: offsets of pixels, rows and columns (DSNU,
    additive mask), noise of reset, read-out, rows and columns; one dispatch with the first where
    nothing comes between them
@@ -113,7 +113,7 @@ def _kernels(sensor: Sensor, runs: Callable[[str], bool]) -> tuple[Kernels | Non
     spread = sensor.crosstalk or Crosstalk.model_construct()
     return (
         spread.optical if runs("crosstalk") else None,
-        spread.electrical if runs("coupling") else None,
+        spread.electrical if runs("electrical crosstalk") else None,
     )
 
 
@@ -196,7 +196,7 @@ def record_readout(
             half = {"label": "charge", "read_out": False}
             electrons = record_noise(rec, electrons, sensor, **keyed, **warm, **half)
         electrons = record_crosstalk(
-            rec, electrons, electrical, sensor, collecting, rect, label="coupled"
+            rec, electrons, electrical, sensor, collecting, rect, label="electrical crosstalk"
         )
         origin = frame.on_chip(rect)
         warm |= {"origin": origin}

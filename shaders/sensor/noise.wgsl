@@ -2,7 +2,8 @@
 // columns apart as in R4.0, section 8), in this order:
 //   SHOT       n = Poisson(mean), photon and dark shot noise together; GAUSSIAN in its place: n = mean + z sqrt(a + b mean),
 //              a camera's two-number temporal noise (Short, Williams & Jones 1999, section 2.2), with the read noise in it
-//   KNEE       above the knee k: k + (w - k) (1 - exp(-(n - k) / (w - k))), w the full well: continuous in slope, rising
+//   SOFT_SATURATION  above the knee k: k + (w - k) (1 - exp(-(n - k) / (w - k))), w the full well: continuous in slope,
+//              rising
 //              n = min(n, w)
 //   read-out   + DSNU z + DSNU_row z_row + DSNU_col z_col + mask                the same in every frame
 //              + reset z + read q(z) + row_noise z_row + column_noise z_col    new in every frame
@@ -23,7 +24,7 @@
 
 override SHOT: bool = true;         // shot noise, full well
 override GAUSSIAN: bool = false;    // temporal noise by two numbers in place of Poisson's law
-override KNEE: bool = false;        // the full well saturates softly
+override SOFT_SATURATION: bool = false; // the full well saturates softly
 override DSNU: bool = true;         // the pixels' offsets differ
 override DSNU_LINES: bool = true;   // so do those of rows and columns
 override MASK: bool = true;         // there is an additive mask
@@ -77,7 +78,7 @@ fn measured(z: f32) -> f32 {
 // Reads params: what photosites hold of the charge that they collect.
 fn held(charge: vec4f) -> vec4f {
     var softened = charge;
-    if (KNEE) {
+    if (SOFT_SATURATION) {
         let room = params.full_well_e - params.knee_e;
         let above = max(charge - params.knee_e, vec4f(0.0));
         softened = min(charge, vec4f(params.knee_e)) + room * (1.0 - exp(-above / room));

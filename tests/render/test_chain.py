@@ -351,7 +351,9 @@ MUCH = {
 def test_a_sensor_with_every_noise_is_the_same_in_tiles():
     camera = StubCamera(LENS, sensor(**MUCH))
     with rendering(camera, scene(shapes())) as one:
-        assert all(map(one.plan.runs, ("dcnu", "knee", "defects", "prnu lines", "line noise")))
+        assert all(
+            map(one.plan.runs, ("dcnu", "soft saturation", "defects", "prnu lines", "line noise"))
+        )
         kept = {"seed": 5, "keep": ("electrons",)}
         shot = one.capture(EXPOSURE_S, **kept)
         part = one.capture(EXPOSURE_S, tile=(27, 18, 9, 7), **kept)

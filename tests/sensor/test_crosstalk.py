@@ -188,7 +188,11 @@ QUIET = {"prnu_percent": 0.0, "dsnu_e": 0.0, "temporal_dark_noise_e": 0.0}
 def flat_frame(device: Device, spread: Crosstalk | None) -> np.ndarray:
     camera = monochrome(256, 512, crosstalk=spread, dark_current_e_per_s=1e5, **QUIET)
     rec = Recording(device)
-    runs = {"noise", "mosaic", "coupling" if spread and spread.electrical else "crosstalk"}
+    runs = {
+        "noise",
+        "mosaic",
+        "electrical crosstalk" if spread and spread.electrical else "crosstalk",
+    }
     runs -= set() if spread else {"crosstalk"}
     planes, glare = rec.buffer("planes", (1, 256, 512), F32), rec.buffer("glare", 1, F32)
     rec.upload(planes, np.full((1, 256, 512), 1e5, F32))
@@ -246,7 +250,11 @@ def test_strips_and_tiles_change_not_one_bit(device: Device, spread: str, noise:
     optical = kernels_of(BAYER, 5) if spread != "electrical" else None
     electrical = Kernels({"*": CAPACITANCE}) if spread != "optical" else None
     camera = sensor(40, 64, crosstalk=Crosstalk(optical=optical, electrical=electrical))
-    stages = {"mosaic", *(("crosstalk",) * bool(optical)), *(("coupling",) * bool(electrical))}
+    stages = {
+        "mosaic",
+        *(("crosstalk",) * bool(optical)),
+        *(("electrical crosstalk",) * bool(electrical)),
+    }
     stages |= {"noise", "prnu", "dsnu", "read noise"} if noise else set()
     sites = np.random.default_rng(3).uniform(0, 1e5, (4, 20, 32)).astype(F32)
 
@@ -282,7 +290,7 @@ def test_a_tile_of_a_frame_is_part_of_the_whole_bit_for_bit():
     camera = StubCamera(bank(), sensor(32, 48, crosstalk=both))
     renderer = Renderer(camera, scene(shapes()), Accuracy(1e-2, 0), method="fft")
     try:
-        assert renderer.plan.runs("crosstalk") and renderer.plan.runs("coupling")
+        assert renderer.plan.runs("crosstalk") and renderer.plan.runs("electrical crosstalk")
         lines = renderer.plan.text()
         assert "5 x 5 pixels" in lines and "3 x 3 pixels" in lines
         whole = renderer.capture(EXPOSURE, keep=("rate", "electrons"))
@@ -300,7 +308,8 @@ def test_a_sensor_without_cross_talk_does_not_run_it():
     camera = StubCamera(bank(), sensor(32, 48))
     renderer = Renderer(camera, scene(shapes()), Accuracy(1e-2, 0), method="fft")
     try:
-        assert not renderer.plan.runs("crosstalk") and not renderer.plan.runs("coupling")
+        assert not renderer.plan.runs("crosstalk")
+        assert not renderer.plan.runs("electrical crosstalk")
         assert "crosstalk" not in renderer.capture(EXPOSURE).times_s
     finally:
         renderer.release()

@@ -328,7 +328,7 @@ def test_a_soft_well_is_that_of_the_reference(knee: float):
     mean = np.geomspace(10, 1e6, 256 * 64).astype(F32).reshape(256, 64)
     figures = {"knee_e": knee * 8180}
     expected = reference(mean, read_out=False, **figures)
-    found = on_device(mean, figures=figures, KNEE=True, DSNU=False, READ_NOISE=False)
+    found = on_device(mean, figures=figures, SOFT_SATURATION=True, DSNU=False, READ_NOISE=False)
     # exp to 3 + 2 * 10 ULP of what is at most 1, times 4090; a count now and then (test_poisson)
     tolerance = 4090 * 23 * 2.0**-23 + 2.0**-24 * 8180
     assert_close(found, expected, atol=tolerance, outliers=5 / mean.size, outlier_atol=1.1)

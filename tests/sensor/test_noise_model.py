@@ -190,7 +190,15 @@ EVERYTHING = {
 
 def test_a_sensor_has_the_effects_that_its_file_gives(tmp_path: Path):
     assert load_sensor(written(tmp_path)).effects == {"prnu", "dsnu", "read noise"}
-    names = {"prnu lines", "dcnu", "defects", "knee", "dsnu lines", "reset noise", "line noise"}
+    names = {
+        "prnu lines",
+        "dcnu",
+        "defects",
+        "soft saturation",
+        "dsnu lines",
+        "reset noise",
+        "line noise",
+    }
     full = load_sensor(written(tmp_path, **EVERYTHING))
     assert full.effects == {"prnu", "dsnu", "read noise"} | names
     two = load_sensor(written(tmp_path, gaussian_variance_per_e=0.0))

@@ -16,15 +16,22 @@ from gpusim.sensor.effects.collecting import (
     EXPOSURE,
     FLARE,
     GAIN_MASK,
-    KNEE,
     MOSAIC,
     NOISE,
     PRNU,
     PRNU_LINES,
+    SOFT_SATURATION,
     TWO_NUMBERS,
 )
 from gpusim.sensor.effects.effect import Effect
-from gpusim.sensor.effects.moving import BLOOM, COUPLING, CROSSTALK, PARALLEL_CTI, SERIAL_CTI, SMEAR
+from gpusim.sensor.effects.moving import (
+    BLOOM,
+    CROSSTALK,
+    ELECTRICAL_CROSSTALK,
+    PARALLEL_CTI,
+    SERIAL_CTI,
+    SMEAR,
+)
 from gpusim.sensor.effects.reading import (
     ADC,
     COLUMN_FPN,
@@ -45,16 +52,16 @@ __all__ = ["CCD", "CMOS", "EFFECTS", "EXPOSURE", "NOISE", "Effect", "running", "
 
 _LIGHT = (MOSAIC, FLARE, BORDER, CROSSTALK)
 _RESPONSE = (PRNU, PRNU_LINES, GAIN_MASK, DCNU, EXPOSURE, DEFECTS)
-_CHARGE = (TWO_NUMBERS, KNEE, NOISE)
+_CHARGE = (TWO_NUMBERS, SOFT_SATURATION, NOISE)
 _READ = (DSNU, DSNU_LINES, OFFSET_MASK, RESET_NOISE, READ_NOISE, LINE_NOISE)
 _DIGITAL = (LINEARITY, COLUMN_FPN, ADC)
 # The order is part of the contract: response before shot noise, so that it does not change the
 # slope of the photon transfer; all that moves charge before all that is added when it is read.
 # Smear comes before the transfers, so that its trails point the right way in the overscan.
-CMOS = (*_LIGHT, *_RESPONSE, *_CHARGE, COUPLING, *_READ, *_DIGITAL, MERGE)
+CMOS = (*_LIGHT, *_RESPONSE, *_CHARGE, ELECTRICAL_CROSSTALK, *_READ, *_DIGITAL, MERGE)
 CCD = (
     *(*_LIGHT, *_RESPONSE, SMEAR),
-    *(*_CHARGE, BLOOM, PARALLEL_CTI, SERIAL_CTI, COUPLING),
+    *(*_CHARGE, BLOOM, PARALLEL_CTI, SERIAL_CTI, ELECTRICAL_CROSSTALK),
     *(*_READ, *_DIGITAL),
 )
 EFFECTS = (*CCD, MERGE)  # those of both, in an order that is right for each

@@ -134,8 +134,8 @@ TWO_NUMBERS = Effect(
     random=True,
     override="GAUSSIAN",
 )
-KNEE = Effect(
-    "knee",
+SOFT_SATURATION = Effect(
+    "soft saturation",
     "noise",
     ("full_well_knee",),
     "a full well that fills softly",
@@ -143,7 +143,7 @@ KNEE = Effect(
     lambda sensor: f"soft from {sensor.full_well_knee:.0%} of the full well on",
     "the full well is a hard limit",
     random=True,
-    override="KNEE",
+    override="SOFT_SATURATION",
 )
 NOISE = Effect(
     "noise",

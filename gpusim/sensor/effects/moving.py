@@ -110,8 +110,8 @@ PARALLEL_CTI = _transfer(
 SERIAL_CTI = _transfer(
     "serial cti", "serial_cti", "charge that transfers along the rows leave behind"
 )
-COUPLING = _crosstalk(
-    "coupling",
+ELECTRICAL_CROSSTALK = _crosstalk(
+    "electrical crosstalk",
     "electrical",
     "collected charge that is seen at other pixels; correlates the noise",
     "of collected charge, by the crosstalk stage",
