@@ -20,8 +20,8 @@ import numpy as np
 import scipy.fft
 
 from gpusim.optics.angular import AngularResponse, PlaceWeights
-from gpusim.optics.fold import spectral_weights
 from gpusim.optics.highlight_squares import Squares
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.places import FieldPsfs, Places
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -23,7 +23,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.stage import PlanStage

@@ -6,8 +6,8 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 
-from gpusim.optics.fold import MAX_PLANES, camera_basis
 from gpusim.optics.methods import METHODS, check_method
+from gpusim.optics.spectral_basis import MAX_PLANES, camera_basis
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.alias import Alias
 from gpusim.plan.candidates import Candidate, RunnerUp, choose

@@ -11,12 +11,12 @@ import numpy as np
 
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
-from gpusim.optics.fold import Basis
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.images import field_images, mirrored
 from gpusim.optics.kernels import FieldKernels, core_window, distances_um, field_kernels
 from gpusim.optics.modes import Decomposition
 from gpusim.optics.nodes import Scale
+from gpusim.optics.spectral_basis import Basis
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.alias import Alias
 from gpusim.plan.contrast import contrast_of, edge_contrast

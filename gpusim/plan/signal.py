@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.optics.angular import AngularResponse
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.psf.bank import Bank
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene

@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
-from gpusim.optics.fold import Basis
 from gpusim.optics.nodes import Scale
+from gpusim.optics.spectral_basis import Basis
 from gpusim.plan.candidates import Candidate, Part, RunnerUp
 from gpusim.plan.costs import Costs
 from gpusim.plan.halo import HaloLevel

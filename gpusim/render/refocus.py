@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpusim.optics.fold import spectral_weights
 from gpusim.optics.images import field_images
 from gpusim.optics.kernels import field_kernels
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Plan
 from gpusim.psf.field_bank import FieldBank
 from gpusim.sensor.sensor import Sensor

@@ -18,7 +18,7 @@ from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, optics_of
 from gpusim.optics.flare import veiling_glare
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.band import with_band
 from gpusim.plan.calibrate import adapter_costs

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from gpusim.camera import Camera
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
 from gpusim.render import Renderer

@@ -19,10 +19,10 @@ from optics.made import BLUE, FLAT, RED, bank, sensor
 
 from gpusim.errors import UserError
 from gpusim.optics.angular import AngularResponse
-from gpusim.optics.fold import camera_basis, spectral_weights
 from gpusim.optics.images import field_images
 from gpusim.optics.kernels import field_kernels
 from gpusim.optics.sampling import sampled_kernels
+from gpusim.optics.spectral_basis import camera_basis, spectral_weights
 from gpusim.psf.places import Heights
 from gpusim.reference.angle import NODES, MeanQe
 from gpusim.scene.spectra import WAVELENGTHS_NM

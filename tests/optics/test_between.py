@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from optics.made import FLAT, at_lines, bank, gaussian, monochrome
 
-from gpusim.optics.fold import spectral_weights
 from gpusim.optics.images import field_images
 from gpusim.optics.kernels import field_kernels
 from gpusim.optics.sampling import sampled_kernels
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.psf.bank import Bank
 from gpusim.reference.truth import Truth
 from gpusim.scene.spectra import WAVELENGTHS_NM

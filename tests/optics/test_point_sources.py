@@ -17,7 +17,6 @@ from scipy.interpolate import BSpline
 
 from gpusim.gpu import Device, Kernel
 from gpusim.optics import point_sources as module
-from gpusim.optics.fold import spectral_weights
 from gpusim.optics.highlight_squares import (
     bundled,
     largest_um,
@@ -44,6 +43,7 @@ from gpusim.optics.point_sources import (
     in_fours,
     lists,
 )
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.reference.point_sources import point_sources
 from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights

@@ -8,7 +8,7 @@ from optics.made import FLAT, RED, bank, monochrome, scene, sensor
 from optics.made import shapes as shapes_of
 
 from gpusim.errors import UserError
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.signal import brightest_e
 from gpusim.scene.raster import Raster

@@ -11,7 +11,7 @@ from optics.made import BLUE, FLAT, RED, bank, monochrome, scene, sensor, shapes
 from gpusim import gpu
 from gpusim.errors import UserError
 from gpusim.gpu import Device
-from gpusim.optics import fold
+from gpusim.optics import spectral_basis
 from gpusim.optics.images import field_images
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan, PlanStage, plan_optics
@@ -347,7 +347,7 @@ def test_the_nearest_tolerance_is_named_and_can_be_asked_for():
 
 
 def test_planes_that_the_shaders_do_not_carry_are_a_limit_too(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(fold, "MAX_PLANES", 1)
+    monkeypatch.setattr(spectral_basis, "MAX_PLANES", 1)
     with pytest.raises(UserError, match=r"cannot be met: the planes") as caught:
         plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-3))
     assert "none that is in range" in caught.value.allowed  # red is not grey by far

@@ -49,7 +49,7 @@ def parabola(lens, values: np.ndarray) -> np.ndarray:
 
 
 def even_rate(lens, fill_factor: float = 1.0) -> float:
-    """Return electrons/s of an even field of spectrum FLAT, by hand: see test_fold."""
+    """Return electrons/s of an even field of spectrum FLAT, by hand: see test_spectral_basis."""
     spectral = WAVELENGTHS_NM * 1e-9 / HC * 0.5 * FLAT
     steradian = parabola(lens, lens.projected_solid_angle_sr * lens.transmission)
     rule = np.full(61, 5.0)

@@ -8,7 +8,7 @@ from optics.angled import angled, eqe_map, following, lens, plane_lens, round_pi
 from optics.made import FLAT, RED, StubCamera, bank, scene, sensor, shapes
 
 from gpusim.optics.angular import AngularResponse, TurnedHeights
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.signal import brightest_e
 from gpusim.render import Capture, Renderer

@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from gpusim.errors import UserError
 from gpusim.gpu import Device, DeviceLostError, Recording
 from gpusim.optics import paint
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.plan.ways import WHOLE

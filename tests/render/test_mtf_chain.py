@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from gpusim.camera import Camera
 from gpusim.formats.mtf import Curve
 from gpusim.formats.ready import load_ready
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene.chart import Rect

@@ -26,7 +26,7 @@ from optics.made import (
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.optics.flare import veiling_glare
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.psf.places import Blend, FieldGrid
 from gpusim.render import Capture, Renderer

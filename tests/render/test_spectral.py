@@ -10,7 +10,7 @@ from optics.made import StubCamera, bank, sensor
 from scipy.ndimage import gaussian_filter
 
 import gpusim as gs
-from gpusim.optics import fold
+from gpusim.optics import spectral_basis
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 
@@ -62,7 +62,7 @@ def test_a_spectral_scene_is_the_sum_of_its_bands(scene, band_by_band):
 
 
 def test_planes_that_are_missing_show(scene, band_by_band, monkeypatch):
-    monkeypatch.setattr(fold, "MAX_PLANES", 3)
+    monkeypatch.setattr(spectral_basis, "MAX_PLANES", 3)
     whole, planes = seen(scene)
     assert planes == 3
     assert np.abs(whole / band_by_band - 1).max() > 10 * TOLERANCE

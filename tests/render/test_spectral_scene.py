@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from optics.made import FLAT, StubCamera, bank, sensor
 
-from gpusim.optics.fold import camera_basis
 from gpusim.optics.images import field_images
 from gpusim.optics.kernels import field_kernels
+from gpusim.optics.spectral_basis import camera_basis
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.scene.raster import Raster

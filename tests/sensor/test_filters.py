@@ -11,7 +11,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from gpusim.camera import load_camera
 from gpusim.errors import UserError
-from gpusim.optics.fold import LIGHT_M_S, PLANCK_J_S, spectral_weights
+from gpusim.optics.spectral_basis import LIGHT_M_S, PLANCK_J_S, spectral_weights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import Filter, passed
 from gpusim.sensor.load import PRESETS, load_sensor

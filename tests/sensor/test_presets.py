@@ -18,7 +18,7 @@ from gpusim.camera import load_camera
 from gpusim.camera import presets as cameras
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import first_order
-from gpusim.optics.fold import spectral_weights
+from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy
 from gpusim.psf.cone import with_exit_pupil
 from gpusim.render import Renderer

@@ -1,4 +1,4 @@
-"""Folding of wavelengths and spectra, against integrals and edge responses made here."""
+"""Spectral basis, and weights of wavelengths, against integrals and edge responses made here."""
 
 from dataclasses import replace
 
@@ -7,8 +7,8 @@ import pytest
 from harness import assert_close
 from optics.made import BLUE, FLAT, RED, bank, monochrome, sensor
 
-from gpusim.optics import fold
-from gpusim.optics.fold import (
+from gpusim.optics import spectral_basis
+from gpusim.optics.spectral_basis import (
     MAX_PLANES,
     RMS_SHARE,
     camera_basis,
@@ -165,7 +165,8 @@ def test_a_black_material_has_no_coefficients():
 
 
 def test_there_are_no_more_planes_than_may_be_and_the_residual_says_so(monkeypatch):
-    monkeypatch.setattr(fold, "MAX_PLANES", 8)  # three channels and three lines tell nine apart
+    # Three channels and three lines tell nine apart.
+    monkeypatch.setattr(spectral_basis, "MAX_PLANES", 8)
     spectra = np.random.default_rng(4).uniform(0, 1e-3, (30, 61))
     basis = reduced(spectra, 1e-12)
     assert basis.coefficients.shape[1] == 8

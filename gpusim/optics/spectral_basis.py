@@ -1,4 +1,4 @@
-"""Fold wavelengths, quantum efficiency and scene spectra, so that few planes need to be convolved.
+"""The few spectra that stand for a scene, for this lens and sensor: few planes are convolved.
 
 Before the shot noise the chain is linear. The PSF about its own chief ray is a spline in wavelength
 through those of the bank (`gpusim.psf.lines`), so the integral over wavelength reduces to one
