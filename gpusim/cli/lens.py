@@ -27,7 +27,7 @@ from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.formats.ready import ReadyLens, is_ready, load_ready
-from gpusim.lens.account import Account
+from gpusim.lens.import_log import ImportLog
 from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import Checked, System, build, checked, first_order
@@ -73,14 +73,14 @@ def run(name: str | None, setting: Setting, out: Path | None, wanted: Wanted) ->
     # The source's figures hold for the lens as published.
     checks = checked(lens)
     # What is said of a lens of the package's own is of what comes now.
-    account = lens.account if name not in presets() else Account()
-    said = len(lens.account.rows)
+    import_log = lens.import_log if name not in presets() else ImportLog()
+    said = len(lens.import_log.rows)
     if setting.nearest_glasses:
         lens = lens.with_nearest_glasses()
     else:
         state_model_glasses(lens)
-    if account is not lens.account:
-        account.rows += lens.account.rows[said:]
+    if import_log is not lens.import_log:
+        import_log.rows += lens.import_log.rows[said:]
     lens = setting.of(lens)
     with ExitStack() as stack:
         file = None if out is None else stack.enter_context(whole_file(out, KINDS))
@@ -91,12 +91,12 @@ def run(name: str | None, setting: Setting, out: Path | None, wanted: Wanted) ->
                 studied(lens, name, setting, other, wanted) if wanted.files or wanted.page else []
             )
             write_plots(studies, at, progress)
-            job = Job(lens, system, checks, account, file, studies, wanted.frequency, progress)
+            job = Job(lens, system, checks, import_log, file, studies, wanted.frequency, progress)
             # Without an axis there is no curve against field.
             facts = plane_work(job) if system.geometry.moved.any() else work(job)
     console = Console()
     console.print(texts([*identity(system.prescription), *facts]))
-    show_account(console, account)
+    show_import_log(console, import_log)
     show_checks(console, checks)
     for written in (wanted.figures, wanted.csv, wanted.json, out):
         if written is not None:
@@ -112,7 +112,7 @@ class Job:
     lens: Prescription
     system: System
     checks: list[Checked]
-    account: Account
+    import_log: ImportLog
     file: Path | None
     studies: list[Study]
     frequency: float | None
@@ -140,7 +140,7 @@ def work(job: Job) -> list[tuple[str, str]]:
         if kind == ".png":
             job.file.write_bytes(png(draw(page)))
         else:
-            text = lens_html(page, job.checks, job.lens.account, job.studies)
+            text = lens_html(page, job.checks, job.lens.import_log, job.studies)
             job.file.write_text(text, encoding="utf-8")
     return lens_facts(bank, job.system)
 
@@ -157,14 +157,14 @@ def plane_work(job: Job) -> list[tuple[str, str]]:
     bank = cached_plane_bank(
         job.lens, progress=lambda done, all_: job.progress("PSF bank", done, all_)
     )
-    write_plane(bank, job.system, job.account, job.file, job.studies)
+    write_plane(bank, job.system, job.import_log, job.file, job.studies)
     return plane_facts(bank, job.system)
 
 
 def write_plane(
     bank: PlaneBank,
     system: System | None,
-    account: Account,
+    import_log: ImportLog,
     file: Path,
     studies: Sequence[Study] = (),
 ) -> None:
@@ -183,7 +183,7 @@ def write_plane(
     else:
         from gpusim.report.lens_html import plane_html
 
-        file.write_text(plane_html(page, account, studies), encoding="utf-8")
+        file.write_text(plane_html(page, import_log, studies), encoding="utf-8")
 
 
 def show_ready(name: str, out: Path | None) -> None:
@@ -196,7 +196,7 @@ def show_ready(name: str, out: Path | None) -> None:
         if isinstance(bank, PlaneBank):
             facts = [("lens", bank.provenance["title"]), *plane_facts(bank, None)]
             if file is not None:
-                write_plane(bank, None, Account(), file)
+                write_plane(bank, None, ImportLog(), file)
         else:
             facts = [*ready_identity(lens), *ready_facts(bank)]
             if file is not None:
@@ -239,13 +239,13 @@ def library() -> Table:
     return table
 
 
-def show_account(console: Console, account: Account) -> None:
+def show_import_log(console: Console, import_log: ImportLog) -> None:
     """Print what became of each thing that a lens file states."""
-    if not account.rows:
+    if not import_log.rows:
         return
     table = Table("surface", "", "what", box=None, header_style="bold")
     styles = {"read": "", "ignored": "dim", "substituted": "yellow"}
-    for row in account.rows:
+    for row in import_log.rows:
         table.add_row(str(row.where), Text(row.how, style=styles[row.how]), Text(row.what))
     console.print()
     console.print(table)

@@ -187,7 +187,7 @@ def with_file_catalogues(lens: Prescription) -> Prescription:
         path, glasses = files[place]
         found = dispersion_of(name, glasses[name], path)
         surfaces[i] = surface.model_copy(update={"dispersion": found})
-        lens.account.read(
+        lens.import_log.read(
             i + 1,
             f"glass {name} of {path.name}: formula {found.formula}, {FORMULAS[found.formula]}",
         )

@@ -2,7 +2,7 @@
 
 A prescription states its field as an angle and its vignetting as clear apertures. Files of design
 programs may state image heights and vignetting factors in their place; they are converted here,
-and the account says so.
+and the import log says so.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from scipy.optimize import brentq
 
 from gpusim.errors import UserError
 from gpusim.formats.agf import with_file_catalogues
-from gpusim.lens.account import Account
 from gpusim.lens.aim import aim, launch_field
+from gpusim.lens.import_log import ImportLog
 from gpusim.lens.prescription import Prescription, validated
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, conjugates, first_order, geometry_of
@@ -106,7 +106,7 @@ def radial_angle_deg(x_deg: float, y_deg: float) -> float:
 def finished(
     data: dict[str, object],
     fields: Fields,
-    account: Account,
+    import_log: ImportLog,
     file: Path,
     program: str,
     *,
@@ -120,7 +120,7 @@ def finished(
     data : dict
         Everything but ``max_field_deg``, in the unit of the file.
     fields : Fields
-    account : Account
+    import_log : ImportLog
     file : Path
     program : str
         Whose file it is, for the history.
@@ -137,8 +137,8 @@ def finished(
     """
     angle = max(fields.sizes) if fields.kind == "angle" else 0.0
     lens = validated(data | {"max_field_deg": angle}, file)
-    lens._account = account
-    steps = [f"substituted {text}" for text in account.listed("substituted")]
+    lens._import_log = import_log
+    steps = [f"substituted {text}" for text in import_log.listed("substituted")]
     lens = with_file_catalogues(lens.derived("; ".join([f"read from a {program} file", *steps])))
     if unit_mm != 1:
         lens = lens.resized(unit_mm)
@@ -162,7 +162,7 @@ def _with_pupil(lens: Prescription, working: bool) -> Prescription:
         diameter *= conjugates(lens).working_f_number / lens.f_number
     kind = "working f-number" if working else "f-number at infinity"
     step = f"{kind} {lens.f_number:g} by an entrance pupil {diameter:.6g} mm wide"
-    lens.account.substituted("file", step)
+    lens.import_log.substituted("file", step)
     return lens.derived(
         f"substituted {step}", f_number=None, entrance_pupil_diameter_mm=float(diameter)
     )
@@ -177,7 +177,7 @@ def _with_angle(lens: Prescription, fields: Fields, unit_mm: float) -> Prescript
         height = max(fields.sizes) * unit_mm
         angle = _angle_of(lens, height, fields.kind)
         step = f"{fields.kind} {height:g} mm by the field angle {angle:.6g} deg"
-    lens.account.substituted("file", step)
+    lens.import_log.substituted("file", step)
     return lens.derived(f"substituted {step}", max_field_deg=angle)
 
 
@@ -206,7 +206,7 @@ def with_small_field(lens: Prescription) -> Prescription:
                 "file",
             )
     step = f"field on the axis alone: by {angle:g} deg, a small field; a camera takes its sensor's"
-    lens.account.substituted("file", step)
+    lens.import_log.substituted("file", step)
     opened = lens.derived(f"substituted {step}", max_field_deg=angle)
     opened._states_axis_alone = True
     return opened
@@ -234,7 +234,7 @@ def with_field_to(lens: Prescription, height_mm: float) -> Prescription:
     if not _passes(lens, angle):
         raise refused
     step = f"field of {angle:.4g} deg, to the corners of the sensor"
-    lens.account.substituted("file", step)
+    lens.import_log.substituted("file", step)
     return lens.derived(step, max_field_deg=angle)
 
 

@@ -62,16 +62,16 @@ def _parse_yaml(content: bytes, path: Path) -> Prescription:
     data = yaml_of(content, path, "the lens file")
     lens = with_file_catalogues(validated(data, path))
     given = [name for name in data if name not in ("surfaces", "checks")]
-    lens.account.read("file", ", ".join(given))
+    lens.import_log.read("file", ", ".join(given))
     for number, (row, surface) in enumerate(
         zip(data["surfaces"], lens.surfaces, strict=True), start=1
     ):
         printed = surface.glass not in (None, "model", "constant") and surface.nd is not None
-        lens.account.read(
+        lens.import_log.read(
             number, ", ".join(key for key in row if not (printed and key in ("nd", "vd")))
         )
         if printed:
-            lens.account.ignored(number, f"nd, vd: the index is that of glass {surface.glass}")
+            lens.import_log.ignored(number, f"nd, vd: the index is that of glass {surface.glass}")
     return lens
 
 

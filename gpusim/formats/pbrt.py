@@ -15,8 +15,8 @@ from pathlib import Path
 from gpusim.errors import UserError
 from gpusim.formats.imported import Fields, finished
 from gpusim.formats.text import decoded, finite
-from gpusim.lens.account import Account
 from gpusim.lens.glass import D_LINE_NM
+from gpusim.lens.import_log import ImportLog
 from gpusim.lens.prescription import Prescription
 
 
@@ -44,7 +44,7 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
     def refuse(problem: str, where: str, value: object, allowed: str) -> UserError:
         return UserError(problem, file=file, field=where, value=value, allowed=allowed)
 
-    account = Account()
+    import_log = ImportLog()
     comments, rows = [], []
     for number, line in enumerate(decoded(content).splitlines(), start=1):
         text, _, comment = line.partition("#")
@@ -57,7 +57,9 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         except ValueError:
             values = []
         if len(values) == 1 and not rows:
-            account.ignored("file", f"nominal focal length {values[0]:g}: it follows from the rows")
+            import_log.ignored(
+                "file", f"nominal focal length {values[0]:g}: it follows from the rows"
+            )
             continue
         if len(values) != 4:
             raise refuse(
@@ -106,15 +108,15 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         row |= {"curvature": 0.0} if number == stop else {"radius": radius}
         if eta > 1:
             row |= {"glass": "constant", "nd": eta}
-            account.substituted(number, f"glass of index {eta:g}: the same at every wavelength")
+            import_log.substituted(number, f"glass of index {eta:g}: the same at every wavelength")
         if number == stop and eta == 1:  # a diaphragm in air is its own aperture
             del row["semi_diameter"]
-        account.read(number, "radius, thickness, index, aperture diameter")
+        import_log.read(number, "radius, thickness, index, aperture diameter")
         surfaces.append(row)
         before = eta
     del surfaces[-1]["thickness"]
-    account.substituted("file", f"last thickness {rows[-1][1]:g}: by the best focus")
-    account.substituted("file", "no dispersion stated: none, so the lens has no colour errors")
+    import_log.substituted("file", f"last thickness {rows[-1][1]:g}: by the best focus")
+    import_log.substituted("file", "no dispersion stated: none, so the lens has no colour errors")
     data = {
         "title": comments[0] if comments else file.stem,
         "patent": None,
@@ -127,4 +129,4 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         "stop": stop,
         "surfaces": surfaces,
     }
-    return finished(data, Fields("not stated"), account, file, "pbrt")
+    return finished(data, Fields("not stated"), import_log, file, "pbrt")

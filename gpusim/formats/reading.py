@@ -1,11 +1,11 @@
-"""What readers of design programs' lens files share while they read: refusals and their account."""
+"""What readers of design programs' lens files share while they read: refusals, the import log."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from gpusim.errors import UserError
-from gpusim.lens.account import Account
+from gpusim.lens.import_log import ImportLog
 
 
 class Reading:
@@ -15,13 +15,13 @@ class Reading:
     ----------
     file : Path
         Its name, for error texts; catalogue files are looked for beside it.
-    account : Account
+    import_log : ImportLog
         What became of each line.
     """
 
     def __init__(self, file: Path) -> None:
         self.file = file
-        self.account = Account()
+        self.import_log = ImportLog()
 
     def refuse(
         self, problem: str, where: str, value: object = None, allowed: str | None = None

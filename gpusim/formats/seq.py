@@ -4,7 +4,7 @@ A file is commands with values: separated by ``;`` or lines, continued with ``&`
 after ``!``; names are recognised by their first three letters in either case. ``SO``, ``S`` and
 ``SI`` open the object, a surface and the image; the commands after one belong to it, or to the
 surface that they name as ``S3``. What would change the optics and is not understood is refused by
-name; what is left out or read in another sense is listed in the account. Nothing is executed.
+name; what is left out or read in another sense is listed in the import log. Nothing is executed.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def parse_seq(content: bytes, file: Path) -> Prescription:
     Returns
     -------
     Prescription
-        In mm, whatever the file's unit; its ``account`` says what became of each command.
+        In mm, whatever the file's unit; its ``import_log`` says what became of each command.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def _prescription(seq: SeqFile) -> Prescription:
         del surfaces[-1]["thickness"]
     elif defocus:
         surfaces[-1]["thickness"] = lens_rows[-1].thickness + defocus
-        seq.account.read("file", f"SI {defocus:g}: defocus, added to the last thickness")
+        seq.import_log.read("file", f"SI {defocus:g}: defocus, added to the last thickness")
     title = " ".join(seq.system.get("TIT", [])).strip("'\"")
     data = {
         "title": title or seq.file.stem,
@@ -99,13 +99,13 @@ def _prescription(seq: SeqFile) -> Prescription:
     if seq.near():
         data["object_distance_mm"] = seq.rows[0].thickness
     keys = [key for key in seq.system if key in READ_OF_SYSTEM]
-    seq.account.read("file", ", ".join(keys))
+    seq.import_log.read("file", ", ".join(keys))
     if seq.system_ignored:
-        seq.account.ignored("file", ", ".join(dict.fromkeys(seq.system_ignored)))
+        seq.import_log.ignored("file", ", ".join(dict.fromkeys(seq.system_ignored)))
     return finished(
         data,
         fields,
-        seq.account,
+        seq.import_log,
         seq.file,
         "CODE V",
         unit_mm=_UNITS_MM[unit],
@@ -117,9 +117,9 @@ def _ends(seq: SeqFile) -> None:
     """Refuse what the model has no place for in the object and image surfaces."""
     object_, image = seq.rows[0], seq.image
     if not seq.near():
-        seq.account.substituted("file", f"SO {object_.thickness:g}: object at infinity")
+        seq.import_log.substituted("file", f"SO {object_.thickness:g}: object at infinity")
     elif object_.thickness > 0:
-        seq.account.read("file", f"SO {object_.thickness:g}: object distance")
+        seq.import_log.read("file", f"SO {object_.thickness:g}: object distance")
     else:
         raise seq.refuse(
             "the object does not lie before the lens",

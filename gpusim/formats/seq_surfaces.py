@@ -30,9 +30,9 @@ def surface_of(seq: SeqFile, row: Row, curvatures: bool) -> dict[str, object]:
         result["semi_diameter"] = row.clear
     if row.glass and row.glass.upper() != "AIR":
         result |= _glass(seq, row, where)
-    seq.account.read(row.number, ", ".join(dict.fromkeys(row.keys)))
+    seq.import_log.read(row.number, ", ".join(dict.fromkeys(row.keys)))
     if row.ignored:
-        seq.account.ignored(row.number, ", ".join(dict.fromkeys(row.ignored)))
+        seq.import_log.ignored(row.number, ", ".join(dict.fromkeys(row.ignored)))
     return result
 
 
@@ -49,7 +49,7 @@ def _glass(seq: SeqFile, row: Row, where: str) -> dict[str, object]:
         nd_digits, vd_digits = (name[:3], name[3:]) if code[1] else (code[2], code[3])
         nd = 1 + int(nd_digits) / 10 ** len(nd_digits)
         vd = int(vd_digits) / 10 ** (len(vd_digits) - 2)
-        seq.account.substituted(row.number, f"glass {row.glass}: nd {nd:g}, Vd {vd:g} {ON_LINE}")
+        seq.import_log.substituted(row.number, f"glass {row.glass}: nd {nd:g}, Vd {vd:g} {ON_LINE}")
         return {"glass": "model", "nd": nd, "vd": vd}
     bare, underscore, book = name.rpartition("_")
     if not underscore:

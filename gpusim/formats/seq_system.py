@@ -16,7 +16,7 @@ def wavelengths_of(seq: SeqFile) -> tuple[tuple[float, ...], float]:
     else:
         reference = (len(found) + 1) // 2
         if len(found) > 1:
-            seq.account.substituted("file", f"REF not stated: by wavelength {reference}")
+            seq.import_log.substituted("file", f"REF not stated: by wavelength {reference}")
     if reference not in range(1, len(found) + 1):
         raise seq.refuse(
             "the reference wavelength is not in the list", "REF", f"{reference:g}",
@@ -84,7 +84,7 @@ def _beams(seq: SeqFile, suffix: str, xs: list[float], ys: list[float]) -> tuple
         )
         for y, upper_x, lower_x, upper_y, lower_y in zip(ys, *factors, strict=True)
     )
-    seq.account.substituted(
+    seq.import_log.substituted(
         "file",
         "VUX, VLX, VUY, VLY: vignetting factors by clear apertures: those of the file, and "
         "where it has none those that pass the beams of the factors",
@@ -120,6 +120,6 @@ def aperture_of(seq: SeqFile) -> dict[str, float]:
             "EPD, FNO or NA",
         )
     if key == "NA":
-        seq.account.substituted("file", f"NA {value:g}: by the f-number 1/(2 NA)")
+        seq.import_log.substituted("file", f"NA {value:g}: by the f-number 1/(2 NA)")
         value = 1 / (2 * value)
     return {names[key]: value}

@@ -2,7 +2,7 @@
 
 A file is lines of ``KEY value ...``; indented keys belong to the last ``SURF``. What would change
 the optics and is not understood is refused by name; what is left out or read in another sense is
-listed in the account. Nothing in a file is executed. The keywords are those of the files that
+listed in the import log. Nothing in a file is executed. The keywords are those of the files that
 OpticStudio writes; their meaning is given in its manual under the editors that they come from.
 """
 
@@ -31,7 +31,7 @@ def parse_zmx(content: bytes, file: Path) -> Prescription:
     Returns
     -------
     Prescription
-        With ``focus: as-given``: the image plane is where the file has it; its ``account`` says
+        With ``focus: as-given``: the image plane is where the file has it; its ``import_log`` says
         what became of each line.
 
     Raises
@@ -76,7 +76,7 @@ def _prescription(zmx: ZmxFile) -> Prescription:
     return finished(
         system.data | {"stop": stop, "surfaces": rows},
         system.fields,
-        zmx.account,
+        zmx.import_log,
         zmx.file,
         "Zemax",
         working_f_number=system.working,
@@ -88,9 +88,9 @@ def _ends(zmx: ZmxFile) -> None:
     object_, image = zmx.surfaces[0], zmx.surfaces[-1]
     text = (object_.first("DISZ") or ["none"])[0]
     if zmx.distance() is not None:
-        zmx.account.read("file", f"SURF 0 DISZ {text}: object distance")
+        zmx.import_log.read("file", f"SURF 0 DISZ {text}: object distance")
     elif text.upper() != "INFINITY":
-        zmx.account.substituted("file", f"SURF 0 DISZ {text}: by infinity")
+        zmx.import_log.substituted("file", f"SURF 0 DISZ {text}: by infinity")
     for block in (object_, image):
         place = f"SURF {block.number}"
         if zmx.number(block, "CURV"):

@@ -29,11 +29,11 @@ class Glasses:
         for name in self.wanted:
             if beside := zmx.catalogue_beside(name):
                 self.catalogues.append(beside)
-                zmx.account.read("file", f"GCAT {name}: from {beside} beside the lens")
+                zmx.import_log.read("file", f"GCAT {name}: from {beside} beside the lens")
             elif name in BOOKS:
                 self.catalogues.append(name)
             else:
-                zmx.account.ignored("file", f"GCAT {name}: no such catalogue offline")
+                zmx.import_log.ignored("file", f"GCAT {name}: no such catalogue offline")
 
     def has(self, name: str) -> bool:
         """Whether a catalogue of the file, or any where it names none, holds the glass."""
@@ -77,4 +77,4 @@ class Glasses:
             row.pop("dpgf", None)
             row["glass"], law = "constant", "by one index at every wavelength"
         what = "model glass" if name == "___BLANK" else f"{name}, which no catalogue has here,"
-        zmx.account.substituted(block.number, f"GLAS: {what} nd {nd:g}, Vd {vd:g} {law}")
+        zmx.import_log.substituted(block.number, f"GLAS: {what} nd {nd:g}, Vd {vd:g} {law}")

@@ -47,15 +47,15 @@ def surface_of(
         if "DIAM" in block.lines:
             read.remove("DIAM")
             why = "the system aperture sets the stop" if is_stop else "nothing clips in air"
-            zmx.account.ignored(block.number, f"DIAM: {why}")
+            zmx.import_log.ignored(block.number, f"DIAM: {why}")
     else:
         _aperture(zmx, block, row)
-    zmx.account.read(block.number, ", ".join(read))
+    zmx.import_log.read(block.number, ", ".join(read))
     if "COAT" in block.lines:
-        zmx.account.substituted(block.number, "COAT: coating by uncoated Fresnel losses")
+        zmx.import_log.substituted(block.number, "COAT: coating by uncoated Fresnel losses")
     ignored = [key for key in block.lines if key in _HARMLESS_SURFACE_KEYS]
     if ignored:
-        zmx.account.ignored(block.number, ", ".join(ignored))
+        zmx.import_log.ignored(block.number, ", ".join(ignored))
     return row
 
 

@@ -57,13 +57,13 @@ def system_of(zmx: ZmxFile) -> System:
     fields, meridional = _fields(zmx, used)
     aperture = _aperture(zmx, used) | _apodisation(zmx, used)
     if "RAIM" in head.lines:
-        zmx.account.substituted("file", "RAIM: every ray is aimed at the real stop")
+        zmx.import_log.substituted("file", "RAIM: every ray is aimed at the real stop")
         used.add("RAIM")
     for key in sorted(set(head.lines) - {"WWGT"} if "WAVL" in used else head.lines):
         if key in used:
-            zmx.account.read("file", key)
+            zmx.import_log.read("file", key)
         else:
-            zmx.account.ignored("file", key)
+            zmx.import_log.ignored("file", key)
     glasses = Glasses(zmx)
     notes = [" ".join(values[1:]) for values in head.lines.get("NOTE", [])]
     data = {
@@ -116,7 +116,7 @@ def _wavelengths(zmx: ZmxFile, used: set[str]) -> dict[str, object]:
             f"1 to {len(wavelengths)}",
         )
     weights = "WWGT" if key == "WAVL" else "WAVM weights"
-    zmx.account.ignored("file", f"{weights}: spectra are given where a bank is used")
+    zmx.import_log.ignored("file", f"{weights}: spectra are given where a bank is used")
     used |= {key, "PWAV"}
     return {
         "design_wavelengths_nm": tuple(wavelengths),
@@ -136,7 +136,7 @@ def _fields(zmx: ZmxFile, used: set[str]) -> tuple[Fields, bool]:
     used |= {"FTYP", "XFLN", "YFLN", "VDXN", "VDYN", "VCXN", "VCYN", "VANN"}
     beams, meridional = _beams(zmx, at, kind == "angle")
     if beams:
-        zmx.account.substituted(
+        zmx.import_log.substituted(
             "file",
             "VDXN, VDYN, VCXN, VCYN, VANN: vignetting factors by the clear apertures of the "
             "surfaces, which the program sizes with them",
@@ -205,7 +205,7 @@ def _aperture(zmx: ZmxFile, used: set[str]) -> dict[str, object]:
             used.add(key)
             if "OBNA" in head.lines:
                 used.add("OBNA")
-                zmx.account.ignored("file", f"OBNA: the object is at infinity, {key} rules")
+                zmx.import_log.ignored("file", f"OBNA: the object is at infinity, {key} rules")
             return {name: zmx.number(head, key)}
     if "FLOA" in head.lines:
         used.add("FLOA")
@@ -234,7 +234,7 @@ def _apodisation(zmx: ZmxFile, used: set[str]) -> dict[str, object]:
     used.add("GFAC")
     if kind == 0 or factor == 0:
         return {}
-    zmx.account.substituted(
+    zmx.import_log.substituted(
         "file",
         f"GFAC: Gaussian apodisation over the entrance pupil, factor {factor:g}, by the same "
         "over the stop, at which rays are aimed",

@@ -17,8 +17,8 @@ from pydantic import Field, PrivateAttr, model_validator
 from gpusim.config.model import Strict
 from gpusim.errors import UserError
 from gpusim.known import Known
-from gpusim.lens.account import Account
 from gpusim.lens.glass import surface_known
+from gpusim.lens.import_log import ImportLog
 from gpusim.lens.surface import Coating, Surface
 
 # Fields that state the aperture, of which a lens has one, and those that are lengths.
@@ -68,7 +68,7 @@ class LensModel(Strict):
 
     _file: Path | None = PrivateAttr(None)
     _history: tuple[str, ...] = PrivateAttr(())
-    _account: Account = PrivateAttr(default_factory=Account)
+    _import_log: ImportLog = PrivateAttr(default_factory=ImportLog)
     _states_axis_alone: bool = PrivateAttr(False)
 
     @model_validator(mode="after")
@@ -104,9 +104,9 @@ class LensModel(Strict):
         return self.focus_distance_mm if math.isfinite(self.focus_distance_mm) else None
 
     @property
-    def account(self) -> Account:
+    def import_log(self) -> ImportLog:
         """What the reader made of the file: rows of surface number or "file", what, how."""
-        return self._account
+        return self._import_log
 
     @property
     def states_axis_alone(self) -> bool:

@@ -107,7 +107,7 @@ def _swapped(lens: LensModel) -> tuple[LensModel, dict[int, Known | None]]:
 
 
 def with_nearest(lens: LensModel) -> LensModel:
-    """Return the lens with each model glass by the nearest one; the account says which.
+    """Return the lens with each model glass by the nearest one; the import log says which.
 
     nd and Vd change with it, and so does the focus of a lens whose image plane is given.
     """
@@ -116,7 +116,7 @@ def with_nearest(lens: LensModel) -> LensModel:
     if not found:
         return lens
     step = f"model glasses by the nearest of the catalogues: {_names(lens, found)}"
-    lens.account.substituted("file", step)
+    lens.import_log.substituted("file", step)
     return lens.derived(step, surfaces=swapped.surfaces, nearest_glasses=True)
 
 
@@ -180,7 +180,7 @@ def in_one_plane(lens: LensModel) -> LensModel:
 
 
 def state_model_glasses(lens: LensModel) -> None:
-    """Add to the account of a lens what its model glasses leave open, in um; nothing without any.
+    """Add to a lens's import log what its model glasses leave open, in um; nothing without any.
 
     Two rows: the lens with its model glasses against that with the nearest catalogue glasses, and
     what the spread of the catalogues about the model amounts to: each glass on its own, and the
@@ -198,26 +198,26 @@ def state_model_glasses(lens: LensModel) -> None:
         other = colour(swapped, wavelengths)
         single = [colour(_shifted(placed, number), wavelengths) - model for number in numbers]
     except UserError as error:
-        lens.account.substituted(
+        lens.import_log.substituted(
             "file", f"model glasses: what they leave open cannot be traced: {error.problem}"
         )
         return
     if any(near is not None for near in found.values()):
-        lens.account.substituted(
+        lens.import_log.substituted(
             "file",
             f"model glasses: {span}: lateral colour {_both(model, other, 0)}; "
             f"longitudinal colour {_both(model, other, 1)}; against the nearest glasses of the "
             f"catalogues: {_names(lens, found)}",
         )
     else:
-        lens.account.substituted(
+        lens.import_log.substituted(
             "file",
             f"model glasses: no glass of the catalogues is near: {_names(lens, found)}",
         )
     lateral, longitudinal = (
         np.sqrt(sum(one[kind] ** 2 for one in single)).max() for kind in range(2)
     )
-    lens.account.substituted(
+    lens.import_log.substituted(
         "file",
         f"model glasses: {span}: glasses scatter about the model by {SPREAD_PGF:g} in P_g,F "
         f"(one standard deviation): +-{lateral:.2g} um of lateral colour, +-{longitudinal:.2g} um "

@@ -118,10 +118,10 @@ class Prescription(LensModel):
         return lens.model_copy(update={"surfaces": surfaces})
 
     def absorbing(self) -> Prescription:
-        """Return the lens with glasses that absorb; the account names those without data."""
+        """Return the lens with glasses that absorb; the import log names those without data."""
         for number, name in without_data(self).items():
             what = f"glass {name}: its internal transmission, of which there are no data, by 1"
-            self.account.substituted(number, what)
+            self.import_log.substituted(number, what)
         return self.derived("glasses absorb", internal_transmission=True)
 
     def with_nearest_glasses(self) -> Prescription:

@@ -63,7 +63,7 @@ class Lens(Views):
 
     @classmethod
     def of(cls, prescription: Prescription) -> Self:
-        """Return a prescription as one that shows itself; file, history and account stay."""
+        """Return a prescription as one that shows itself; file, history and import log stay."""
         lens = cls.model_construct(prescription.model_fields_set)
         for name in ("__dict__", "__pydantic_private__"):
             object.__setattr__(lens, name, dict(getattr(prescription, name)))

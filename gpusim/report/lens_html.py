@@ -9,7 +9,7 @@ from html import escape
 from matplotlib.figure import Figure
 
 from gpusim.formats.ready import ReadyLens
-from gpusim.lens.account import Account
+from gpusim.lens.import_log import ImportLog
 from gpusim.lens.surface import ASPHERE_POWERS, Surface
 from gpusim.lens.system import Checked, System
 from gpusim.report.drawing import svg
@@ -31,7 +31,7 @@ from gpusim.report.plane_page import PlanePage
 
 
 def lens_html(
-    page: LensPage, checks: Sequence[Checked], account: Account, studies: Sequence[Study] = ()
+    page: LensPage, checks: Sequence[Checked], import_log: ImportLog, studies: Sequence[Study] = ()
 ) -> str:
     """Return the page as an HTML document that needs no other file.
 
@@ -40,7 +40,7 @@ def lens_html(
     page : LensPage
     checks : sequence of Checked
         The source's figures beside those that were found.
-    account : Account
+    import_log : ImportLog
         What the reader made of the lens file.
     studies : sequence of Study
         Lenses whose single figures are shown below the page.
@@ -63,7 +63,7 @@ def lens_html(
         "<h2>Surfaces</h2>",
         _surfaces(page.system),
         "<h2>What became of the lens file</h2>",
-        _account(account),
+        _import_log(import_log),
         "<h2>How it was computed</h2>",
         pairs(page.bank.provenance),
     )
@@ -86,7 +86,7 @@ def ready_html(page: BankPage, lens: ReadyLens) -> str:
     )
 
 
-def plane_html(page: PlanePage, account: Account, studies: Sequence[Study] = ()) -> str:
+def plane_html(page: PlanePage, import_log: ImportLog, studies: Sequence[Study] = ()) -> str:
     """Return the page of a lens without symmetry as an HTML document that needs no other file."""
     bank, system = page.bank, page.system
     of_lens = (
@@ -96,7 +96,7 @@ def plane_html(page: PlanePage, account: Account, studies: Sequence[Study] = ())
             "<h2>Surfaces</h2>",
             _surfaces(system),
             "<h2>What became of the lens file</h2>",
-            _account(account),
+            _import_log(import_log),
         ]
     )
     return document(
@@ -137,8 +137,8 @@ def _sheet(figure: Figure, shown: str) -> str:
     )
 
 
-def _account(account: Account) -> str:
-    rows = [(str(row.where), row.how, row.what) for row in account.rows]
+def _import_log(import_log: ImportLog) -> str:
+    rows = [(str(row.where), row.how, row.what) for row in import_log.rows]
     return _table(("Surface", "", "What"), rows)
 
 

@@ -149,10 +149,10 @@ def test_a_check_value_that_is_not_met_ends_with_1_after_everything(
     assert (tmp_path / "lens.png").exists()
 
 
-def test_a_lens_file_has_its_account_and_a_preset_has_none(failing: Path, small_banks):
-    account = re.compile(r"^ *\d+ +read +radius, thickness", re.MULTILINE)
-    assert len(account.findall(gpusim("lens", failing).out)) == 5
-    assert not account.search(gpusim("lens", "cooke-triplet").out)
+def test_a_lens_file_has_its_import_log_and_a_preset_has_none(failing: Path, small_banks):
+    rows = re.compile(r"^ *\d+ +read +radius, thickness", re.MULTILINE)
+    assert len(rows.findall(gpusim("lens", failing).out)) == 5
+    assert not rows.search(gpusim("lens", "cooke-triplet").out)
 
 
 @pytest.fixture
@@ -305,7 +305,7 @@ def test_model_glasses_say_what_they_leave_open(small_banks, tmp_path):
     page = out.read_text(encoding="utf-8")
     assert "with catalogue glasses" in page
     assert "of longitudinal colour" in page
-    # The rest of a published lens's account is in its file.
+    # The rest of a published lens's import log is in its file.
     assert "read " not in ran.out.split("surface  ")[-1]
     nearest = gpusim("lens", "tessar", "--nearest-glasses")
     assert nearest.code == 0, nearest.err

@@ -136,7 +136,7 @@ def test_a_glass_of_a_file_beside_the_lens_is_that_of_the_offline_catalogue(tmp_
         glass.catalogue_index("SCHOTT", "N-BK7", wavelengths, surface=1, file=None),
         rtol=1e-14,
     )
-    assert "surface 1: glass LENS-A of mine.agf: formula 2, Sellmeier 1" in lens.account.listed(
+    assert "surface 1: glass LENS-A of mine.agf: formula 2, Sellmeier 1" in lens.import_log.listed(
         "read"
     )
     # What was derived from the lens needs the file no more.

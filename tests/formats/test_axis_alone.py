@@ -45,7 +45,7 @@ def test_a_file_with_the_axis_alone_makes_a_bank(tmp_path, kind):
     read = load_prescription(path)
     assert read.states_axis_alone
     assert read.max_field_deg == SMALL_FIELD_DEG == 2.0
-    said = [text for text in read.account.listed("substituted") if "axis alone" in text]
+    said = [text for text in read.import_log.listed("substituted") if "axis alone" in text]
     assert said == [
         "file: field on the axis alone: by 2 deg, a small field; a camera takes its sensor's"
     ]

@@ -45,18 +45,18 @@ def test_rows_run_from_the_front_to_the_film(tmp_path):
     assert lens.stop_semi_diameter_mm == 4.0
     # The renderer moves the film to the focus, whatever the last thickness says.
     assert lens.focus == "best"
-    assert "file: last thickness 30: by the best focus" in lens.account.listed("substituted")
+    assert "file: last thickness 30: by the best focus" in lens.import_log.listed("substituted")
 
 
-def test_the_account_says_that_there_is_no_dispersion(read):
+def test_the_import_log_says_that_there_is_no_dispersion(read):
     lens = read()
-    assert lens.account.listed("ignored") == [
+    assert lens.import_log.listed("ignored") == [
         "file: nominal focal length 50: it follows from the rows"
     ]
-    substituted = lens.account.listed("substituted")
+    substituted = lens.import_log.listed("substituted")
     assert "file: no dispersion stated: none, so the lens has no colour errors" in substituted
     assert "surface 1: glass of index 1.6: the same at every wavelength" in substituted
-    assert (5, "radius, thickness, index, aperture diameter", "read") in lens.account.rows
+    assert (5, "radius, thickness, index, aperture diameter", "read") in lens.import_log.rows
     index = build(lens).index(np.array([400.0, 700.0]))
     assert index[1].tolist() == [1.6, 1.6]
 

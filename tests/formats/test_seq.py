@@ -52,7 +52,7 @@ def test_a_singlet_is_read_as_it_stands(read):
     assert lens.surfaces[0].glass == "SCHOTT/N-BK7"
     assert lens.focus == "as-given"
     assert lens.surfaces[1].thickness == 47.75  # the defocus of SI is part of the distance
-    assert lens.account.rows == [
+    assert lens.import_log.rows == [
         ("file", "SO 1e+13: object at infinity", "substituted"),
         (1, "S, STO", "read"),
         (2, "S", "read"),
@@ -115,7 +115,7 @@ def test_numbers_in_place_of_a_glass_are_a_model_glass(read, code, nd, vd):
     lens = read(SINGLET, ("NBK7_SCHOTT", code))
     surface = lens.surfaces[0]
     assert (surface.glass, surface.nd, surface.vd) == ("model", nd, vd)
-    assert f"surface 1: glass {code}" in "".join(lens.account.listed("substituted"))
+    assert f"surface 1: glass {code}" in "".join(lens.import_log.listed("substituted"))
 
 
 @pytest.mark.parametrize(
@@ -140,14 +140,14 @@ def test_a_catalogue_file_beside_the_lens_is_found(read, tmp_path):
     (tmp_path / "house.agf").write_text("NM OWN 5 0 1.6 0\nCD 1.6\nLD 0.3 2.5\n")
     lens = read(SINGLET, ("NBK7_SCHOTT", "OWN_HOUSE"))
     assert build(lens).index(np.array([500.0]))[1, 0] == pytest.approx(1.6, rel=1e-15)
-    assert "glass OWN of house.agf" in "".join(lens.account.listed("read"))
+    assert "glass OWN of house.agf" in "".join(lens.import_log.listed("read"))
 
 
 def test_the_aperture_may_be_an_f_number_or_a_numerical_aperture(read):
     assert read(SINGLET, ("EPD 10.0", "FNO 4")).f_number == 4.0
     lens = read(SINGLET, ("EPD 10.0", "NA 0.125"))
     assert lens.f_number == 4.0
-    assert "file: NA 0.125: by the f-number 1/(2 NA)" in lens.account.listed("substituted")
+    assert "file: NA 0.125: by the f-number 1/(2 NA)" in lens.import_log.listed("substituted")
 
 
 @pytest.mark.parametrize(("command", "kind"), [("YIM", "paraxial"), ("YRI", "real")])
@@ -163,7 +163,7 @@ def test_image_heights_become_field_angles(read, command, kind):
         height = sample_rays(system, index, theta, np.zeros(1), np.zeros(1)).chief_y_mm[0]
     # The root is found to 1e-10 deg: 2e-9 mm at this focal length.
     assert height == pytest.approx(3.0 * 25.4, abs=1e-8)
-    assert f"{kind} image height 76.2 mm" in "".join(lens.account.listed("substituted"))
+    assert f"{kind} image height 76.2 mm" in "".join(lens.import_log.listed("substituted"))
 
 
 def test_skew_field_angles_are_angles_from_the_axis(read):
@@ -176,7 +176,7 @@ def test_apertures_and_the_edge_of_the_glass_are_told_apart(read):
     lens = read(SINGLET, ("  STO", "  STO\n  CIR 6.0; CIR EDG 5.0\n  CIR L'A' 5.5"))
     assert lens.surfaces[0].semi_diameter == 5.5
     assert "surface 1: CIR EDG: the edge of the glass clips no ray" in "".join(
-        lens.account.listed("ignored")
+        lens.import_log.listed("ignored")
     )
 
 
@@ -223,7 +223,7 @@ def test_a_solved_image_distance_is_the_paraxial_focus(read):
 def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
     lens = read(SINGLET, ("REF 2\n", ""))
     assert lens.reference_nm == 550.0
-    assert "file: REF not stated: by wavelength 2" in lens.account.listed("substituted")
+    assert "file: REF not stated: by wavelength 2" in lens.import_log.listed("substituted")
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_what_is_switched_off_or_zero_is_no_obstacle(read):
     changes = ("  STO", "  STO; XDE 0.0; ADE 0; CUF 0.0"), ("EPD 10.0", "EPD 10; AFO N; ZOO 1")
     lens = read(SINGLET, *changes)
     assert lens.surfaces == read(SINGLET).surfaces
-    assert "surface 1: XDE, ADE" in lens.account.listed("ignored")
+    assert "surface 1: XDE, ADE" in lens.import_log.listed("ignored")
 
 
 def test_a_private_catalogue_is_skipped_and_its_glasses_are_refused(read):

@@ -40,7 +40,7 @@ def test_the_same_lens_from_zmx_gives_the_same_bank(tmp_path, written, codec):
     assert "read from a Zemax file" in two.provenance["history"]
 
 
-def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, written):
+def test_the_import_log_says_what_was_read_ignored_and_substituted(tmp_path, written):
     original, text = written
     prescription = parse_zmx(text.encode("cp1252"), tmp_path / "a.zmx")
     assert prescription.title == original.title
@@ -48,10 +48,10 @@ def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, writte
     assert prescription.max_field_deg == original.max_field_deg
     assert prescription.design_wavelengths_nm == pytest.approx(original.design_wavelengths_nm)
     assert prescription.surfaces[5].semi_diameter is None  # the aperture sets the stop
-    account = prescription.account
-    assert (1, "TYPE, CURV, DISZ, GLAS, DIAM", "read") in account.rows
-    assert (6, "STOP, TYPE, CURV, DISZ", "read") in account.rows
-    assert (6, "DIAM: the system aperture sets the stop", "ignored") in account.rows
+    import_log = prescription.import_log
+    assert (1, "TYPE, CURV, DISZ, GLAS, DIAM", "read") in import_log.rows
+    assert (6, "STOP, TYPE, CURV, DISZ", "read") in import_log.rows
+    assert (6, "DIAM: the system aperture sets the stop", "ignored") in import_log.rows
     for entry in (
         "file: COFN",
         "surface 1: HIDE",
@@ -59,15 +59,15 @@ def test_the_account_says_what_was_read_ignored_and_substituted(tmp_path, writte
         "file: EFLY",
         "file: GCAT MISC: no such catalogue offline",
     ):
-        assert entry in account.listed("ignored")
-    assert account.listed("substituted") == ["file: RAIM: every ray is aimed at the real stop"]
+        assert entry in import_log.listed("ignored")
+    assert import_log.listed("substituted") == ["file: RAIM: every ray is aimed at the real stop"]
 
 
 def test_a_gaussian_apodisation_is_read(tmp_path, written):
     _, text = written
     found = parse_zmx(text.replace("GFAC 0 0", "GFAC 1 0.7").encode("cp1252"), tmp_path / "a.zmx")
     assert found.gaussian_apodisation == 0.7
-    said = [one for one in found.account.listed("substituted") if "GFAC" in one]
+    said = [one for one in found.import_log.listed("substituted") if "GFAC" in one]
     assert len(said) == 1
     assert "factor 0.7" in said[0]
     # Uniform whatever the factor, and Gaussian of none.
@@ -75,7 +75,7 @@ def test_a_gaussian_apodisation_is_read(tmp_path, written):
         content = text.replace("GFAC 0 0", even).encode("cp1252")
         found = parse_zmx(content, tmp_path / "a.zmx")
         assert found.gaussian_apodisation == 0
-        assert not any("GFAC" in one for one in found.account.listed("substituted"))
+        assert not any("GFAC" in one for one in found.import_log.listed("substituted"))
 
 
 def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
@@ -97,7 +97,7 @@ def test_even_aspheres_conics_and_model_glasses_are_read(tmp_path):
     assert read.surfaces[0].conic == -0.6
     assert first_order(read) == first_order(original)
     assert read.surfaces[1].thickness == 30.0
-    assert any("model glass nd 1.52" in text for text in read.account.listed("substituted"))
+    assert any("model glass nd 1.52" in text for text in read.import_log.listed("substituted"))
 
 
 def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path):
@@ -107,7 +107,7 @@ def test_the_partial_dispersion_of_a_model_glass_is_read(tmp_path):
         changed = text.replace("149.0 0 0", f"149.0 {number} 0", 1)
         read = parse_zmx(changed.encode("cp1252"), tmp_path / "a.zmx")
         assert read.surfaces[0].dpgf == dpgf
-        (said,) = [one for one in read.account.listed("substituted") if "GLAS" in one]
+        (said,) = [one for one in read.import_log.listed("substituted") if "GLAS" in one]
         assert ("off the normal line" in said) == (dpgf is not None)
         assert (read.surfaces[0].nd, read.surfaces[0].vd) == (1.52, 149.0)
 
@@ -134,8 +134,8 @@ def test_the_line_of_wavelengths_of_old_files_is_read(tmp_path, written):
     assert old.reference_nm == pytest.approx(587.5618, rel=1e-12)
     assert old.max_field_deg == new.max_field_deg
     assert old.surfaces == new.surfaces
-    assert ("file", "WAVL", "read") in old.account.rows
-    weights = [row for row in old.account.rows if "WWGT" in row.what]
+    assert ("file", "WAVL", "read") in old.import_log.rows
+    weights = [row for row in old.import_log.rows if "WWGT" in row.what]
     assert [row.how for row in weights] == ["ignored"]
     # The primary, and how many count where the file says it.
     other = parse_zmx(old_zmx(written, ("PWAV 2", "PWAV 3")), tmp_path / "old.zmx")
@@ -164,7 +164,7 @@ def test_a_wrong_line_of_wavelengths_is_refused(tmp_path, written, change, words
 
 def test_vignetting_factors_of_old_files_are_read(tmp_path, written):
     old = parse_zmx(old_zmx(written, ("ZVCY 0 0 0", "ZVCY 0 0.1 0.3")), tmp_path / "old.zmx")
-    assert any("vignetting factors" in text for text in old.account.listed("substituted"))
+    assert any("vignetting factors" in text for text in old.import_log.listed("substituted"))
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_image_heights_become_field_angles(tmp_path, written):
         # The root is found to 1e-10 deg; the height is that of a real chief ray.
         assert read.max_field_deg == pytest.approx(edge, abs=1e-8)
         assert f"file: {name} image height {height:g} mm by the field angle" in "".join(
-            read.account.listed("substituted")
+            read.import_log.listed("substituted")
         )
         assert "by the field angle" in read.history[-1]
 
@@ -300,9 +300,9 @@ def test_vignetting_factors_are_left_to_the_clear_apertures(tmp_path, written):
     read = parse_zmx(text_of(written, *changes), tmp_path / "a.zmx")
     assert read.surfaces == plain.surfaces
     assert "vignetting factors by the clear apertures" in "".join(
-        read.account.listed("substituted")
+        read.import_log.listed("substituted")
     )
-    assert "vignetting" not in "".join(plain.account.listed("substituted"))
+    assert "vignetting" not in "".join(plain.import_log.listed("substituted"))
 
 
 def test_vignetting_factors_size_the_surfaces_that_have_no_aperture(tmp_path, written):
@@ -342,7 +342,7 @@ def test_an_unknown_glass_falls_back_on_what_the_file_states(tmp_path, written, 
             first_order(read)
         return
     assert (read.surfaces[6].glass, read.surfaces[6].nd) == (glass, nd)
-    text = next(t for t in read.account.listed("substituted") if t.startswith("surface 7"))
+    text = next(t for t in read.import_log.listed("substituted") if t.startswith("surface 7"))
     assert "F5-OLD, which no catalogue has here" in text
     # A glass that is known is taken from the catalogue, whatever stands beside it.
     known = parse_zmx(
@@ -359,9 +359,10 @@ def test_a_catalogue_file_beside_the_lens_is_preferred_and_named(tmp_path, writt
     indices = build(read).index(np.array([500.0]))[:, 0]
     assert indices[1] == pytest.approx(1.6, rel=1e-15)
     assert indices[7] == pytest.approx(1.7, rel=1e-15)  # F5: the first catalogue counts
-    assert "file: GCAT MISC: from misc.AGF beside the lens" in read.account.listed("read")
-    assert "file: GCAT OLDBOOK: no such catalogue offline" in read.account.listed("ignored")
-    assert "surface 1: glass MYGLASS of misc.AGF: formula 5, Conrady" in read.account.listed("read")
+    assert "file: GCAT MISC: from misc.AGF beside the lens" in read.import_log.listed("read")
+    assert "file: GCAT OLDBOOK: no such catalogue offline" in read.import_log.listed("ignored")
+    said = read.import_log.listed("read")
+    assert "surface 1: glass MYGLASS of misc.AGF: formula 5, Conrady" in said
 
 
 def test_apertures_in_air_count_where_the_file_says_that_they_clip(tmp_path, written):
@@ -380,8 +381,8 @@ def test_what_a_design_program_leaves_out_has_its_meaning(tmp_path, written):
     )
     read = parse_zmx(text_of(written, *changes), tmp_path / "a.zmx")
     assert first_order(read) == first_order(parse_zmx(text_of(written), tmp_path / "a.zmx"))
-    assert "file: SURF 0 DISZ 1.0E+10: by infinity" in read.account.listed("substituted")
-    assert "file: OBNA: the object is at infinity, FNUM rules" in read.account.listed("ignored")
+    assert "file: SURF 0 DISZ 1.0E+10: by infinity" in read.import_log.listed("substituted")
+    assert "file: OBNA: the object is at infinity, FNUM rules" in read.import_log.listed("ignored")
 
 
 @pytest.mark.parametrize("keep", [0.05, 0.3, 0.5, 0.7, 0.9])

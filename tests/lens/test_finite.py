@@ -262,7 +262,7 @@ def test_apertures_and_fields_of_near_objects_are_read_in_every_kind(
     # The real chief ray goes through the middle of a thin lens.
     assert read.max_field_deg == pytest.approx(8.0, rel=1e-4)
     assert build(read).stop_radius_mm == pytest.approx(0.5, rel=1e-4)
-    said = [row.what for row in read.account.rows if row.how == "read"]
+    said = [row.what for row in read.import_log.rows if row.how == "read"]
     assert any("object distance" in what for what in said)
 
 

@@ -99,11 +99,11 @@ def test_colour_of_a_thin_lens_is_that_of_the_closed_form():
     np.testing.assert_allclose(found.lateral, expected_um, rtol=0.03, atol=1e-6)
 
 
-def test_the_account_states_what_the_choice_of_glasses_changes():
+def test_the_import_log_states_what_the_choice_of_glasses_changes():
     one = as_models(load_prescription("telephoto"))
-    one._account = type(one.account)()
+    one._import_log = type(one.import_log)()
     state_model_glasses(one)
-    between, spread = one.account.listed("substituted")
+    between, spread = one.import_log.listed("substituted")
     # The same two lenses by hand: on the model, and with the catalogue's glasses.
     wavelengths = model_glass.wavelengths_of(one)
     assert (wavelengths[0], wavelengths[-1]) == (WAVELENGTHS_NM[0], WAVELENGTHS_NM[-1])
@@ -136,9 +136,9 @@ def test_the_catalogue_glasses_of_a_lens_are_found_again():
 
 def test_a_lens_without_model_glasses_has_nothing_to_state():
     one = load_prescription("double-gauss")
-    rows = list(one.account.rows)
+    rows = list(one.import_log.rows)
     state_model_glasses(one)
-    assert one.account.rows == rows
+    assert one.import_log.rows == rows
     assert with_nearest(one) is one
 
 
@@ -147,7 +147,7 @@ def test_what_cannot_be_traced_is_said():
         {"glass": "model", "nd": 1.5, "vd": 60.0}, design_wavelengths_nm=[300.0], reference_nm=550.0
     )
     state_model_glasses(one)
-    (said,) = one.account.listed("substituted")
+    (said,) = one.import_log.listed("substituted")
     assert "cannot be traced" in said
     assert "outside the data" in said
 
@@ -173,7 +173,7 @@ def test_a_lens_file_may_ask_for_the_nearest_glasses(tmp_path):
     found = load_prescription(file)
     assert found.surfaces[0].glass.partition("/")[2]
     assert (found.surfaces[0].nd, found.surfaces[0].vd) == (1.517, 64.2)  # as printed
-    said = " ".join(found.account.listed("substituted"))
+    said = " ".join(found.import_log.listed("substituted"))
     assert "lateral colour" in said
     assert "by the nearest of the catalogues: surface 1" in said
     data["nearest_glasses"] = False

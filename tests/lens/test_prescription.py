@@ -227,18 +227,18 @@ def test_the_unchanged_file_is_read(tmp_path):
     file.write_text(yaml.safe_dump(GOOD))
     read = load_prescription(file)
     assert read.surfaces[0].radius == 50.0
-    assert read.account.rows == [
+    assert read.import_log.rows == [
         ("file", "f_number, focus, max_field_deg, patent, source, stop, title, units", "read"),
         (1, "glass, radius, semi_diameter, thickness", "read"),
         (2, "radius, semi_diameter", "read"),
     ]
 
 
-def test_printed_indices_beside_a_catalogue_glass_are_told_apart_in_the_account(double_gauss):
-    account = double_gauss.stopped(4).account  # derived lenses keep it
-    assert "surface 1: nd, vd: the index is that of glass N-BAF10" in account.listed("ignored")
-    assert "surface 1: radius, thickness, glass, semi_diameter" in account.listed("read")
-    assert account.listed("substituted") == []
+def test_printed_indices_beside_a_catalogue_glass_are_told_apart_in_the_import_log(double_gauss):
+    import_log = double_gauss.stopped(4).import_log  # derived lenses keep it
+    assert "surface 1: nd, vd: the index is that of glass N-BAF10" in import_log.listed("ignored")
+    assert "surface 1: radius, thickness, glass, semi_diameter" in import_log.listed("read")
+    assert import_log.listed("substituted") == []
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ def test_glasses_without_data_are_named_and_clear():
     dark = one.absorbing()
     assert without_data(dark) == {1: "model"}
     np.testing.assert_array_equal(transmission(dark, GREEN), transmission(one, GREEN))
-    assert any("model: its internal" in text for text in dark.account.listed("substituted"))
+    assert any("model: its internal" in text for text in dark.import_log.listed("substituted"))
 
 
 def test_internal_transmission_is_read_from_a_catalogue_file(tmp_path):

@@ -433,8 +433,8 @@ class Links(HTMLParser):
 
 
 def test_the_html_page_is_whole_in_itself_and_has_all_numbers(page: LensPage, demo_lens):
-    account = demo_lens.account
-    text = lens_html(page, checked(demo_lens), account)
+    import_log = demo_lens.import_log
+    text = lens_html(page, checked(demo_lens), import_log)
     document = Links(text)
     (picture,) = document.loaded
     head, _, data = picture.partition(",")
@@ -448,7 +448,7 @@ def test_the_html_page_is_whole_in_itself_and_has_all_numbers(page: LensPage, de
 def test_markup_in_a_lens_file_stays_text(page: LensPage, demo_lens):
     named = demo_lens.model_copy(update={"title": "<b>lens</b>", "notes": "<script>"})
     system = replace(page.system, prescription=named)
-    text = lens_html(replace(page, system=system), [], demo_lens.account)
+    text = lens_html(replace(page, system=system), [], demo_lens.import_log)
     assert "<b>lens</b>" not in text
     assert "<script>" not in text
     assert "&lt;b&gt;lens&lt;/b&gt;" in text

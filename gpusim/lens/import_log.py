@@ -1,4 +1,4 @@
-"""What a reader made of a lens file, surface by surface: read, ignored or substituted.
+"""The import log: what a reader made of a lens file, read, ignored or substituted, by surface.
 
 Nothing in a file may vanish: each thing that it states has a row that says what became of it.
 """
@@ -24,7 +24,7 @@ class Row(NamedTuple):
 
 
 @dataclass
-class Account:
+class ImportLog:
     """The rows in the order in which the reader wrote them."""
 
     rows: list[Row] = field(default_factory=list)
