@@ -394,8 +394,8 @@ def tolerances_job(
 ) -> Job:
     """Certify three tolerances on five scenes and three lenses, and time each.
 
-    What is timed in the end is the last of them again. The truth of a lens and scene is evaluated
-    once. A tolerance that is refused counts as not met, and says why.
+    What is timed in the end is the last of them again. The exact model of a lens and scene is
+    evaluated once. A tolerance that is refused counts as not met, and says why.
     """
     rows, cols = (min(side, most) for side, most in zip(frame, LARGEST, strict=True))
     sensor = load_sensor("imx477").roi(rows, cols)

@@ -1,4 +1,4 @@
-"""The certificate: how far a render is from the truth, by probe pixels, in one error budget."""
+"""The certificate: how far a render is from the exact model, at probe pixels, in one budget."""
 
 from gpusim.certify.bank import bank_share
 from gpusim.certify.budget import Certificate, Probe, Share, compare

@@ -29,8 +29,8 @@ from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.halo import LAST_FALLS_FROM
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.traced import cached_traced_bank, cached_traced_plane_field
+from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHeight, TracedPoint
-from gpusim.reference.truth import Truth
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -303,8 +303,8 @@ def _changes(
             if level:
                 changes[own] += Wide(*given).at(placed, pixels[own])
             else:
-                truth = Truth(*given)
-                evaluate = truth.chart if isinstance(placed, Chart) else truth.raster
+                exact = ExactCore(*given)
+                evaluate = exact.chart if isinstance(placed, Chart) else exact.raster
                 changes[own] += evaluate(placed, pixels[own])
 
     each(of_height, range(len(pairs)))

@@ -68,7 +68,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Probe:
-    """One probe pixel: electrons of truth and render, and the error in two units."""
+    """One probe pixel: electrons of exact model and render, and the error in two units."""
 
     row: int
     col: int
@@ -104,7 +104,7 @@ class Certificate:
     confidence : str
         What the number of probes supports.
     seconds : float
-        What the truth took: apart from the render's time.
+        What the exact model took: apart from the render's time.
     points : tuple of Probe
     """
 
@@ -207,7 +207,7 @@ def compare(
     notes: tuple[str, ...] = (),
     beyond: np.ndarray | None = None,
 ) -> Certificate:
-    """Judge a render by the truth at some pixels.
+    """Judge a render by the exact model at some pixels.
 
     Parameters
     ----------
@@ -215,12 +215,12 @@ def compare(
     pixels : ndarray (P, 2) of int
         Row and column.
     truth, rate : ndarray (P,)
-        Electrons/s of truth and render there, both with veiling glare.
+        Electrons/s of exact model and render there, both with veiling glare.
     exposure_s : float
     accuracy : Accuracy
         What was asked for.
     seconds : float
-        What the truth took.
+        What the exact model took.
     bank, readout : Share
         The errors of the PSFs and of the sensor's part, in the tolerance's unit.
     window : float

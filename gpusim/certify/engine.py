@@ -24,7 +24,7 @@ from gpusim.certify.probes import FEWEST, MOST, beyond_circle, choose_probes, ro
 from gpusim.parallel import each
 from gpusim.plan import Accuracy
 from gpusim.psf.field_bank import FieldBank
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -50,8 +50,8 @@ class ExactModel:
         self.centre = np.array([sensor.rows, sensor.cols]) / 2
         core, *halo = bank.levels
         given = sensor, scene.spectra, scene.wavelengths_nm
-        truth = Truth(core, *given)
-        self._core = truth.chart if isinstance(placed, Chart) else truth.raster
+        exact = ExactCore(core, *given)
+        self._core = exact.chart if isinstance(placed, Chart) else exact.raster
         self._halo = [Wide(level, *given) for level in halo]
         self._begun = False
 
@@ -102,7 +102,7 @@ def certify(
     readout: Callable[[np.ndarray], tuple[Share, str]] | None = None,
     judged: Callable[[], Judged] | None = None,
 ) -> Certificate:
-    """Compare a render with the truth model at probe pixels.
+    """Compare a render with the exact model at probe pixels.
 
     Parameters
     ----------

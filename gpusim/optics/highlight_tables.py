@@ -1,8 +1,9 @@
 """Kernels of highlights, tabulated in the frame of the PSFs, and how they are mixed.
 
-Tables are made at the fields of the bank, and mixed as the truth mixes these. Behind a lens with an
-axis, the aperture of the pixel and the highlight's square stand at an angle in it, the azimuth
-modulo 90 degrees: tables are made at so many angles, and cubics lead through the nearest four.
+Tables are made at the fields of the bank, and mixed as the exact model mixes these. Behind a lens
+with an axis, the aperture of the pixel and the highlight's square stand at an angle in it, the
+azimuth modulo 90 degrees: tables are made at so many angles, and cubics lead through the nearest
+four.
 
 Colours lie at the chief rays of the bank's wavelengths, each as much as the splines between these
 give it (`gpusim.psf.lines`): what aperture and square blur follows the streak between the chief
@@ -286,7 +287,7 @@ class Mixture(NamedTuple):
 
 
 def mixture(places: Places, squares: Squares, bins: int, turns: int = 1) -> Mixture:
-    """Mix fields as the truth does, and, by cubics (Lagrange), angles where PSFs are turned.
+    """Mix fields as the exact model does, and, by cubics (Lagrange), angles where PSFs are turned.
 
     Tables are the same again after `turns` quarters of a turn.
     """

@@ -1,6 +1,6 @@
 """Render, certify and time all variants in turns; find the planner's regret.
 
-The errors are certified, not estimated: all plans are held against the truth model at the same
+The errors are certified, not estimated: all plans are held against the exact model at the same
 pixels, which are evaluated once. Times are medians over rounds through all plans, so that a machine
 that is faster now and slower then is so for all; ratios are taken within a round.
 """
@@ -236,7 +236,7 @@ def sweep(
 def _judge(
     camera: Camera, chosen: Renderer, certificate: Certificate, exposure_s: float
 ) -> Callable[[np.ndarray, np.ndarray, Accuracy], Certificate]:
-    """Return what certifies other renders at the same probes, by the truth evaluated there.
+    """Return what certifies other renders at the same probes, by the exact model evaluated there.
 
     The parts of the error that are the lens's and the sensor's are those of the chosen plan: other
     plans have the same bank, and the same sensor after them.

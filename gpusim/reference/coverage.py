@@ -1,4 +1,4 @@
-"""Exact areas of chart primitives inside small quadrilaterals, for the truth model."""
+"""Exact areas of chart primitives inside small quadrilaterals, for the exact model."""
 
 from __future__ import annotations
 

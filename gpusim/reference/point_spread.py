@@ -1,4 +1,4 @@
-"""What a source point spreads over the sensor: H of the truth model.
+"""What a source point spreads over the sensor: H of the exact model.
 
     H_cm(t; s) = sum_k sum_l R[c, m, l, k] K(s, l) h_l(t - (x_c(s, k) - x_ref(s)); s)
     R[c, m, l, k] = q_c(k) L_m(k) Omega(k) T(k) (lambda_k / hc) d lambda_k  S_l(lambda_k)
@@ -39,7 +39,7 @@ KEPT_LAMPS = 48  # of 6 MiB each, with three filters and three spectra
 KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
 TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
-DEGREE = 5  # of splines under highlights: see DEGREES in `gpusim.reference.truth`
+DEGREE = 5  # of splines under highlights: see DEGREES in `gpusim.reference.exact_model`
 
 
 def _quantum_efficiency(sensor: Any, wavelengths_nm: np.ndarray) -> np.ndarray:

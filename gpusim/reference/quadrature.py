@@ -1,4 +1,4 @@
-"""Where the truth model sums: zones of cells around a pixel, and its PSF through the aperture."""
+"""Where the exact model sums: zones of cells around a pixel, and its PSF through the aperture."""
 
 from __future__ import annotations
 

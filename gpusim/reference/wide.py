@@ -37,7 +37,7 @@ FEW, LARGEST = 8, 4e6
 
 
 class Wide:
-    """Exact model of one level of a halo: see ``gpusim.reference.truth.Truth``."""
+    """Exact model of one level of a halo: see ``gpusim.reference.exact_model.ExactCore``."""
 
     def __init__(
         self,

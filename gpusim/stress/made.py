@@ -155,11 +155,11 @@ def edge_case(
 
 
 def certified_case(bank: Bank, sensor: Sensor, scene: Scene, tolerance: float) -> tuple:
-    """Hold a render against the truth model."""
+    """Hold a render against the exact model."""
     renderer = Renderer(camera_of(bank, sensor), scene, Accuracy(tolerance, 16))
     try:
         found = renderer.capture(0.01).certificate
     finally:
         renderer.release()
     got = f"RMS {found.rms_relative:.1e}, worst {found.worst_relative:.1e}"
-    return f"truth model, RMS to {tolerance:g}", got, found.met
+    return f"exact model, RMS to {tolerance:g}", got, found.met

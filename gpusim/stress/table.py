@@ -1,6 +1,6 @@
 """One case and its verdict: what is expected, what came out, and whether that is right.
 
-What is expected comes from a closed form or from the truth model, never from the engine. A case
+What is expected comes from a closed form or from the exact model, never from the engine. A case
 that no program could do, for physics or the input forbid it, and that the product declines with a
 clear error is "refused", and says so. One that physics allows and the engine declines is a "limit":
 it is not as expected, and counted apart. What neither holds nor is declined fails.

@@ -18,7 +18,7 @@ from gpusim.plan import Accuracy
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.halo import distances_um
 from gpusim.psf.sampling import default_fields_deg
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.scene.chart import Rect
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
@@ -55,9 +55,9 @@ def rate(sound, placed):
     (edge,) = placed.primitives
     inside = 1 / (1 + np.exp(edge.distance(x, y) / 2.0))
     where = np.array([ORIGIN])
-    truth = Truth(sound.levels[0], SENSOR, EDGE.spectra, WAVELENGTHS_NM).chart(placed, where)[0]
+    exact = ExactCore(sound.levels[0], SENSOR, EDGE.spectra, WAVELENGTHS_NM).chart(placed, where)[0]
     share = 1 + (0.2 - 1) * inside
-    return (truth * share / share[0, 0]).astype(np.float32)
+    return (exact * share / share[0, 0]).astype(np.float32)
 
 
 @pytest.fixture

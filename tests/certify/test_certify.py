@@ -96,19 +96,19 @@ def test_rounds_hold_every_probe_once_and_edges_in_proportion(count: int, first:
 # How it counts
 
 
-class FakeTruth:
-    """A truth of 1000 electrons/s plus ten times the row, whatever the scene; black in column 0."""
+class FakeCore:
+    """1000 electrons/s plus ten times the row, whatever the scene; black in column 0."""
 
     def __init__(self, *given: object) -> None:
         pass
 
     def chart(self, chart: object, pixels: np.ndarray) -> np.ndarray:
-        """Return the truth at pixels (P, 2)."""
+        """Return the electrons/s at pixels (P, 2)."""
         return np.where(pixels[:, 1] == 0, 0.0, 1000.0 + 10 * pixels[:, 0])
 
 
 def certificate(monkeypatch, rate, glare=0.0, tolerance=1e-2, count=20, **changes):
-    monkeypatch.setattr(certify_module, "Truth", FakeTruth)
+    monkeypatch.setattr(certify_module, "ExactCore", FakeCore)
     camera = sensor(*rate.shape, **{"temporal_dark_noise_e": 3.0, **changes})
     subject = scene()
     placed = subject.source.placed(10.0)
@@ -184,7 +184,7 @@ def test_a_tolerance_in_sigmas_is_judged_in_sigmas(monkeypatch):
     found = certificate(monkeypatch, rate)
     rms = found.rms_sigma
     for tolerance, met in ((1.01 * rms, True), (0.99 * rms, False)):
-        monkeypatch.setattr(certify_module, "Truth", FakeTruth)
+        monkeypatch.setattr(certify_module, "ExactCore", FakeCore)
         more = (np.zeros(4), 0.1, Accuracy(tolerance, 20, "sigma"))
         camera, subject = sensor(30, 40, temporal_dark_noise_e=3.0), scene()
         judged = certify(bank(), camera, subject, subject.source.placed(10.0), rate, *more)
@@ -208,7 +208,7 @@ def test_beyond_the_full_well_no_sigmas_are_counted(monkeypatch):
     assert 0.0 in {point.sigma for point in found.points if point.col}
 
 
-def test_glare_is_part_of_the_truth_by_site(monkeypatch):
+def test_glare_is_part_of_the_exact_model_by_site(monkeypatch):
     glare = np.array([10.0, 20.0, 30.0, 40.0])
     rate = sound() + np.tile(glare.reshape(2, 2), (15, 20))
     found = certificate(monkeypatch, rate, glare=glare, count=100)
@@ -260,7 +260,7 @@ def test_a_verdict_is_settled_three_standard_errors_from_the_tolerance(
 
 
 def test_progress_is_told(monkeypatch):
-    monkeypatch.setattr(certify_module, "Truth", FakeTruth)
+    monkeypatch.setattr(certify_module, "ExactCore", FakeCore)
     subject, seen = scene(), []
     more = (np.zeros(4), 0.1, Accuracy(1e-2, 3), lambda *step: seen.append(step))
     certify(bank(), sensor(30, 40), subject, subject.source.placed(10.0), sound(), *more)

@@ -16,7 +16,7 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
 from gpusim.psf.compute_plane import compute_plane_bank
 from gpusim.psf.halo import distances_um
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.scene.chart import Rect
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
@@ -55,9 +55,9 @@ def rate(sound, placed):
     (edge,) = placed.primitives
     inside = 1 / (1 + np.exp(edge.distance(x, y) / 2.0))
     where = np.array([[ORIGIN[0] + SHAPE[0] - 1, ORIGIN[1]]])
-    truth = Truth(sound.levels[0], SENSOR, EDGE.spectra, WAVELENGTHS_NM).chart(placed, where)[0]
+    exact = ExactCore(sound.levels[0], SENSOR, EDGE.spectra, WAVELENGTHS_NM).chart(placed, where)[0]
     share = 1 + (0.2 - 1) * inside
-    return (truth * share / share[-1, 0]).astype(np.float32)
+    return (exact * share / share[-1, 0]).astype(np.float32)
 
 
 @pytest.fixture

@@ -118,7 +118,7 @@ def light(cfa: str) -> np.ndarray:
 def no_optics(monkeypatch):
     """Let the engine be without error: its truth is the light of a plain sensor, as rendered.
 
-    What is left is the sensor's part; and the truth model is slow.
+    What is left is the sensor's part; and the exact model is slow.
     """
 
     class Rendered:

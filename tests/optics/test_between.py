@@ -1,4 +1,4 @@
-"""Between a bank's fields and wavelengths: engine and truth against a lens in closed form."""
+"""Between a bank's fields and wavelengths: engine and exact model against a lens in closed form."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from gpusim.optics.kernels import field_kernels
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.psf.bank import Bank
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.qe import QuantumEfficiency
 
@@ -97,21 +97,21 @@ def engine_error(lens: Bank, of: object, dots: bool = False) -> float:
     return max(errors)
 
 
-def truth_error(lens: Bank, of: object) -> float:
-    """Return the same of the truth's H."""
-    truth = Truth(lens, of, FLAT[None], WAVELENGTHS_NM)
-    zone = truth.zones[1]  # the inner one, with the peak
+def model_error(lens: Bank, of: object) -> float:
+    """Return the same of the exact model's H."""
+    model = ExactCore(lens, of, FLAT[None], WAVELENGTHS_NM)
+    zone = model.zones[1]  # the inner one, with the peak
     rate = spectral_weights(lens, of).sum(axis=(0, 1)) @ FLAT / of.pixel_pitch_um**2
     errors = []
     for place in PLACES:
         source = np.array(place) + np.zeros_like(zone.t)
-        found = truth.spread.around(zone, 0, [0], source)[0] / rate
+        found = model.spread.around(zone, 0, [0], source)[0] / rate
         expected = exact(place, zone.t, of)
         errors.append(np.abs(found - expected).max() / expected.max())
     return max(errors)
 
 
-ERRORS = pytest.mark.parametrize("error", [engine_error, truth_error])
+ERRORS = pytest.mark.parametrize("error", [engine_error, model_error])
 
 
 @ERRORS

@@ -44,8 +44,8 @@ from gpusim.optics.point_sources import (
     lists,
 )
 from gpusim.optics.spectral_basis import spectral_weights
+from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.point_sources import point_sources
-from gpusim.reference.truth import Truth
 from gpusim.scene.highlights import Highlights
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.aperture import Aperture, Part
@@ -216,19 +216,19 @@ def around(camera, lens, place, steps=(-9, -4, -1, 0, 2, 5)) -> np.ndarray:
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_highlight_lights_pixels_as_in_the_truth(device: Device, place):
+def test_a_highlight_lights_pixels_as_in_the_exact_model(device: Device, place):
     """In every quadrant and on the axis: turned with the azimuth, displaced by lateral colour."""
     camera = sensor()
     one = Highlights(place[None], PITCH, np.array([[1e9, 2e9, 0.5e9]]))
     pixels = around(camera, LENS, place)
-    truth = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM)
-    expected = truth.highlights(one, pixels)
+    exact = ExactCore(LENS, camera, SPECTRA, WAVELENGTHS_NM)
+    expected = exact.highlights(one, pixels)
     found = on_sensor(device, camera, one)[pixels[:, 0], pixels[:, 1]].astype(float)
     # Angles 11 degrees apart: 1e-3 next to the highlight. Splines between samples half a sigma
-    # apart: see reference/test_truth. The PSF is taken as one over the square.
+    # apart: see reference/test_exact_model. The PSF is taken as one over the square.
     assert_close(found, expected, rtol=5e-3, atol=2e-4 * expected.max())
     if np.hypot(*place) > 10:
-        other = truth.highlights(
+        other = exact.highlights(
             Highlights(place[None] * [1, -1], PITCH, one.excess),
             np.stack([camera.rows - 1 - pixels[:, 0], pixels[:, 1]], axis=1),
         )
@@ -236,19 +236,19 @@ def test_a_highlight_lights_pixels_as_in_the_truth(device: Device, place):
 
 
 @pytest.mark.parametrize("place", PLACES[[0, 2]])
-def test_an_aperture_that_is_no_square_sees_highlights_as_in_the_truth(device: Device, place):
+def test_an_aperture_that_is_no_square_sees_highlights_as_in_the_exact_model(device: Device, place):
     """An L that moves over the image: the same only after a whole turn of the azimuth."""
     moved = l_shaped()
     shape = moved["aperture"]
     camera = sensor(**moved)
     one = Highlights(place[None], PITCH, np.array([[1e9, 2e9, 0.5e9]]))
     pixels = around(camera, LENS, place)
-    expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    expected = ExactCore(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
     found = on_sensor(device, camera, one)[pixels[:, 0], pixels[:, 1]].astype(float)
     # As for the square, but steps of the angle turn an L, not only its corners: twice as much.
     assert_close(found, expected, rtol=1e-2, atol=4e-4 * expected.max())
     square = sensor(fill_factor=shape.area)
-    other = Truth(LENS, square, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    other = ExactCore(LENS, square, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
     assert np.abs(other - expected).max() > 0.05 * expected.max()  # the control
 
 
@@ -258,7 +258,7 @@ def test_light_far_from_a_highlight_is_right_relative_to_itself(device: Device):
     lens = bank(coma_um=1.0, halo=0.05, size=64)
     one = Highlights(np.array([[33.3, 20.2]]), PITCH, np.array([[1e9, 1e9, 1e9]]))
     pixels = np.array([[48 + 13 + dy, 64 + 21 + dx] for dy in (-8, -6, 6, 8) for dx in (0, 3, -5)])
-    expected = Truth(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    expected = ExactCore(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
     frame = on_sensor(device, camera, one, lens).astype(float)
     found = frame[pixels[:, 0], pixels[:, 1]]
     assert 0 < expected.max() < 1e-3 * frame.max()
@@ -363,7 +363,7 @@ def test_a_large_highlight_is_cut_up(device: Device):
     big = Highlights(np.array([[-40.0, 28.0]]), 12.0, np.array([[1e6, 0.0, 2e6]]))
     assert big.size_um > largest_um(LENS, CHANGE, big.centre_um)[0]
     pixels = around(camera, LENS, big.centre_um[0], (-7, -5, -4, -2, 3, 4))
-    expected = Truth(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(big, pixels)
+    expected = ExactCore(LENS, camera, SPECTRA, WAVELENGTHS_NM).highlights(big, pixels)
     found = on_sensor(device, camera, big)[pixels[:, 0], pixels[:, 1]].astype(float)
     # The test lens turns its coma of 2 um over its field of 165 um: by 3 um / 50 um within a part.
     assert_close(found, expected, rtol=5e-3, atol=1e-3 * expected.max())
@@ -654,7 +654,7 @@ def test_a_lens_without_an_axis(device: Device, place):
     real = real_points(lens, one.centre_um)[0][0]
     col, row = np.floor(real / PITCH + [64, 48]).astype(int)
     pixels = np.array([[row + dy, col + dx] for dy in (-7, -2, 0, 1, 4) for dx in (-5, -1, 0, 3)])
-    expected = Truth(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
+    expected = ExactCore(lens, camera, SPECTRA, WAVELENGTHS_NM).highlights(one, pixels)
     found = on_sensor(device, camera, one, lens)[pixels[:, 0], pixels[:, 1]].astype(float)
     assert_close(found, expected, rtol=5e-3, atol=5e-4 * expected.max())
     # Dark ones are alike: far off, parabolas between three wavelengths swing below 0.

@@ -5,9 +5,9 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, MOVED, RED, bank, monochrome, plane_bank, sensor
 
+from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.point_spread import PointSpread
-from gpusim.reference.truth import Truth
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.highlights import Highlights
@@ -63,7 +63,7 @@ def test_one_lens_less_another_is_what_the_first_brings_more(scene: str):
         given = lens, camera, SPECTRA, WAVELENGTHS_NM, own, less
         if scene == "wide":
             return Wide(*given).at(chart, pixels)
-        exact = Truth(*given)
+        exact = ExactCore(*given)
         if scene == "chart":
             return exact.chart(chart, pixels)
         return exact.raster(raster(50.0), pixels)

@@ -18,8 +18,8 @@ from gpusim.scene.scene import Scene
 EXPOSURE_S = 0.01
 COARSE = Accuracy(tolerance=1e-2, probes=0)
 CERTIFIED = Accuracy(tolerance=1e-2, probes=4)
-# Small, so that the truth is quick: 48 pixels across see 37 um of the field, where its light still
-# turns by 5 degrees.
+# Small, so that the exact model is quick: 48 pixels across see 37 um of the field, where its light
+# still turns by 5 degrees.
 SMALL = {"size": 32, "circle_um": 60.0, "fields": 3, "coma_um": 0.6, "falloff": 0.1}
 NEAR_MM = 0.1
 LENS = lens(NEAR_MM, **SMALL)

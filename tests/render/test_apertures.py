@@ -1,4 +1,4 @@
-"""Pixels that see light in other places than a square in their middle, against the truth."""
+"""Pixels that see light in other places than a square in their middle, against the exact model."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from optics.made import FLAT, RED, ULP, StubCamera, bank, monochrome, sensor
 
 from gpusim.optics import highlight_tables as tables
 from gpusim.plan import Accuracy
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.render import Capture, Renderer, renderer
 from gpusim.scene import highlights
 from gpusim.scene.exr import write_exr
@@ -64,7 +64,7 @@ def shot(planes, camera=CAMERA, **settings) -> tuple[Capture, object]:
 
 def errors(capture: Capture, placed: object, pixels: np.ndarray) -> np.ndarray:
     """Return the relative errors of some pixels."""
-    true = Truth(SHOWN, CAMERA.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, pixels)
+    true = ExactCore(SHOWN, CAMERA.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, pixels)
     return capture.rate[pixels[:, 0], pixels[:, 1]].astype(float) / true - 1
 
 
@@ -261,7 +261,7 @@ def test_frames_smaller_than_the_psf(size):
     capture, placed = shot(planes, camera, tolerance=1e-2)
     assert len(placed.highlights) == 1
     corners = np.array([[0, 0], [size[0] - 1, 0]])
-    true = Truth(SHOWN, camera.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, corners)
+    true = ExactCore(SHOWN, camera.sensor, SPECTRA, WAVELENGTHS_NM).raster(placed, corners)
     assert_close(capture.rate[corners[:, 0], corners[:, 1]].astype(float), true, rtol=1e-2)
 
 

@@ -1,4 +1,4 @@
-"""Filter patterns of all kinds, from the scene to the raw frame, against the truth."""
+"""Filter patterns of all kinds, from the scene to the raw frame, against the exact model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth model: the continuous chain up to electrons/s, pixel by pixel, in float64.
+"""The exact model of a bank's core: the continuous chain to electrons/s, by pixel, in float64.
 
     N(x) = sum over scene spectra m of integral dp integral ds H_cm(x + p - s; s) a_m(s)
 
@@ -54,8 +54,8 @@ HIGHLIGHT_ORDER, NODE_SAMPLES = 4, 2
 FAR_ORDER, FAR_UM = 2, 12.0
 
 
-class Truth:
-    """Truth model of one camera and scene.
+class ExactCore:
+    """Exact model of one camera and scene; `gpusim.reference.wide` has that of the halo's levels.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The truth model against closed forms: a lens of Gaussians, straight edges, one spectrum."""
+"""The exact model against closed forms: a lens of Gaussians, straight edges, one spectrum."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,9 +10,9 @@ from optics.made import FLAT, MOVED, RED, bank, dots_image, monochrome, plane_ba
 from scipy.special import j1, ndtr
 from scipy.stats import ncx2
 
+from gpusim.reference import exact_model as module
 from gpusim.reference import point_spread
-from gpusim.reference import truth as truth_module
-from gpusim.reference.truth import Truth
+from gpusim.reference.exact_model import ExactCore
 from gpusim.scene.chart import Chart, Disc, Polygon, Rect
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -57,8 +57,8 @@ def even_rate(lens, fill_factor: float = 1.0) -> float:
     return float(np.sum(rule * spectral * steradian) * fill_factor * (PITCH * 1e-6) ** 2)
 
 
-def truth(lens, camera, spectra=None) -> Truth:
-    return Truth(
+def exact(lens, camera, spectra=None) -> ExactCore:
+    return ExactCore(
         lens, camera, np.stack([FLAT, 0 * FLAT]) if spectra is None else spectra, WAVELENGTHS_NM
     )
 
@@ -72,7 +72,7 @@ def test_an_even_field_gives_the_weights(fill_factor: float):
     lens = bank(**PLAIN | {"distortion": -0.02})
     camera = grey_sensor(fill_factor=fill_factor)
     pixels = np.array([[48, 64], [10, 5], [80, 100]])
-    found = truth(lens, camera).chart(chart(), pixels)
+    found = exact(lens, camera).chart(chart(), pixels)
     assert_close(found, np.full(3, even_rate(lens, fill_factor)), rtol=TURNED)
     # Away from the axis: f32 PSFs sum to 1 within 1e-6, and midpoint sums of a Gaussian are exact.
     assert_close(found[1:], np.full(2, even_rate(lens, fill_factor)), rtol=5e-6)
@@ -81,7 +81,7 @@ def test_an_even_field_gives_the_weights(fill_factor: float):
 def test_channels_have_their_own_efficiency():
     lens, camera = bank(**PLAIN), sensor()
     # Rows of B G / G R.
-    found = truth(lens, camera).chart(chart(), np.array([[48, 64], [48, 65], [49, 64], [49, 65]]))
+    found = exact(lens, camera).chart(chart(), np.array([[48, 64], [48, 65], [49, 64], [49, 65]]))
     spectral = WAVELENGTHS_NM * 1e-9 / HC * FLAT
     steradian = parabola(lens, lens.projected_solid_angle_sr * lens.transmission)
     rates = [
@@ -115,7 +115,7 @@ def test_a_straight_edge_is_the_normal_distribution_averaged_over_the_aperture(a
     pixels = np.stack([rows.ravel(), cols.ravel()], axis=1)
     at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
     distance = -(at - where) @ outward
-    found = truth(lens, camera).chart(chart(white, background=1), pixels)
+    found = exact(lens, camera).chart(chart(white, background=1), pixels)
     width = PITCH * np.sqrt(0.8)
     expected = edge_profile(distance, angle, width) * even_rate(lens, 0.8)
     assert expected.min() < 0.05 * expected.max() or angle_deg == -130.0
@@ -136,10 +136,10 @@ def test_shapes_that_touch_are_the_whole():
     rows, cols = np.meshgrid([36, 43, 44], [64, 68, 70, 71, 83])
     pixels = np.stack([rows.ravel(), cols.ravel()], axis=1)
     spectra = np.stack([FLAT, 0 * FLAT, FLAT])
-    expected = truth(lens, camera, spectra).chart(chart(whole, background=1), pixels)
+    expected = exact(lens, camera, spectra).chart(chart(whole, background=1), pixels)
     assert np.ptp(expected) > 0.9 * even_rate(lens)
     for shapes in ((left, right), (left, *thirds), (whole, inner)):
-        found = truth(lens, camera, spectra).chart(chart(*shapes, background=1), pixels)
+        found = exact(lens, camera, spectra).chart(chart(*shapes, background=1), pixels)
         # The parts' centres of mass lie apart, which the splines take in their own way.
         assert_close(found, expected, atol=1e-5 * even_rate(lens))
 
@@ -159,14 +159,14 @@ def test_a_small_dot_of_a_sharp_lens_is_as_dark_as_it_should_be(monkeypatch):
     assert 0.3 < expected < 0.35
 
     def error() -> float:
-        found = truth(lens, camera).chart(chart(Disc(*centre, radius, 1)), pixel)[0]
+        found = exact(lens, camera).chart(chart(Disc(*centre, radius, 1)), pixel)[0]
         return abs(found / even_rate(lens) / expected - 1)
 
     # Splines of degree d err by (f / (1 - f))^(d + 1) of a wave of f cycles a sample: of 0.4 the
     # quintic ones by 9 %, of 8 % that the Gaussian and of 5 % that dot and pixel hold: 4e-4 of the
     # white, in a light of a third of it; less, for half of the waves add and half take away.
     assert error() < 6e-4
-    monkeypatch.setattr(truth_module, "DEGREES", (3, 3))
+    monkeypatch.setattr(module, "DEGREES", (3, 3))
     assert error() > 2e-3
 
 
@@ -196,7 +196,7 @@ def test_a_dot_off_axis_flares_outwards_and_is_displaced_by_lateral_colour(azimu
     dot = Disc(*centre, 1.2, 0)
     col, row = np.floor(centre / PITCH + [64, 48]).astype(int)
     pixels = np.array([[row + dy, col + dx] for dy in (-2, 0, 2) for dx in (-2, -1, 0, 2)])
-    found = truth(lens, camera, np.stack([line, 0 * line])).chart(chart(dot, background=1), pixels)
+    found = exact(lens, camera, np.stack([line, 0 * line])).chart(chart(dot, background=1), pixels)
 
     steps = (np.arange(60) + 0.5) / 60
     r, phi = np.meshgrid(1.2 * np.sqrt(steps), 2 * np.pi * steps)  # equal areas
@@ -234,7 +234,7 @@ def test_a_lens_without_an_axis_has_its_own_flare_and_place_everywhere(line: int
     }
     row, col = np.unravel_index(images[1, 1].argmax(), (96, 128))
     pixels = np.array([[row + dy, col + dx] for dy in (-2, 0, 2) for dx in (-2, -1, 0, 2)])
-    found = truth(lens, camera, np.stack([laser, 0 * laser])).chart(
+    found = exact(lens, camera, np.stack([laser, 0 * laser])).chart(
         chart(dot, background=1), pixels
     )
     steradian = lens.projected_solid_angle_sr * lens.transmission
@@ -249,13 +249,13 @@ def test_a_lens_without_an_axis_has_its_own_flare_and_place_everywhere(line: int
         assert np.abs(found - wrong).max() > 0.2 * expected.max()
 
 
-def test_a_symmetric_lens_has_the_same_truth_in_both_kinds_of_bank():
+def test_a_symmetric_lens_has_the_same_exact_model_in_both_kinds_of_bank():
     settings = {"coma_um": 1.0, "falloff": 0.2}
     camera = grey_sensor()
     white = Rect(20.0, 14.0, 31.0, 17.0, 0.3, 0)
     pixels = np.array([[48, 64], [65, 97], [40, 60], [70, 80], [57, 90]])
     one, other = (
-        truth(lens, camera).chart(chart(white, background=1), pixels)
+        exact(lens, camera).chart(chart(white, background=1), pixels)
         for lens in (bank(fields=24, **settings), plane_bank(17, **settings))
     )
     # Light between fields h apart errs by 0.22 (h / 2)^2 / 165^2 along x and y each (h = 20.6 um);
@@ -272,7 +272,7 @@ def test_beyond_the_circle_of_a_lens_without_an_axis_it_is_dark():
     inside, beyond = 54 / PITCH, 66 / PITCH
     pixels = [(row, col + inside), (row, col - inside), (row + inside, col)]
     pixels += [(row, col + beyond), (row, col - beyond), (row + beyond, col)]
-    found = truth(lens, camera).chart(chart(), np.array(pixels).astype(int)) / even_rate(lens)
+    found = exact(lens, camera).chart(chart(), np.array(pixels).astype(int)) / even_rate(lens)
     assert_close(found, np.array([1.0, 1, 1, 0, 0, 0]), atol=1e-3)  # 5 sigma off
 
 
@@ -283,7 +283,7 @@ def test_distortion_moves_an_edge_to_where_its_chief_ray_lands():
     assert real < ideal - 0.5
     white = Rect(ideal - 500, 0.0, 500.0, 900.0, 0.0, 0)
     pixels = np.array([[48, col] for col in range(112, 120)])
-    found = truth(lens, camera).chart(chart(white, background=1), pixels)
+    found = exact(lens, camera).chart(chart(white, background=1), pixels)
     at = (pixels[:, 1] + 0.5 - 64) * PITCH
     expected = edge_profile(real - at, 0.0, PITCH) * even_rate(lens)
     # The edge bends towards the axis, by y^2 / (2 r): dx/x = -0.05 (y/165)^2 is 4e-4 um at 3 um;
@@ -297,7 +297,7 @@ def test_distortion_moves_an_edge_to_where_its_chief_ray_lands():
 def test_illumination_falls_with_the_height():
     lens, camera = bank(**PLAIN | {"falloff": 0.4}), grey_sensor()
     pixels = np.array([[48, 64], [48, 110], [5, 20]])
-    found = truth(lens, camera).chart(chart(), pixels)
+    found = exact(lens, camera).chart(chart(), pixels)
     at = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
     heights = np.hypot(*at.T)
     # By wavelength: as much light as the lens passes, times the illumination, 1 - 0.4 s (1, 1.05,
@@ -316,7 +316,7 @@ def test_beyond_the_image_circle_it_is_dark():
     lens, camera = bank(**PLAIN | {"circle_um": 80.0}), grey_sensor()
     # 80 um = 51.6 pixels: the circle's edge runs through pixel 64 + 51.
     off = np.array([44, 48, 49, 50, 51, 52, 53, 54, 59])
-    found = truth(lens, camera).chart(chart(), np.stack([0 * off + 48, 64 + off], axis=1))
+    found = exact(lens, camera).chart(chart(), np.stack([0 * off + 48, 64 + off], axis=1))
     within = 80 - np.hypot((off + 0.5) * PITCH, 0.5 * PITCH)
     expected = edge_profile(within, 0.0, PITCH)
     assert expected[0] == pytest.approx(1, abs=1e-6)
@@ -337,14 +337,14 @@ def test_a_raster_is_its_spline():
     both = np.stack([FLAT, 0.5 * FLAT])
     pixels = np.array([[48, 64], [30, 90]])
     ramp = replace(placed, planes=placed.planes * [[[1.0]], [[0.0]]])
-    found = truth(lens, camera, both).raster(ramp, pixels)
+    found = exact(lens, camera, both).raster(ramp, pixels)
     x = ((pixels[:, 1] + 0.5 - 64) * PITCH + 120) / pitch - 0.5
     # A ramp stays a ramp: a symmetric PSF and aperture take its value at the centre.
     assert_close(found, (0.5 + 0.02 * x) * even_rate(lens), rtol=TURNED)
 
-    mixed = truth(lens, camera, both).raster(placed, pixels)
+    mixed = exact(lens, camera, both).raster(placed, pixels)
     noise = replace(placed, planes=placed.planes[::-1] * np.array([[[1.0]], [[0.0]]]))
-    alone = truth(lens, camera, both).raster(noise, pixels)
+    alone = exact(lens, camera, both).raster(noise, pixels)
     assert_close(mixed, found + 0.5 * alone, rtol=1e-6)  # linear, each plane with its own spectrum
     assert np.abs(alone / even_rate(lens) - 0.5).min() > 0.005
 
@@ -358,7 +358,7 @@ SHADES = np.stack([FLAT, 0.1 * FLAT, RED])
 
 
 def on_outlines(lens, camera) -> np.ndarray:
-    return truth(lens, camera, SHADES).chart(chart(*OUTLINES), ON_OUTLINES)
+    return exact(lens, camera, SHADES).chart(chart(*OUTLINES), ON_OUTLINES)
 
 
 @pytest.mark.parametrize(("size", "zones"), [(64, 1), (128, 2)])
@@ -369,16 +369,16 @@ def test_a_quarter_of_the_steps_changes_little(monkeypatch, size: int, zones: in
     wide = np.exp(-0.5 * ((np.arange(size) - size // 2) / (size / 8)) ** 2) / (size / 8)
     halo = np.float32(0.05 / (2 * np.pi)) * np.outer(wide, wide).astype(np.float32)
     lens = replace(lens, psf=np.float32(0.95) * lens.psf + halo)
-    assert len(truth(lens, camera).zones) == 1 + zones  # the first is that of the change
+    assert len(exact(lens, camera).zones) == 1 + zones  # the first is that of the change
     found = on_outlines(lens, camera)
-    even = truth(lens, camera, SHADES).chart(chart(), ON_OUTLINES)
+    even = exact(lens, camera, SHADES).chart(chart(), ON_OUTLINES)
     share = found / even
     assert ((share > 0.15) & (share < 0.9)).sum() >= 3  # on outlines indeed
-    monkeypatch.setattr(truth_module, "CELLS", (8, 4))
+    monkeypatch.setattr(module, "CELLS", (8, 4))
     finer = on_outlines(lens, camera)
     assert 0 < np.sqrt(np.mean((found / finer - 1) ** 2)) < 3e-6
     assert np.abs(found / finer - 1).max() < 1e-5
-    monkeypatch.setattr(truth_module, "CELLS", (0.5, 0.5))  # a control
+    monkeypatch.setattr(module, "CELLS", (0.5, 0.5))  # a control
     coarser = on_outlines(lens, camera)
     assert np.abs(coarser / finer - 1).max() > 1e-4
 
@@ -387,8 +387,8 @@ def test_the_aperture_gathers_what_falls_on_it():
     """The mean over the aperture of what apertures of a thousandth see: of each source its PSF."""
     lens, camera = bank(**REAL), sensor()
     some = ON_OUTLINES[1:3]
-    found = truth(lens, camera, SHADES).chart(chart(*OUTLINES), some)
-    point = truth(lens, camera.model_copy(update={"fill_factor": 1e-6}), SHADES)
+    found = exact(lens, camera, SHADES).chart(chart(*OUTLINES), some)
+    point = exact(lens, camera.model_copy(update={"fill_factor": 1e-6}), SHADES)
     centre = point._position
     nodes, weights = np.polynomial.legendre.leggauss(4)
     expected = np.zeros(len(found))
@@ -408,8 +408,8 @@ def test_probes_in_threads_share_few_kernels(monkeypatch):
     spectra = np.stack([FLAT, RED])
     some = chart(Rect(3.0, 5.0, 60.0, 40.0, 0.2, 1))
     pixels = np.array([[row, col] for row in (20, 41, 63) for col in (11, 60, 64, 111)])
-    alone = truth(lens, camera, spectra).chart(some, pixels)
-    shared = truth(lens, camera, spectra)
+    alone = exact(lens, camera, spectra).chart(some, pixels)
+    shared = exact(lens, camera, spectra)
     with ThreadPoolExecutor(4) as pool:
         found = [pool.submit(shared.chart, some, pixel[None]) for pixel in pixels]
     assert_close(np.concatenate([one.result() for one in found]), alone, atol=0)
@@ -433,7 +433,7 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted():
         centres = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
         return np.concatenate(
             [
-                truth(lens, camera, dark).chart(chart(Disc(*centre, 28.0, 1)), pixel[None])
+                exact(lens, camera, dark).chart(chart(Disc(*centre, 28.0, 1)), pixel[None])
                 for centre, pixel in zip(centres, pixels, strict=True)
             ]
         )
@@ -442,12 +442,12 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted():
         return float(np.abs(found() - finer).max() / even_rate(lens))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(truth_module, "CELLS", (8, 8))
+        patch.setattr(module, "CELLS", (8, 8))
         finer = found()
     assert (finer < 0.03 * even_rate(lens)).all()
     assert error() < 1e-6  # a tenth of the smallest tolerance, of the white
     with pytest.MonkeyPatch.context() as patch:  # a control
-        patch.setattr(truth_module, "CELLS", (2, 0.5))
+        patch.setattr(module, "CELLS", (2, 0.5))
         assert error() > 2e-6
 
 
@@ -461,17 +461,17 @@ def test_the_cells_are_small_enough_for_a_raster_and_its_border(
     placed = PlacedRaster(samples, pitch, -count * pitch / 2, -count * pitch / 2, "")
     corner = int(count * pitch / 2 / PITCH)
     pixels = np.array([[48, 64], [40, 60], [48 + corner - 1, 64 + corner - 1]])
-    found = truth(lens, camera, FLAT[None]).raster(placed, pixels)
-    coarse = truth(lens, camera, FLAT[None])
+    found = exact(lens, camera, FLAT[None]).raster(placed, pixels)
+    coarse = exact(lens, camera, FLAT[None])
     monkeypatch.setattr(coarse, "_zones", lambda divide: coarse.zones)
     coarser = coarse.raster(placed, pixels)
-    monkeypatch.setattr(truth_module, "CELLS", (8, 4))
-    finer = truth(lens, camera, FLAT[None]).raster(placed, pixels)
+    monkeypatch.setattr(module, "CELLS", (8, 4))
+    finer = exact(lens, camera, FLAT[None]).raster(placed, pixels)
     assert_close(found, finer, rtol=1e-5)  # the smallest tolerance that can be asked for
     assert np.abs(coarser / finer - 1).max() > undivided  # a control
 
 
-def test_a_camera_twice_as_large_has_the_same_truth():
+def test_a_camera_twice_as_large_has_the_same_exact_model():
     """Steps go with the bank's samples, and so must the widths of zones."""
     small = bank(**REAL, size=128)
     large = replace(
@@ -483,15 +483,15 @@ def test_a_camera_twice_as_large_has_the_same_truth():
     )
     shapes = (Rect(-25.0, 12.0, 40.0, 25.0, 0.1, 1), Disc(45.0, -30.0, 14.0, 2))
     wide = (Rect(-50.0, 24.0, 80.0, 50.0, 0.1, 1), Disc(90.0, -60.0, 28.0, 2))
-    one = truth(small, sensor(), SHADES).chart(chart(*shapes), ON_OUTLINES)
-    other = truth(large, sensor(pixel_pitch_um=2 * PITCH), SHADES).chart(chart(*wide), ON_OUTLINES)
+    one = exact(small, sensor(), SHADES).chart(chart(*shapes), ON_OUTLINES)
+    other = exact(large, sensor(pixel_pitch_um=2 * PITCH), SHADES).chart(chart(*wide), ON_OUTLINES)
     # The place on the ideal plane is found to 1e-9 um, of which an edge makes 0.4 per um.
     assert_close(other, 4 * one, rtol=1e-9)
 
 
 def test_far_beyond_the_image_circle_nothing_is_worked_out(monkeypatch):
     lens, camera = bank(**PLAIN | {"circle_um": 30.0}, size=32), grey_sensor()
-    dark = truth(lens, camera, FLAT[None])
+    dark = exact(lens, camera, FLAT[None])
     monkeypatch.setattr(dark.spread, "around", None)
     pixels = np.array([[5, 5], [90, 120]])
     placed = PlacedRaster(np.ones((1, 4, 4), np.float32), 10.0, -20.0, -20.0, "")
