@@ -216,7 +216,7 @@ def test_the_options_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
     assert (asked["tile_px"], asked["keep"]) == (512, ("rate",))
     assert asked["accuracy"] == Accuracy(1e-2, 5)
     assert shot(tmp_path, "--tolerance", "0.1sigma").code == 0
-    assert asked["accuracy"] == Accuracy(0.1, 256, "sigma")
+    assert asked["accuracy"] == Accuracy(0.1, None, "sigma")
     assert asked["noise"] is True
     assert asked["method"] is None
     assert shot(tmp_path, "--no-noise", "--method", "modes").code == 0
