@@ -21,7 +21,7 @@ from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra_bytes
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernel_spectra import kernel_spectra
-from gpusim.optics.kernels import FieldKernels
+from gpusim.optics.kernels import FieldKernels, sharpening
 from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.parallel import each
@@ -132,10 +132,12 @@ def mode_decomposition(
         return sampled.astype(np.float32)
 
     sampled = np.stack(each(sample, points))
+    # What is left out is sharpened with the rest.
+    seen = sharpened(sampled) if kernels.ringing else sampled
     # Each channel in units of its own signal, that of the first plane in the mean.
     signal = sampled[:, 0].sum(axis=(2, 3), dtype=np.float64).mean(axis=0)
     products = sum(
-        _products(sampled[:, j, c]) / signal[c] ** 2 for j, c in np.ndindex(planes, len(signal))
+        _products(seen[:, j, c]) / signal[c] ** 2 for j, c in np.ndindex(planes, len(signal))
     )
     squares, vectors = np.linalg.eigh(sums @ products @ sums.T)
     squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
@@ -145,14 +147,23 @@ def mode_decomposition(
     # Positive where the map is strongest: signs of vectors are arbitrary.
     maps *= np.sign(maps[np.argmax(np.abs(maps), axis=0), np.arange(rank)])
     # Nodes = maps modes; the maps are orthogonal.
-    modes = np.tensordot((maps.T @ sums / count).astype(np.float32), sampled, axes=1)
+    of_nodes = (maps.T @ sums / count).astype(np.float32)
+    modes, seen_modes = (np.tensordot(of_nodes, one, axes=1) for one in (sampled, seen))
     shape = (rank, cells[1] + 1, cells[0] + 1)
     return Decomposition(
         modes,
         maps.T.reshape(shape).copy(),
         np.sqrt(squares[:rank] / count),
-        _edge_errors(np.tensordot(sums, _marginals(sampled), axes=1), _marginals(modes), maps),
+        _edge_errors(np.tensordot(sums, _marginals(seen), axes=1), _marginals(seen_modes), maps),
     )
+
+
+def sharpened(kernels: np.ndarray) -> np.ndarray:
+    """Return kernels (..., n, n) that end softly with the band of their grid, float32."""
+    size = kernels.shape[-1]
+    f = np.hypot(scipy.fft.rfftfreq(size), scipy.fft.fftfreq(size)[:, None])
+    spectra = scipy.fft.rfft2(kernels) * sharpening(f).astype(np.float32)
+    return scipy.fft.irfft2(spectra, (size, size))
 
 
 def _products(kernels: np.ndarray) -> np.ndarray:
