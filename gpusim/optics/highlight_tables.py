@@ -30,8 +30,8 @@ from gpusim.sensor.aperture import Response
 from gpusim.sensor.sensor import Sensor
 
 # Parts of the spline's spectrum that its samples fold onto their own frequencies, as multiples of
-# the samples' rate. What is left out is below SLIGHT, and weak in PSFs, which are sampled finely
-# enough.
+# the samples' rate. What is left out is below SLIGHT with aperture and square, and weak in PSFs,
+# which are sampled finely enough.
 ALIASES = (0, -1, 1, -2, 2)
 SLIGHT = 1e-5
 SMALL = 1e-7  # an angle whose sine is the angle

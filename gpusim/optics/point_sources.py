@@ -54,8 +54,8 @@ SQUARE = 16  # CFA cells along a side of the squares for which highlights are li
 CHANGE = 0.01
 # Share of the tolerance by which mixing between angles may err, of the largest value of a
 # highlight's light. Corners of aperture and square move most, and where they are far apart for the
-# PSF's width it errs most: by 6e-4 with 16 angles in 90 degrees (double Gauss at f/2.8, pixels of
-# 1.55 um) for squares of 3 um, by 5e-3 for squares of 6 um; and with the square of the step.
+# PSF's width it errs most: by 2e-5 with 16 angles in 90 degrees (double Gauss at f/2.8, pixels of
+# 1.55 um) for squares of 3 um, by 4e-4 for squares of 6 um; and with the fourth power of the step.
 MIXING = 0.5
 # Share of the tolerance by which the light far from a lamp may err for want of samples.
 FAR = 0.5
