@@ -87,6 +87,14 @@ def sharpening(frequency: np.ndarray) -> np.ndarray:
     return np.divide(low_pass(frequency, 1.0), soft, out=np.zeros_like(soft), where=soft > 0)
 
 
+def sharpened(kernels: np.ndarray) -> np.ndarray:
+    """Return kernels (..., n, n) that end softly with the band of their grid."""
+    size = kernels.shape[-1]
+    f = np.hypot(scipy.fft.rfftfreq(size), scipy.fft.fftfreq(size)[:, None])
+    spectra = scipy.fft.rfft2(kernels) * sharpening(f).astype(np.float32)
+    return scipy.fft.irfft2(spectra, (size, size))
+
+
 def core_window(distance_um: np.ndarray, radius_um: float) -> np.ndarray:
     """Return the weight of a PSF's core at distances from its chief ray; the rest is the tail's."""
     fall = np.clip((distance_um / radius_um - CUT_EDGE) / (1 - CUT_EDGE), 0, 1)

@@ -21,7 +21,7 @@ from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra_bytes
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernel_spectra import kernel_spectra
-from gpusim.optics.kernels import FieldKernels, sharpening
+from gpusim.optics.kernels import FieldKernels, sharpened
 from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.parallel import each
@@ -156,14 +156,6 @@ def mode_decomposition(
         np.sqrt(squares[:rank] / count),
         _edge_errors(np.tensordot(sums, _marginals(seen), axes=1), _marginals(seen_modes), maps),
     )
-
-
-def sharpened(kernels: np.ndarray) -> np.ndarray:
-    """Return kernels (..., n, n) that end softly with the band of their grid, float32."""
-    size = kernels.shape[-1]
-    f = np.hypot(scipy.fft.rfftfreq(size), scipy.fft.fftfreq(size)[:, None])
-    spectra = scipy.fft.rfft2(kernels) * sharpening(f).astype(np.float32)
-    return scipy.fft.irfft2(spectra, (size, size))
 
 
 def _products(kernels: np.ndarray) -> np.ndarray:

@@ -11,7 +11,13 @@ from itertools import product
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from gpusim.optics.kernels import BAND_EDGE, FieldKernels, core_window, distances_um
+from gpusim.optics.kernels import (
+    BAND_EDGE,
+    FieldKernels,
+    core_window,
+    distances_um,
+    sharpened,
+)
 from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.psf.places import Blend
 from gpusim.sensor.aperture import transfer_along
@@ -90,7 +96,8 @@ def node_error(
         @cache
         def at(u: float, v: float, first: list[float] = first) -> np.ndarray:
             x, y = first[0] + u * spacing_um, first[1] + v * spacing_um
-            return sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
+            found = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
+            return sharpened(found) if kernels.ringing else found
 
         corners = [
             node_kernels(lambda dx, dy, i=i, j=j: at(i + dx, j + dy))
