@@ -293,7 +293,11 @@ def test_the_sound_chain_meets_it(sound_rms: float):
 
 def test_kernels_one_percent_off_are_seen(monkeypatch, sound_rms: float):
     right = convolve.kernel_spectra
-    monkeypatch.setattr(convolve, "kernel_spectra", lambda *given: right(*given) * np.float32(1.01))
+
+    def brighter(*given, **how):
+        return right(*given, **how) * np.float32(1.01)
+
+    monkeypatch.setattr(convolve, "kernel_spectra", brighter)
     assert rms() == pytest.approx(0.01, abs=2 * sound_rms)
     assert rms() > 2 * sound_rms
 
@@ -301,9 +305,10 @@ def test_kernels_one_percent_off_are_seen(monkeypatch, sound_rms: float):
 def test_light_that_lands_a_tenth_of_a_pixel_off_is_seen(monkeypatch, sound_rms: float):
     right = convolve.kernel_spectra
 
-    def shifted(sampled, length, width, sigma, outputs):
+    def shifted(*given, **how):
+        *given, outputs = given
         moved = [(channel, x + 0.2, y) for channel, x, y in outputs]  # two samples are a pixel
-        return right(sampled, length, width, sigma, moved)
+        return right(*given, moved, **how)
 
     monkeypatch.setattr(convolve, "kernel_spectra", shifted)
     assert rms() > 5 * sound_rms
