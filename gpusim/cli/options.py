@@ -15,6 +15,15 @@ Adapter = Annotated[
     typer.Option("--adapter", metavar="NAME", help="Graphics adapter, by a part of its name."),
 ]
 
+Certify = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=0,
+        help="Probe pixels of the certificate, 0: none; by default as many as settle it, 64 to "
+        "256.",
+    ),
+]
 BestEffort = Annotated[
     bool,
     typer.Option(

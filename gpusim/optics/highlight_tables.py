@@ -234,7 +234,8 @@ def _turned_boxes(sides: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray
 class MixingErrors(NamedTuple):
     """What mixing tables of angles errs half-way between two of TRIED in 90 degrees.
 
-    Of the largest value, in the light of the reference wavelength, at the worst of some fields.
+    It is relative to the largest value, in the light of the reference wavelength, at the worst of
+    some fields.
 
     Attributes
     ----------

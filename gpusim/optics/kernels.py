@@ -88,7 +88,7 @@ def sharpening(frequency: np.ndarray) -> np.ndarray:
 
 
 def sharpened(kernels: np.ndarray) -> np.ndarray:
-    """Return kernels (..., n, n) that end softly with the band of their grid."""
+    """Return kernels (..., n, n) that are held softly, float32, with the band of their grid."""
     size = kernels.shape[-1]
     f = np.hypot(scipy.fft.rfftfreq(size), scipy.fft.fftfreq(size)[:, None])
     spectra = scipy.fft.rfft2(kernels) * sharpening(f).astype(np.float32)

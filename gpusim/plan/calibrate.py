@@ -65,8 +65,8 @@ TURNS = 2  # in which everything is timed; the first also compiles
 RUNS = 3  # in each turn, of which the fastest counts
 SIDE = 512  # of the frame for the sensor's stages, pixels
 PLANES = 3
-# Of the time that a table takes: 0.26 and 0.23 of tables of 294 and 420 samples a side (a desk's
-# lamps before the demonstration camera and the phone).
+# Boxes take that share of a table's time: 0.26 and 0.23 for tables of 294 and 420 samples a side (a
+# desk's lamps before the demonstration camera and the phone).
 BOXES = 0.24
 SUPPORT = 12  # of the direct sum, sim samples
 FLAT = radial_map(lambda real_um: real_um * (1 + 0.01 * (real_um / 1e4) ** 2), 1e4)

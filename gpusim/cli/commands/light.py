@@ -10,6 +10,7 @@ import typer
 from gpusim.cli.options import (
     Adapter,
     BestEffort,
+    Certify,
     choose_adapter,
 )
 
@@ -119,15 +120,7 @@ def burst(
     tolerance: Annotated[
         str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
     ] = "1e-3",
-    certify: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=0,
-            help="Probe pixels of the certificate, 0: none; by default as many as settle it, 64 to "
-            "256.",
-        ),
-    ] = None,
+    certify: Certify = None,
     tile: Annotated[
         str | None, typer.Option(metavar="X,Y,W,H", help="Only this rectangle of lit pixels.")
     ] = None,
@@ -179,15 +172,7 @@ def export_web(
     tolerance: Annotated[
         str, typer.Option(metavar="E", help="Relative error of the mean signal, or 0.1sigma.")
     ] = "1e-3",
-    certify: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=0,
-            help="Probe pixels of the certificate, 0: none; by default as many as settle it, 64 to "
-            "256.",
-        ),
-    ] = None,
+    certify: Certify = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Of the noise.")] = 0,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Show nothing but mistakes.")

@@ -10,6 +10,7 @@ import typer
 from gpusim.cli.options import (
     Adapter,
     BestEffort,
+    Certify,
     FNumber,
     FocalLength,
     FocusDistance,
@@ -112,15 +113,7 @@ def render(
             "'as good as 0.4 s allows'.",
         ),
     ] = "1e-3",
-    certify: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N",
-            min=0,
-            help="Probes of the certificate, 0 for none; by default as many as settle it, 64 to "
-            "256.",
-        ),
-    ] = None,
+    certify: Certify = None,
     gain: Annotated[
         float | None,
         typer.Option(metavar="G", help="Analogue gain: a step that the sensor file lists."),
