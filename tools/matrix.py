@@ -36,7 +36,8 @@ from gpusim.lens.projection import ANGULAR, RECTILINEAR, Projection
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order
 from gpusim.plan import Accuracy
-from gpusim.reference.lens_truth import Judge, View, view
+from gpusim.reference.lens_truth import Judge
+from gpusim.reference.lens_view import View, view
 from gpusim.render import capture as render
 from gpusim.scene.chart import Chart, Disc, Rect
 from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene

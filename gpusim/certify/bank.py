@@ -299,11 +299,12 @@ def _changes(
             return
         for level in range(levels):
             ours, (theirs, fields) = pairs[number](level)
-            given = (theirs, sensor, scene.spectra, scene.wavelengths_nm, fields, ours)
+            given = theirs, sensor, scene.spectra, scene.wavelengths_nm
+            banks = {"fields": fields, "less": ours}
             if level:
-                changes[own] += Wide(*given).at(placed, pixels[own])
+                changes[own] += Wide(*given, **banks).at(placed, pixels[own])
             else:
-                exact = ExactCore(*given)
+                exact = ExactCore(*given, **banks)
                 evaluate = exact.chart if isinstance(placed, Chart) else exact.raster
                 changes[own] += evaluate(placed, pixels[own])
 

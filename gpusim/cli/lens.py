@@ -27,10 +27,11 @@ from gpusim.cli.screen import progress_bar, texts
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.formats.ready import ReadyLens, is_ready, load_ready
+from gpusim.lens.checks import Checked, checked
 from gpusim.lens.import_log import ImportLog
 from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import Checked, System, build, checked, first_order
+from gpusim.lens.system import System, build, first_order
 from gpusim.psf.compute import cached_bank
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import (

@@ -17,7 +17,8 @@ from pydantic import ValidationError
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.formats.text import decoded, finite
-from gpusim.lens.glass import BOOKS, D_LINE_NM, FORMULAS, catalogue, formula_index
+from gpusim.lens.dispersion import D_LINE_NM, FORMULAS, formula_index
+from gpusim.lens.glass import BOOKS, catalogue
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.surface import Dispersion
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from gpusim.errors import UserError
 from gpusim.formats.imported import Fields, finished
 from gpusim.formats.text import decoded, finite
-from gpusim.lens.glass import D_LINE_NM
+from gpusim.lens.dispersion import D_LINE_NM
 from gpusim.lens.import_log import ImportLog
 from gpusim.lens.prescription import Prescription
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from .commands import Clear, Dispatch, Download, Upload
 from .device import Array, Resident
 from .layout import ShaderError
 from .pool import Use
-from .recording import Clear, Dispatch, Download, Recording, Upload
+from .recording import Recording
 
 
 @dataclass(frozen=True, eq=False)

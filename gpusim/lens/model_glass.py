@@ -1,9 +1,9 @@
 """Glasses of which a source states nd and Vd alone: the nearest catalogue glass, and what is open.
 
 A lens file may name no glass but print nd and Vd. Such a glass gets the partial dispersions that
-most glasses of that Vd have (`gpusim.lens.glass.model_index`), or is replaced by the nearest one of
-the catalogues. Which it was is not known; what the choice can change is found by tracing the lens
-with both.
+most glasses of that Vd have (`gpusim.lens.dispersion.model_index`), or is replaced by the nearest
+one of the catalogues. Which it was is not known; what the choice can change is found by tracing the
+lens with both.
 """
 
 from __future__ import annotations
@@ -15,16 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.glass import (
-    BOOKS,
-    C_LINE_NM,
-    D_LINE_NM,
-    F_LINE_NM,
-    catalogue_index,
-    catalogue_range_nm,
-    mean_dpgf,
-    optical_glasses,
-)
+from gpusim.lens.dispersion import C_LINE_NM, D_LINE_NM, F_LINE_NM, mean_dpgf
+from gpusim.lens.glass import BOOKS, catalogue_index, catalogue_range_nm, optical_glasses
 from gpusim.lens.model import LensModel
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build, first_order

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from gpusim.config.model import Strict
-from gpusim.lens.glass import FORMULAS
+from gpusim.lens.dispersion import FORMULAS
 
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
 
@@ -46,9 +46,9 @@ class Asphere(Strict):
 class Dispersion(Strict):
     """The dispersion formula of a glass that no offline catalogue has.
 
-    ``formula`` and ``coefficients`` as in a Zemax catalogue (``glass.FORMULAS``), for wavelengths
-    in um; ``range_um`` is where they hold. ``absorption``: rows of wavelength in nm and the
-    coefficient of absorption per mm, from the internal transmission that a catalogue states.
+    ``formula`` and ``coefficients`` as in a Zemax catalogue (``dispersion.FORMULAS``), for
+    wavelengths in um; ``range_um`` is where they hold. ``absorption``: rows of wavelength in nm and
+    the coefficient of absorption per mm, from the internal transmission that a catalogue states.
     """
 
     formula: int

@@ -12,7 +12,7 @@ from gpusim.lens import glass
 from gpusim.lens.aim import aim, launch_field
 from gpusim.lens.geometry import Geometry
 from gpusim.lens.launch import Launch
-from gpusim.lens.model import Check, LensModel
+from gpusim.lens.model import LensModel
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.throughput import along_axis
 from gpusim.lens.trace import entrance_pupil, paraxial, trace
@@ -388,27 +388,3 @@ def build(prescription: LensModel) -> System:
         aligned = replace(system, geometry=aligned.centred())
         shift += best_focus_shift(aligned, np.array(prescription.design_wavelengths_nm))
     return replace(system, image_z_mm=system.image_z_mm + shift)
-
-
-@dataclass(frozen=True)
-class Checked:
-    """A figure of the source beside the one that was found."""
-
-    check: Check
-    found: float
-
-    @property
-    def met(self) -> bool:
-        """Whether the two agree within the tolerance."""
-        return abs(self.found - self.check.value) <= self.check.tolerance
-
-
-def checked(prescription: LensModel) -> list[Checked]:
-    """Return each figure that the source states, with the one that the lens has."""
-    return [
-        Checked(
-            check,
-            getattr(first_order(prescription, printed=check.indices == "printed"), check.quantity),
-        )
-        for check in prescription.checks
-    ]

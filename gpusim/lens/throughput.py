@@ -13,6 +13,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.lens import glass
+from gpusim.lens.dispersion import formula_index
 from gpusim.lens.model import LensModel
 from gpusim.lens.surface import Coating, Layer, Surface
 
@@ -90,7 +91,7 @@ def layer(
 
 def mgf2_index(wavelengths_nm: np.ndarray) -> np.ndarray:
     """Return the index of magnesium fluoride."""
-    return glass.formula_index(2, MGF2, wavelengths_nm)
+    return formula_index(2, MGF2, wavelengths_nm)
 
 
 def _reflectance(

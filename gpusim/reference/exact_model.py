@@ -22,9 +22,10 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gpusim.reference.coverage import NOTHING, cross, part_of
 from gpusim.reference.fields import Grid, Heights
 from gpusim.reference.landing import landed
+from gpusim.reference.outlines import Outlines
+from gpusim.reference.pixel_aperture import boxes_of, points_in, side_um_of
 from gpusim.reference.point_spread import spreads_of
 from gpusim.reference.quadrature import Zone
 
@@ -44,7 +45,6 @@ DEGREES = (5, 3)
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
 FINE_PITCH_UM = 0.5  # of banks; of coarser ones the zones are wider, by as much
 MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
-MOTION_ORDER = 4  # nodes along a motion over the pixel, and as many more for each um
 # Nodes across an aperture, and across a square as large; and samples of the bank between two nodes
 # next to a highlight: the defocused PSFs of an f/2 lens have fringes 1 um apart, and four nodes
 # across pixels of 4 um were 3 % off there.
@@ -77,6 +77,7 @@ class ExactCore:
         sensor: Any,
         spectra: np.ndarray,
         wavelengths_nm: np.ndarray,
+        *,
         fields: Heights | Grid | None = None,
         less: tuple[Any, Heights | Grid] | None = None,
     ) -> None:
@@ -85,8 +86,8 @@ class ExactCore:
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
         self.spread = self.spreads[0][1]
-        self.side_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
-        self.boxes = self._boxes()
+        self.side_um = side_um_of(sensor)
+        self.boxes = boxes_of(sensor)
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
         # Spectra that are multiples of one share its kernels: that spectrum, and the factor.
         self.alike: list[tuple[int, float]] = []
@@ -100,7 +101,7 @@ class ExactCore:
                 self.alike.append((number, 1.0))
         self.divided: dict[int, list[Zone]] = {}
         self.zones = self._zones(1)
-        self.bounds: np.ndarray | None = None
+        self.outlines: Outlines | None = None
         self.squares: dict[int, tuple[Any, np.ndarray, np.ndarray]] = {}
 
     def _zones(self, divide: int) -> list[Zone]:
@@ -143,11 +144,6 @@ class ExactCore:
         radius = np.hypot(*np.moveaxis(centre - t - self.fields.centre, -1, 0))
         return np.clip(0.5 + (self.fields.circle - radius) / step_um, 0, 1)
 
-    def _cells(self, source: np.ndarray, side: float) -> np.ndarray:
-        """Return the corners (P, 4, 2) on the ideal plane of squares at real points (P, 2)."""
-        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
-        return self.fields.ideal(source[:, None] + corners)
-
     def chart(self, chart: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a chart.
 
@@ -162,13 +158,16 @@ class ExactCore:
         -------
         ndarray (P,)
         """
+        outlines = self.outlines
+        if outlines is None or outlines.chart is not chart:
+            outlines = self.outlines = Outlines(chart, self.fields, self.alike)
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
             if self._inside_um(centre) < -self._reach_um():
                 continue
             for zone in self.zones:
-                whole, cut = self._chart_shares(chart, zone, centre)
+                whole, cut = outlines.shares(zone, centre)
                 spectra = sorted(whole.keys() | cut.keys())
                 all_rings = self._rings(zone, channel, spectra, centre)
                 of_cells = self._lit(centre, zone.cells, zone.step_um)
@@ -198,115 +197,6 @@ class ExactCore:
         if zone.change:
             found = [(around(source + way) - here) / way.sum() for way in np.eye(2) * self.half_um]
         return [[zone.ring(one) for one in of_spectrum] for of_spectrum in zip(*found, strict=True)]
-
-    def _chart_shares(
-        self, chart: Any, zone: Zone, centre: np.ndarray
-    ) -> tuple[dict[int, np.ndarray], dict[int, tuple[np.ndarray, np.ndarray]]]:
-        """Return where each spectrum lies around a pixel, and by which factor.
-
-        Returns
-        -------
-        whole : dict of ndarray
-            Factors in the cells that lie in one material, by block of the zone.
-        cut : dict of (ndarray (P, 2), ndarray (P,))
-            The cells that an outline cuts: centres of mass, as distances t, and areas times
-            factors.
-        """
-        corners = zone.cells[:, [0, 0, -1, -1], [0, -1, 0, -1]]
-        middle = self.fields.ideal(centre - corners.mean(axis=1))
-        from_middle = self.fields.ideal(centre - corners) - middle[:, None]
-        # From a block's middle to its farthest point, and as many times less for a cell; the tenth
-        # is for the map's curvature.
-        radius = 1.1 * (len(zone.cells[0]) + 1) / (len(zone.cells[0]) - 1)
-        radius = radius * np.hypot(from_middle[..., 0], from_middle[..., 1]).max(axis=1)
-        small = (radius / len(zone.cells[0]))[:, None, None]
-        near = self._near(chart, middle, radius)
-        material = np.full(zone.cells.shape[:3], chart.background)
-        split = np.zeros(material.shape, bool)
-        for shape, _ in near:
-            distance = shape.distance(middle[:, 0], middle[:, 1])
-            inside = distance < -radius
-            material[inside], split[inside] = shape.material, False
-            at = np.abs(distance) <= radius
-            if at.any():
-                cells = self.fields.ideal(centre - zone.cells[at])
-                depth = shape.distance(cells[..., 0], cells[..., 1])
-                material[at] = np.where(depth < 0, shape.material, material[at])
-                split[at] = (split[at] & (depth > -small[at])) | (np.abs(depth) <= small[at])
-        split &= zone.reached
-        whole: dict[int, np.ndarray] = {}
-        for number in np.unique(material[zone.reached & ~split]):
-            spectrum, factor = self.alike[number]
-            whole[spectrum] = whole.get(spectrum, 0.0) + factor * ((material == number) & ~split)
-        return whole, self._cut_shares(chart, near, zone, centre, zone.cells[split])
-
-    def _near(self, chart: Any, middle: np.ndarray, radius: np.ndarray) -> list[tuple[Any, int]]:
-        """Return the primitives that reach into the rectangle of some discs, in their order.
-
-        Each with the material that it lies in.
-        """
-        if self.bounds is None:
-            bounds = [(shape.cx, shape.cy, shape.reach) for shape in chart.primitives]
-            self.bounds = np.array(bounds).reshape(-1, 3)
-        low, high = (middle - radius[:, None]).min(axis=0), (middle + radius[:, None]).max(axis=0)
-        at, reach = self.bounds[:, :2], self.bounds[:, 2:]
-        near = np.all((at + reach >= low) & (at - reach <= high), axis=1)
-        numbers = np.flatnonzero(near)
-        return [(chart.primitives[number], int(chart.under[number])) for number in numbers]
-
-    def _cut_shares(
-        self,
-        chart: Any,
-        near: list[tuple[Any, int]],
-        zone: Zone,
-        centre: np.ndarray,
-        cells: np.ndarray,
-    ) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Return centres of mass and areas of each spectrum's parts of cells (P, 2)."""
-        side = zone.step_um / zone.split
-        offsets = (np.arange(zone.split) + 0.5) * side - zone.step_um / 2
-        t = cells[:, None] + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        t = t.reshape(-1, 2)
-        ideal = self.fields.ideal(centre - t)
-        # For each material: its share of a square, and that share times the way from the square's
-        # middle to the share's centre of mass.
-        shares = {chart.background: (np.ones(len(t)), np.zeros((len(t), 2)))}
-        for shape, under in near:
-            distance = shape.distance(ideal[:, 0], ideal[:, 1])
-            part = (distance < 0).astype(np.float64)
-            moment = np.zeros((len(t), 2))
-            # Squares are small: the map stretches all of a zone's alike, within a factor of two.
-            at = np.abs(distance) <= 2 * side * self._stretch(centre)
-            if not part.any() and not at.any():
-                continue
-            if at.any():
-                quads = self._cells(centre - t[at], side)
-                part[at], mass = part_of(quads, shape)
-                moment[at] = part[at][:, None] * _in_square(quads, mass, side)
-            # What it takes it takes from the one material that it lies in: outlines may touch.
-            for number, sign in ((under, -1.0), (shape.material, 1.0)):
-                share, way = shares.get(number, (0.0, 0.0))
-                shares[number] = share + sign * part, way + sign * moment
-        found: dict[int, list[tuple[np.ndarray, np.ndarray]]] = {}
-        for number, (share, way) in shares.items():
-            there = share > NOTHING
-            spectrum, factor = self.alike[number]
-            # A source that lies farther right is less far from the pixel.
-            places = t[there] - way[there] / share[there][:, None]
-            found.setdefault(spectrum, []).append((places, factor * share[there] * side**2))
-        return {
-            spectrum: (
-                np.concatenate([one[0] for one in parts]),
-                np.concatenate([one[1] for one in parts]),
-            )
-            for spectrum, parts in found.items()
-            if sum(len(one[1]) for one in parts)
-        }
-
-    def _stretch(self, real: np.ndarray) -> float:
-        """Return the largest length on the ideal plane of a unit length at a real point."""
-        moved = self.fields.ideal(real + np.array([[1.0, 0], [-1.0, 0], [0, 1.0], [0, -1.0]]))
-        return float(np.hypot(*(moved - self.fields.ideal(real)).T).max())
 
     def raster(self, raster: Any, pixels: np.ndarray) -> np.ndarray:
         """Return the true electrons/s of pixels that look at a raster.
@@ -379,7 +269,7 @@ class ExactCore:
         fine = math.ceil(self.side_um / (NODE_SAMPLES * self.bank.pitch_um))
         order = max(HIGHLIGHT_ORDER, fine)
         squares = [self._squares(highlights, nodes) for nodes in (order, FAR_ORDER)]
-        seen, of_seen = self._seen(order)
+        seen, of_seen = points_in(self.boxes, self.side_um, order)
         middles = squares[0][0].mean(axis=1)
         far_um = highlights.size_um + FAR_UM * max(1.0, self.bank.pitch_um / FINE_PITCH_UM)
         # To the corners of the PSFs' window, and as far as lateral colour.
@@ -401,54 +291,6 @@ class ExactCore:
                     each = np.bincount(owners, light * weight[near])
                     out[number] += sign * np.maximum(each, 0.0).sum() * self.side_um**2
         return out
-
-    def _boxes(self) -> list[tuple[float, float, float, float, float]]:
-        """Return ends in x and y of rectangles, um from the pixel's middle, and their response.
-
-        The response is such that its integral over the pixel is the fill factor's area. Where the
-        image moves over the pixel, it sees as from many places on the way, by Gauss-Legendre.
-        """
-        sensor, pitch = self.sensor, self.sensor.pixel_pitch_um
-        if sensor.aperture is None:
-            edge = self.side_um / 2
-            boxes = [(-edge, edge, -edge, edge, 1.0)]
-        elif sensor.aperture.rectangles is not None:
-            boxes = [
-                (*(pitch * (at - 0.5) for at in (r.x, r.x + r.width, r.y, r.y + r.height)), 1.0)
-                for r in sensor.aperture.rectangles
-            ]
-        else:
-            cells = np.array(sensor.aperture.map, np.float64)
-            x, y = (np.linspace(-pitch / 2, pitch / 2, count + 1) for count in cells.shape[::-1])
-            boxes = [
-                (x[col], x[col + 1], y[row], y[row + 1], cells[row, col])
-                for row, col in np.argwhere(cells)
-            ]
-        whole = sum((x1 - x0) * (y1 - y0) * one for x0, x1, y0, y1, one in boxes)
-        boxes = [(*ends, one * self.side_um**2 / whole) for *ends, one in boxes]
-        if sensor.scan_motion_px is None:
-            return boxes
-        mx, my = (pitch * one for one in sensor.scan_motion_px)
-        nodes, weights = np.polynomial.legendre.leggauss(
-            MOTION_ORDER + int(MOTION_ORDER * np.hypot(mx, my))
-        )
-        return [
-            (x0 + at * mx, x1 + at * mx, y0 + at * my, y1 + at * my, one * share)
-            for at, share in zip(nodes / 2, weights / 2, strict=True)
-            for x0, x1, y0, y1, one in boxes
-        ]
-
-    def _seen(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return points (P, 2) of the aperture, so many across, and shares (P,) of its response."""
-        line, share = np.polynomial.legendre.leggauss(order)
-        nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
-        shares = np.outer(share, share).ravel() / 4
-        places, parts = [], []
-        for x0, x1, y0, y1, one in self.boxes:
-            size = np.array([x1 - x0, y1 - y0])
-            places.append(np.array([x0 + x1, y0 + y1]) / 2 + nodes * size)
-            parts.append(shares * one * size.prod() / self.side_um**2)
-        return np.concatenate(places), np.concatenate(parts)
 
     def _squares(self, highlights: Any, order: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points of squares on the real plane (N, I, 2), with their areas (N, I)."""
@@ -479,14 +321,3 @@ class ExactCore:
         pattern = self.sensor.cfa.pattern
         name = pattern[row % len(pattern)][col % len(pattern[0])]
         return list(self.sensor.channels).index(name)
-
-
-def _in_square(quads: np.ndarray, points: np.ndarray, side: float) -> np.ndarray:
-    """Return points (P, 2) of the ideal plane as ways from the middles of real squares, um.
-
-    Their images are the quads (P, 4, 2), over which the map is taken as even.
-    """
-    across = (quads[:, 1] + quads[:, 2] - quads[:, 0] - quads[:, 3]) / (2 * side)
-    down = (quads[:, 2] + quads[:, 3] - quads[:, 0] - quads[:, 1]) / (2 * side)
-    way = points - quads.mean(axis=1)
-    return np.stack([cross(way, down), cross(across, way)], axis=-1) / cross(across, down)[:, None]

@@ -45,6 +45,7 @@ class Wide:
         sensor: Any,
         spectra: np.ndarray,
         wavelengths_nm: np.ndarray,
+        *,
         fields: Heights | Grid | None = None,
         less: tuple[Any, Heights | Grid] | None = None,
     ) -> None:
@@ -52,7 +53,7 @@ class Wide:
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         given = sensor, spectra, wavelengths_nm, (bank, self.fields), less
-        self.spreads = spreads_of(*given, aperture_um)
+        self.spreads = spreads_of(*given, aperture_um=aperture_um)
         self.count = len(spectra)
         share = float(bank.psf.sum(axis=(-2, -1), dtype=float).max())
         step, points = SMOOTH if share < LITTLE else STRUCTURED

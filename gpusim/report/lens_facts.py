@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from gpusim.formats.ready import ReadyLens
+from gpusim.lens.checks import Checked
 from gpusim.lens.prescription import Prescription
-from gpusim.lens.system import Checked, Conjugates, System, conjugates, first_order
+from gpusim.lens.system import Conjugates, System, conjugates, first_order
 from gpusim.psf.bank import Bank
 from gpusim.psf.plane_bank import PlaneBank
 

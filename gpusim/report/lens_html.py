@@ -9,9 +9,10 @@ from html import escape
 from matplotlib.figure import Figure
 
 from gpusim.formats.ready import ReadyLens
+from gpusim.lens.checks import Checked
 from gpusim.lens.import_log import ImportLog
 from gpusim.lens.surface import ASPHERE_POWERS, Surface
-from gpusim.lens.system import Checked, System
+from gpusim.lens.system import System
 from gpusim.report.drawing import svg
 from gpusim.report.lens.plots import PLOTS, draw_plot
 from gpusim.report.lens.sheet import draw, draw_ready

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gpusim.gpu import Device, Kernel, Recording, ShaderError
-from gpusim.gpu import recording as recording_module
+from gpusim.gpu import run as run_module
 from gpusim.gpu.device import MAX_TICKS
 
 TEXT = """
@@ -216,7 +216,7 @@ def test_nonsense_timestamps_are_not_believed(
     if not device.timestamps:
         pytest.skip("this adapter has no timestamp queries")
     monkeypatch.setattr(
-        recording_module, "spans_s", lambda ticks, tick_s: [1e-6] * (len(ticks) - 1) + [nonsense]
+        run_module, "spans_s", lambda ticks, tick_s: [1e-6] * (len(ticks) - 1) + [nonsense]
     )
     result = two_stages(device).run()
     assert result.clock == "wall"
@@ -228,7 +228,7 @@ def test_nonsense_timestamps_are_not_believed(
 
 def test_spans_of_ticks():
     ticks = np.array([[10, 30], [7, 5], [2**63, 2**63 + 1], [6, 6], [0, 0]], np.uint64)
-    spans = recording_module.spans_s(ticks, 1e-3)
+    spans = run_module.spans_s(ticks, 1e-3)
     assert spans[:4] == pytest.approx([0.02, -0.002, 0.001, 0.0])
     assert spans[4] < 0  # never written
 

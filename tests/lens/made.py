@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.lens.checks import checked
 from gpusim.lens.model import APERTURES
 from gpusim.lens.prescription import Prescription, validated
 from gpusim.lens.samples import Samples
-from gpusim.lens.system import checked
 
 
 def lens(surfaces, **fields):

@@ -11,7 +11,9 @@ from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.field_map import FieldMap
-from gpusim.reference.backward import aperture_of, chief_back, frame_of, rays_of
+from gpusim.reference.aperture import aperture_of
+from gpusim.reference.backward import chief_back
+from gpusim.reference.bundle import frame_of, rays_of
 
 D_LINE = np.array([587.5618])
 GREEN = np.array([550.0])

@@ -9,7 +9,7 @@ from lens.made import lens
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens import model_glass
-from gpusim.lens.glass import C_LINE_NM, D_LINE_NM, F_LINE_NM, model_index
+from gpusim.lens.dispersion import C_LINE_NM, D_LINE_NM, F_LINE_NM, model_index
 from gpusim.lens.model_glass import colour, known, nearest, state_model_glasses, with_nearest
 from gpusim.lens.system import indices
 from gpusim.psf.sampling import WAVELENGTHS_NM

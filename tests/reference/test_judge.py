@@ -15,7 +15,8 @@ from gpusim.lens.system import build, first_order, transmission
 from gpusim.plan import Accuracy
 from gpusim.psf.transfer import field_pupils
 from gpusim.reference.backward import chief_back, trace_back
-from gpusim.reference.lens_truth import REFERENCE_NM, Judge, view
+from gpusim.reference.lens_truth import Judge
+from gpusim.reference.lens_view import REFERENCE_NM, view
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.make import make_scene

@@ -14,14 +14,11 @@ from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.wavefront import pupils
 from gpusim.psf.transfer import diffraction_mtf
-from gpusim.reference.backward import (
-    aperture_of,
-    chief_back,
-    field_rays,
-    frame_of,
-    rays_of,
-)
-from gpusim.reference.lens_truth import Judge, view
+from gpusim.reference.aperture import aperture_of
+from gpusim.reference.backward import chief_back
+from gpusim.reference.bundle import field_rays, frame_of, rays_of
+from gpusim.reference.lens_truth import Judge
+from gpusim.reference.lens_view import view
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.raster import Raster
 from gpusim.scene.spectra import WAVELENGTHS_NM

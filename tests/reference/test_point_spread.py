@@ -60,10 +60,11 @@ def test_one_lens_less_another_is_what_the_first_brings_more(scene: str):
     chart = Chart(("white", "red"), 0, (Rect(20.0, 11.0, 9.0, 6.0, 0.2, 1),))
 
     def seen(lens, own, less=None):
-        given = lens, camera, SPECTRA, WAVELENGTHS_NM, own, less
+        given = lens, camera, SPECTRA, WAVELENGTHS_NM
+        banks = {"fields": own, "less": less}
         if scene == "wide":
-            return Wide(*given).at(chart, pixels)
-        exact = ExactCore(*given)
+            return Wide(*given, **banks).at(chart, pixels)
+        exact = ExactCore(*given, **banks)
         if scene == "chart":
             return exact.chart(chart, pixels)
         return exact.raster(raster(50.0), pixels)

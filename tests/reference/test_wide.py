@@ -103,8 +103,8 @@ def test_a_pixel_beside_a_lamp_sees_it_with_its_whole_aperture():
     shares = np.outer(weights, weights).ravel() / 4
     for way in np.array([[7.5, 0.0], [-5.0, 5.0], [0.0, 2.0]]):
         mean = shares @ at_points.at(0, excess, (way + nodes)[:, None], lamp)[:, 0]
-        found = PointSpread(*given, side).at(0, excess, way[None], lamp)[0]
-        by_products = PointSpread(*given, side).wide(0, excess, way[None], lamp)[0]
+        found = PointSpread(*given, aperture_um=side).at(0, excess, way[None], lamp)[0]
+        by_products = PointSpread(*given, aperture_um=side).wide(0, excess, way[None], lamp)[0]
         middle = at_points.at(0, excess, way[None], lamp)[0]
         # Transfers of square and Gaussian differ by x^4 / 180 along each axis, x half a side times
         # the wave number; of Gaussians of 3 um 2.5 sigma off by 2e-3.

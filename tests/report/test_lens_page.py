@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from gpusim.formats.lens_file import load_prescription
-from gpusim.lens.system import build, checked, first_order
+from gpusim.lens.checks import checked
+from gpusim.lens.system import build, first_order
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.compute_plane import compute_plane_bank

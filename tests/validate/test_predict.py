@@ -5,7 +5,9 @@ import pytest
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order
-from gpusim.reference.backward import aperture_of, chief_back, frame_of, rays_of
+from gpusim.reference.aperture import aperture_of
+from gpusim.reference.backward import chief_back
+from gpusim.reference.bundle import frame_of, rays_of
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.tracers import Bundle, OwnTracer
 
