@@ -11,8 +11,9 @@ from scipy.special import erf
 from gpusim.metrics.distortion import measure_distortion
 from gpusim.metrics.picture import Plane
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
-from gpusim.validate import ansys, ansys_mtf, ansys_noise
+from gpusim.validate import ansys, ansys_mtf, ansys_noise, ansys_square
 from gpusim.validate.ansys_electrons import Electrons, EvenScene
+from gpusim.validate.edges import TILT_RAD
 
 READING = ansys.READINGS[0]
 F = FREQUENCIES_CY_PX
@@ -56,7 +57,7 @@ def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
 def frames_of(count, factor=1.0):
     """Return a soft edge's mean and frames with shot and read noise; the noise times a factor."""
     y, x = np.mgrid[:64, :64] + 0.5
-    mean = 3000 + 3000 * (0.5 + 0.5 * erf((x - 32 - math.tan(ansys_mtf.TILT_RAD) * (y - 32)) / 1.2))
+    mean = 3000 + 3000 * (0.5 + 0.5 * erf((x - 32 - math.tan(TILT_RAD) * (y - 32)) / 1.2))
     draw = np.random.default_rng(8)
     noise = [draw.poisson(mean) - mean + draw.normal(0, 5.0, mean.shape) for _ in range(count)]
     return mean, [mean + factor * one for one in noise]
@@ -67,7 +68,7 @@ def noise_of(count, factor=1.0):
     mean, frames = frames_of(count, factor)
     region = (0, 0, 64, 64)
     clean = measure_sfr(mean, region)
-    given = clean.distance_px, clean.lsf, 3000.0, 6000.0, 5.0, 64 / math.cos(ansys_mtf.TILT_RAD)
+    given = clean.distance_px, clean.lsf, 3000.0, 6000.0, 5.0, 64 / math.cos(TILT_RAD)
     expected = ansys_noise.sfr_deviation(*given, clean.rise_px)
     curves = np.array([measure_sfr(one, region).sfr for one in frames])
     reach = float(clean.distance_px[-1])
@@ -81,8 +82,8 @@ def sharp(**planted):
     edge = SimpleNamespace(
         mtf_error=off, error_px=0.0, measured_mtf=curve + off * (F > 0.5), predicted_mtf=curve
     )
-    edges = {(name, n): edge for name in ("electrons", "irradiance") for n in ansys_mtf.ROIS}
-    noise = dict.fromkeys(ansys_mtf.ROIS, noise_of(20, planted.get("noise", 1.0)))
+    edges = {(name, n): edge for name in ("electrons", "irradiance") for n in ansys_square.ROIS}
+    noise = dict.fromkeys(ansys_square.ROIS, noise_of(20, planted.get("noise", 1.0)))
     focus = [
         ansys_mtf.Focus(shift, np.exp(-(2 + abs(shift) / 20) * F) * (1 + 0 * F),
                         np.exp(-(2 + planted.get("focus", 1.0) * abs(shift) / 20) * F))

@@ -10,7 +10,9 @@ from matplotlib.patches import Rectangle
 
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX
 from gpusim.report.drawing import INK, LINE, SOFT, STYLE, panel, titles, write
-from gpusim.validate.ansys_mtf import FOCUS_BAR, REALISATIONS, ROIS, SFR_BAR, SHOWN, Sharpness
+from gpusim.validate.ansys_models import SHOWN
+from gpusim.validate.ansys_mtf import FOCUS_BAR, REALISATIONS, SFR_BAR, Sharpness
+from gpusim.validate.ansys_square import ROIS
 
 BLUE, RED, GREEN, GOLD = "#2456b8", "#c0342b", "#1b8a6b", "#b8860b"
 MAPS = {"electrons": BLUE, "irradiance": RED}

@@ -25,10 +25,11 @@ from gpusim.validate.ansys import (
     bars,
 )
 from gpusim.validate.ansys_electrons import EvenScene
-from gpusim.validate.ansys_mtf import CENTRE_NM, REALISATIONS, SHOWN, Sharpness
-from gpusim.validate.ansys_mtf import LAMP as EDGES_LAMP
-from gpusim.validate.ansys_mtf import TOLERANCE as EDGES_TOLERANCE
+from gpusim.validate.ansys_models import CENTRE_NM, SHOWN
+from gpusim.validate.ansys_mtf import REALISATIONS, Sharpness
 from gpusim.validate.ansys_mtf_figures import draw_curves, draw_focus, draw_models, draw_noise
+from gpusim.validate.ansys_square import LAMP as EDGES_LAMP
+from gpusim.validate.ansys_square import TOLERANCE as EDGES_TOLERANCE
 from gpusim.validate.report import Report, Rows, Section
 
 TITLE = "Validation: Ansys' and Meta's camera of an AR/VR headset"

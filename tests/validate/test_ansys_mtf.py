@@ -13,7 +13,7 @@ import pytest
 from ansys_findings import READING, F, even, noise_of, sharp
 from scipy.interpolate import BSpline
 
-from gpusim.validate import ansys_mtf, ansys_noise, ansys_pixel
+from gpusim.validate import ansys_models, ansys_mtf, ansys_noise, ansys_pixel, ansys_square
 from gpusim.validate.edges import compare, predicted_lsf, region_of
 
 
@@ -25,7 +25,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def predictor(sensor):
-    return ansys_mtf.predictor_of(READING.lens, sensor, 104)
+    return ansys_square.predictor_of(READING.lens, sensor, 104)
 
 
 def test_what_splines_keep_of_white_noise():
@@ -102,11 +102,11 @@ def test_light_passes_the_opening_until_the_spot_meets_its_side():
 
 def drawn(sensor, predictor, number, seen=None):
     """Return an edge of the square as a predictor's line spread and another sensor show it."""
-    place, target = ansys_mtf.edge_of(number, sensor, predictor)
+    place, target = ansys_square.edge_of(number, sensor, predictor)
     left, top, width, height = region_of(place, target.axis, sensor)
     y, x = np.mgrid[top : top + height, left : left + width] + 0.5
     fine = np.arange(-60.0, 60.0, 1 / 32)
-    band = ansys_mtf.band_of(sensor)
+    band = ansys_square.band_of(sensor)
     lsf, normal = predicted_lsf(place, target, band, seen or sensor, predictor, fine)
     rise = np.cumsum(lsf) / lsf.sum()
     way = (x - sensor.cols / 2 - place.x) * normal[0] + (y - sensor.rows / 2 - place.y) * normal[1]
@@ -125,15 +125,15 @@ def test_a_wrong_aperture_and_a_wrong_focus_are_seen(sensor, predictor):
     given = drawn(sensor, predictor, 3, smaller)
     found = compare(*given, sensor, predictor)
     assert found.mtf_error > ansys_mtf.SFR_BAR
-    moved = ansys_mtf.predictor_of(READING.lens.defocused(15.0), sensor, 104)
+    moved = ansys_square.predictor_of(READING.lens.defocused(15.0), sensor, 104)
     *others, picture = drawn(sensor, predictor, 3)
     assert compare(*others, picture, sensor, moved).mtf_error > ansys_mtf.SFR_BAR
 
 
 def test_simpler_models_lie_where_optics_puts_them(sensor, predictor):
-    place, target = ansys_mtf.edge_of(3, sensor, predictor)
+    place, target = ansys_square.edge_of(3, sensor, predictor)
     square = SimpleNamespace(sensor=sensor, predictor=predictor, edges={3: (place, target)})
-    found = ansys_mtf.models_of(square, READING.lens)
+    found = ansys_models.models_of(square, READING.lens)
     assert all(curve[0] == pytest.approx(1, abs=1e-6) for curve in found.values())
     # No lens passes more than the diffraction limit (Goodman 2005, sec. 6.4.3); 0.002 for the
     # working f-number, which is that of the axis.
