@@ -17,8 +17,10 @@ from imgui_bundle import imgui
 from gpusim.errors import UserError
 from gpusim.gpu.screen import Textures
 from gpusim.preview import answers
+from gpusim.preview.answer_panel import SOFT, WARN, AnswerPanel
 from gpusim.preview.controls import Controls
 from gpusim.preview.engine import REFINED, Engine, Shown
+from gpusim.preview.memory import Memory
 from gpusim.preview.saving import save
 from gpusim.preview.state import Knobs, View
 from gpusim.preview.worker import Worker
@@ -26,8 +28,6 @@ from gpusim.preview.worker import Worker
 LEFT, RIGHT = 268.0, 300.0  # widths of the panels, points
 FIXED = imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
 BARE = FIXED | imgui.WindowFlags_.no_title_bar
-SOFT = imgui.ImVec4(0.62, 0.66, 0.72, 1.0)
-WARN = imgui.ImVec4(1.0, 0.62, 0.30, 1.0)
 WHEEL = 1.2  # times larger a click of the wheel
 PROBES = 32  # of a certificate asked for
 NEAREST = 4.0  # points a photosite: from here on photosites are seen as squares
@@ -72,8 +72,9 @@ class App:
         self._fitted = False
         self._corner: tuple[float, float] | None = None  # of a region that is being dragged
         self._lock = threading.Lock()
-        self._memory: dict[str, tuple[Any, Any]] = {}
+        self._memory = Memory()
         self.worker = Worker(Engine(), self._present, refine=refine, told=lambda: self.changed())
+        self.answers = AnswerPanel(textures, self._memory, self.worker.engine, self.controls)
 
     # What is asked for, and what comes.
 
@@ -209,7 +210,7 @@ class App:
     def _layer(self, draw: Any, shown: Shown, left: float, name: str) -> None:
         """Draw a picture where its photosites lie; close up each photosite is a square."""
         x, y, wide, high = shown.rect
-        rgb = self._remember(
+        rgb = self._memory.of(
             f"{name} {self.mode}", shown,
             lambda: shown.photosites() if self.mode == "photosites" else shown.rgb,
         )  # fmt: skip
@@ -227,7 +228,7 @@ class App:
             times = max(1, min(int(self.view.scale * shown.step), 16))
             part = rgb[low[1] : end[1], low[0] : end[0]]
             key = (shown, *low, *end, times)
-            rgb = self._remember(
+            rgb = self._memory.of(
                 f"{name} near", key, lambda: part.repeat(times, 0).repeat(times, 1)
             )
             x, y = x + low[0] * shown.step, y + low[1] * shown.step
@@ -241,13 +242,6 @@ class App:
             left + view.width / 2 + (x - view.x) * view.scale,
             view.height / 2 + (y - view.y) * view.scale,
         )
-
-    def _remember(self, name: str, key: Any, make: Callable[[], Any]) -> Any:
-        """Return what was made for a key, made anew when the key is another."""
-        held = self._memory.get(name)
-        if held is None or not _same(held[0], key):
-            held = self._memory[name] = (key, make())
-        return held[1]
 
     def _pointer(self, left: float) -> None:
         """Pan by dragging, zoom by the wheel, a region with Shift, the loupe by a right click."""
@@ -330,123 +324,9 @@ class App:
             self.said = mistake.problem
 
     def _right(self) -> None:
-        if (shown := self.best) is None:
-            imgui.text_colored(SOFT, "no picture yet")
-            return
-        self._histogram(shown)
-        self._edge(shown)
-        self._psf()
-        self._account(shown)
-
-    def _histogram(self, shown: Shown) -> None:
-        imgui.separator_text("raw histogram")
-        found = self._remember("histogram", shown, lambda: answers.histogram(shown.frame))
-        curves = {
-            name: (curve, answers.COLOURS.get(name, answers.GREY))
-            for name, curve in found.curves.items()
-        }
-        _plot(curves, 84.0)
-        clipped = "  ".join(f"{name} {one:.2%}" for name, one in found.saturated.items())
-        imgui.text_colored(SOFT, f"saturated: {clipped}")
-        seconds, iso = shown.frame.exposure_s, shown.frame.iso
-        imgui.text_colored(SOFT, f"{seconds:.4g} s, ISO {iso}")
-
-    def _edge(self, shown: Shown) -> None:
-        imgui.separator_text("edge (Shift-drag a region)")
-        if self.roi is None:
-            return
-        found = self._remember("edge", (shown, self.roi), lambda: answers.edge(shown, self.roi))
-        if isinstance(found, str):
-            imgui.push_style_color(imgui.Col_.text, WARN)
-            imgui.text_wrapped(found)
-            imgui.pop_style_color()
-            return
-        keep = found.frequency_cy_px <= 1
-        _plot({"SFR": (np.clip(found.sfr[keep], 0, 1.2) / 1.2, answers.GREY)}, 84.0)
-        fall = found.falls_to(0.5)
-        half = "none" if fall is None else f"{fall.value:.3f} c/px"
-        imgui.text(f"MTF50 {half}, Nyquist {found.at(0.5).value:.3f}")
-        imgui.text_colored(SOFT, f"0 to 1 c/px, edge {abs(found.line.angle_deg):.2f} deg")
-
-    def _psf(self) -> None:
-        imgui.separator_text("PSF (right click)")
-        if self.loupe is None:
-            return
-        engine, knobs = self.worker.engine, self.knobs
-        psf, pitch_um = engine.psf(knobs, *self.loupe)
-        n = len(psf)
-        near = self._remember(
-            "psf", (psf,), lambda: _toned(psf[n // 4 : -n // 4, n // 4 : -n // 4])
-        )
-        imgui.image(self.textures.of("psf", near), (112, 112))
-        imgui.same_line()
-        imgui.begin_group()
-        pixel_um = self.controls.sensor(knobs).pixel_pitch_um
-        _, curves = self._remember(
-            "mtf", (psf, pixel_um), lambda: answers.mtf(psf, pitch_um, pixel_um)
-        )
-        _plot(
-            {
-                "radial": (curves[0], (0.47, 0.78, 1.0)),
-                "tangential": (curves[1], (1.0, 0.72, 0.35)),
-            },
-            84.0,
-        )
-        imgui.text_colored(SOFT, "MTF to 1 c/px")
-        imgui.end_group()
-
-    def _account(self, shown: Shown) -> None:
-        imgui.separator_text("time and work")
-        for name, seconds in shown.times_s.items():
-            imgui.text(f"{name:12} {1e3 * seconds:8.0f} ms")
-        if imgui.collapsing_header("left out"):
-            for name, reason in answers.left_out(shown.plan):
-                imgui.text(name)
-                imgui.push_style_color(imgui.Col_.text, SOFT)
-                imgui.text_wrapped(reason)
-                imgui.pop_style_color()
+        self.answers.draw(self.best, self.knobs, self.roi, self.loupe)
 
 
 def _in_words(mistake: UserError) -> str:
     allowed = f"; allowed: {mistake.allowed}" if mistake.allowed else ""
     return f"{mistake.problem}{allowed}"
-
-
-def _same(one: Any, other: Any) -> bool:
-    """Return whether two keys are the same: arrays and pictures by identity."""
-    if isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
-        return all(_same(a, b) for a, b in zip(one, other, strict=True))
-    if isinstance(one, np.ndarray | Shown) or isinstance(other, np.ndarray | Shown):
-        return one is other
-    return one == other
-
-
-def _toned(psf: np.ndarray) -> np.ndarray:
-    """Return a PSF as a picture: fourth root, so that faint light is seen."""
-    light = (psf / (psf.max() or 1.0)).clip(0, 1) ** 0.25
-    return np.repeat(np.round(255 * light).astype(np.uint8)[..., None], 3, axis=2)
-
-
-def _plot(curves: dict[str, tuple[np.ndarray, tuple[float, float, float]]], height: float) -> None:
-    """Draw curves from 0 to 1 over the panel's width."""
-    width = imgui.get_content_region_avail().x
-    left, top = imgui.get_cursor_screen_pos()
-    draw = imgui.get_window_draw_list()
-    draw.add_rect_filled((left, top), (left + width, top + height), imgui.IM_COL32(24, 27, 32, 255))
-    for part in (0.25, 0.5, 0.75):
-        draw.add_line(
-            (left + part * width, top), (left + part * width, top + height),
-            imgui.IM_COL32(60, 66, 74, 255),
-        )  # fmt: skip
-    for values, colour in curves.values():
-        x = left + np.linspace(0, width, len(values))
-        y = top + height - 2 - (height - 4) * np.clip(values, 0, 1)
-        paint = imgui.IM_COL32(*(int(255 * one) for one in colour), 255)
-        points = [imgui.ImVec2(float(a), float(b)) for a, b in zip(x, y, strict=True)]
-        draw.add_polyline(points, paint, 1.4, 0)
-    imgui.dummy((width, height))
-    if len(curves) > 1:
-        for name, (_, colour) in curves.items():
-            imgui.text_colored(imgui.ImVec4(*colour, 1.0), name)
-            imgui.same_line()
-        imgui.new_line()
