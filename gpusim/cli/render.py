@@ -41,7 +41,11 @@ from gpusim.sensor.readout import Shot
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from gpusim.camera import Camera
+    from gpusim.gpu import Device
+    from gpusim.plan.costs import Costs
     from gpusim.render import Capture
+    from gpusim.scene.scene import Scene
 
 KEPT_PLANES = ("electrons", "rate")
 
@@ -91,13 +95,7 @@ def run(
     memory_bytes = None if memory is None else bytes_of(memory)
     accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
     changes = {name: value for name, value in lens.items() if value is not None}
-    camera = load_camera(camera_name, changes, sensor)
-    if gain is not None and iso is not None:
-        raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
-    if gain is not None:
-        camera = replace(camera, sensor=camera.sensor.at_gain(gain))
-    if iso is not None:
-        camera = replace(camera, sensor=camera.sensor.at_iso(iso))
+    camera = _at_gain(load_camera(camera_name, changes, sensor), gain, iso)
     check_ev(ev)
     check_method(method)  # before the lens is traced
     camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
@@ -116,31 +114,8 @@ def run(
     costs = None if plan is None else planned_costs(plan)
     device = default_device()
     if dry_run:
-        with screen.progress_bar() as progress:
-            costs = costs or adapter_costs(
-                device, progress=lambda done, total: progress("calibrate", done, total)
-            )
-
-            def traced(done: int, total: int) -> None:
-                progress("lens", done, total)
-
-            given = {"noise": noise, "method": method, "exposure_s": exposure_s}
-            accuracy, afforded = resolved(camera, scene, accuracy, costs, **given, progress=traced)
-            seen = look(camera, scene, accuracy, exposure_s, traced)
-        chosen = plan_optics(
-            seen.bank,
-            camera.sensor,
-            seen.scene,
-            accuracy,
-            costs,
-            noise=noise,
-            method=method,
-            exposure_s=exposure_s,
-            density=seen.density,
-        )
-        print(with_band(chosen, seen.band).text())
-        if afforded:
-            print(textwrap.fill(f"{afforded}."))
+        given = {"noise": noise, "method": method, "exposure_s": exposure_s}
+        print(_plan_text(device, camera, scene, accuracy, costs, **given))
         return 0
     with staging(out) as folder:
         with (
@@ -174,6 +149,47 @@ def run(
     elif show == "table":
         screen.show_capture(facts, out)
     return 0 if facts["certificate"] is None or facts["certificate"]["met"] else 1
+
+
+def _at_gain(camera: Camera, gain: float | None, iso: int | None) -> Camera:
+    """Return a camera at a gain, or at an ISO speed."""
+    if gain is not None and iso is not None:
+        raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
+    if gain is not None:
+        return replace(camera, sensor=camera.sensor.at_gain(gain))
+    if iso is not None:
+        return replace(camera, sensor=camera.sensor.at_iso(iso))
+    return camera
+
+
+def _plan_text(
+    device: Device,
+    camera: Camera,
+    scene: Scene,
+    accuracy: Accuracy,
+    costs: Costs | None,
+    *,
+    noise: bool,
+    method: str | None,
+    exposure_s: float,
+) -> str:
+    """Return the plan of a render in words; by the adapter's own rates where there are no costs."""
+    given = {"noise": noise, "method": method, "exposure_s": exposure_s}
+    with screen.progress_bar() as progress:
+        costs = costs or adapter_costs(
+            device, progress=lambda done, total: progress("calibrate", done, total)
+        )
+
+        def traced(done: int, total: int) -> None:
+            progress("lens", done, total)
+
+        accuracy, afforded = resolved(camera, scene, accuracy, costs, **given, progress=traced)
+        seen = look(camera, scene, accuracy, exposure_s, traced)
+    chosen = plan_optics(
+        seen.bank, camera.sensor, seen.scene, accuracy, costs, **given, density=seen.density
+    )
+    text = with_band(chosen, seen.band).text()
+    return "\n".join([text, *([textwrap.fill(f"{afforded}.")] if afforded else [])])
 
 
 def exposure_seconds(text: str) -> float:

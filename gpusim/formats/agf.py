@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -25,6 +26,8 @@ from gpusim.lens.surface import Dispersion
 # A formula must give the nd that its catalogue prints. The makers' do so to 5e-7; a catalogue that
 # lost its higher coefficients, of which one is in circulation, misses by 1e-4 to 7e-3.
 ND_TOLERANCE = 1e-4
+
+Catalogue = tuple[Path, dict[str, dict[str, list[str]]]]  # a file, and what `read_agf` returns
 
 
 def read_agf(path: Path) -> dict[str, dict[str, list[str]]]:
@@ -62,25 +65,7 @@ def dispersion_of(name: str, lines: dict[str, list[str]], path: Path) -> Dispers
         Where a line is missing or incomplete, the formula is unknown, or its index is not that
         which the catalogue states.
     """
-
-    def numbers(key: str, count: int) -> list[float]:
-        """Return the numbers of a line: all of them, and at least so many."""
-        words = lines.get(key, [])
-        words = words[1:4] if key == "NM" else words
-        try:
-            found = [finite(word) for word in words]
-        except ValueError:
-            found = []
-        if len(found) < count:
-            raise UserError(
-                f"glass {name} of the catalogue is incomplete",
-                file=path,
-                field=f"{name} {key}",
-                value=" ".join(words) or None,
-                allowed=f"at least {count} numbers",
-            )
-        return found
-
+    numbers = partial(_numbers, lines, name, path)
     formula, _, nd = numbers("NM", 3)
     if formula not in FORMULAS:
         raise UserError(
@@ -120,6 +105,27 @@ def dispersion_of(name: str, lines: dict[str, list[str]], path: Path) -> Dispers
     return dispersion
 
 
+def _numbers(
+    lines: dict[str, list[str]], name: str, path: Path, key: str, count: int
+) -> list[float]:
+    """Return the numbers of a line of a glass: all of them, and at least so many."""
+    words = lines.get(key, [])
+    words = words[1:4] if key == "NM" else words
+    try:
+        found = [finite(word) for word in words]
+    except ValueError:
+        found = []
+    if len(found) < count:
+        raise UserError(
+            f"glass {name} of the catalogue is incomplete",
+            file=path,
+            field=f"{name} {key}",
+            value=" ".join(words) or None,
+            allowed=f"at least {count} numbers",
+        )
+    return found
+
+
 def _absorption(values: list[float]) -> tuple[tuple[float, float], ...] | None:
     """Return rows of nm and absorption per mm from triples of um, transmission and mm.
 
@@ -143,19 +149,7 @@ def with_file_catalogues(lens: Prescription) -> Prescription:
     UserError
         Where a catalogue is unknown or wrong, or holds no such glass.
     """
-    files = {}
-    for entry in lens.glass_catalogues:
-        if entry.lower().endswith(".agf"):
-            path = (lens.file.parent if lens.file else Path()) / entry
-            files[entry] = (path, read_agf(path))
-        elif entry not in BOOKS:
-            raise UserError(
-                "no such glass catalogue",
-                file=lens.file,
-                field="glass_catalogues",
-                value=entry,
-                allowed=f"{', '.join(BOOKS)}, or the name of an .agf file",
-            )
+    files = _files(lens)
     if not files:
         return lens
     surfaces = list(lens.surfaces)
@@ -170,18 +164,12 @@ def with_file_catalogues(lens: Prescription) -> Prescription:
         place = next((p for p in places if p in files and name in files[p][1]), None)
         built_in = next((p for p in places if p in BOOKS and name in catalogue(p)), None)
         if place is None and built_in is None:
-            everything = {
-                g: f"{book}/{page}" for book in BOOKS for g, page in catalogue(book).items()
-            }
-            for entry, (_, glasses) in files.items():
-                everything |= {g: f"{Path(entry).stem.upper()}/{g}" for g in glasses}
-            near = difflib.get_close_matches(name, everything, n=5, cutoff=0.5)
             raise UserError(
                 f"glass {surface.glass!r} of surface {i + 1} is not in {', '.join(places)}",
                 file=lens.file,
                 field=f"surfaces.{i + 1}.glass",
                 value=surface.glass,
-                allowed="perhaps " + ", ".join([everything[n] for n in near] or ["none"]),
+                allowed="perhaps " + ", ".join(_near(name, files) or ["none"]),
             )
         if place is None or (built_in is not None and places.index(built_in) < places.index(place)):
             continue
@@ -193,3 +181,29 @@ def with_file_catalogues(lens: Prescription) -> Prescription:
             f"glass {name} of {path.name}: formula {found.formula}, {FORMULAS[found.formula]}",
         )
     return lens.model_copy(update={"surfaces": tuple(surfaces)})
+
+
+def _files(lens: Prescription) -> dict[str, Catalogue]:
+    """Return the catalogue files that a lens names."""
+    files = {}
+    for entry in lens.glass_catalogues:
+        if entry.lower().endswith(".agf"):
+            path = (lens.file.parent if lens.file else Path()) / entry
+            files[entry] = (path, read_agf(path))
+        elif entry not in BOOKS:
+            raise UserError(
+                "no such glass catalogue",
+                file=lens.file,
+                field="glass_catalogues",
+                value=entry,
+                allowed=f"{', '.join(BOOKS)}, or the name of an .agf file",
+            )
+    return files
+
+
+def _near(name: str, files: dict[str, Catalogue]) -> list[str]:
+    """Return glasses with names like this one, each with its catalogue."""
+    everything = {g: f"{book}/{page}" for book in BOOKS for g, page in catalogue(book).items()}
+    for entry, (_, glasses) in files.items():
+        everything |= {g: f"{Path(entry).stem.upper()}/{g}" for g in glasses}
+    return [everything[n] for n in difflib.get_close_matches(name, everything, n=5, cutoff=0.5)]

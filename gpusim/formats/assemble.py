@@ -154,18 +154,7 @@ def make_bank(
     if outside_energy is None:
         outside_energy = 1 - share
     _refuse_aliases(window, pitch_um, file)
-    if not (
-        len(ideal_height_um) > 1
-        and ideal_height_um[0] == 0
-        and (np.diff(ideal_height_um) > 0).all()
-    ):
-        raise UserError(
-            "image heights must rise from 0",
-            file=file,
-            field="ideal height, um",
-            value=" ".join(f"{value:g}" for value in ideal_height_um),
-            allowed="0 and at least one more",
-        )
+    _refuse_heights(ideal_height_um, file)
     # The chief ray on the axis is the axis.
     fits = [
         odd_fit(ideal_height_um, np.append(0.0, column[1:]), stated.efl_mm, file)
@@ -198,17 +187,12 @@ def make_bank(
         pitch_um=float(pitch_um),
         spectral_degree=spectral_degree,
         provenance={
-            "title": stated.title,
-            "patent": "none",
-            "source": stated.source,
-            "notes": stated.notes,
-            "history": f"read from {file.name}; {len(ideal_height_um)} fields of the table, "
-            f"{steps} intervals of the bank in each of its own",
-            "chief_rays": f"odd polynomials, {misfit_um:.2g} um from the table at most",
-            "solid_angle": f"pi / (2 x {stated.working_f_number:g})^2 at all wavelengths, from the "
-            "working f-number",
-            "transmission": "as stated",
-            "not_known": "folded_energy, fit_residual_waves, failed_rays",
+            **_provenance(
+                stated,
+                f"read from {file.name}; {len(ideal_height_um)} fields of the table, "
+                f"{steps} intervals of the bank in each of its own",
+                misfit_um,
+            ),
             **provenance,
         },
     )
@@ -216,6 +200,34 @@ def make_bank(
     if stated.exit_pupil_mm is None:
         return bank
     return with_exit_pupil(bank, stated.exit_pupil_mm)
+
+
+def _refuse_heights(ideal_um: np.ndarray, file: Path) -> None:
+    """Refuse image heights that do not rise from 0."""
+    if not (len(ideal_um) > 1 and ideal_um[0] == 0 and (np.diff(ideal_um) > 0).all()):
+        raise UserError(
+            "image heights must rise from 0",
+            file=file,
+            field="ideal height, um",
+            value=" ".join(f"{value:g}" for value in ideal_um),
+            allowed="0 and at least one more",
+        )
+
+
+def _provenance(stated: Stated, history: str, misfit_um: float) -> dict[str, str]:
+    """Return what all kinds of files have in common, with the misfit of the chief rays."""
+    return {
+        "title": stated.title,
+        "patent": "none",
+        "source": stated.source,
+        "notes": stated.notes,
+        "history": history,
+        "chief_rays": f"odd polynomials, {misfit_um:.2g} um from the table at most",
+        "solid_angle": f"pi / (2 x {stated.working_f_number:g})^2 at all wavelengths, from the "
+        "working f-number",
+        "transmission": "as stated",
+        "not_known": "folded_energy, fit_residual_waves, failed_rays",
+    }
 
 
 def _divided(ideal_um: np.ndarray, psf: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ What the folder does not hold is the transmission. It stands in ``ISETPARMS.yaml
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
@@ -34,7 +35,14 @@ from gpusim.config.text import read_bytes, read_mapping
 from gpusim.errors import UserError
 from gpusim.formats.assemble import Stated, make_bank
 from gpusim.formats.text import decoded
-from gpusim.formats.zemax_psf import FirstRow, check_size, common_grid, parse_psf, turned
+from gpusim.formats.zemax_psf import (
+    FirstRow,
+    PsfExport,
+    check_size,
+    common_grid,
+    parse_psf,
+    turned,
+)
 from gpusim.formats.zemax_units import NUMBER
 from gpusim.psf.bank import Bank
 
@@ -118,6 +126,69 @@ def read_isetcam(file: Path) -> Bank:
     UserError
         Where a file is missing, is not whole or contradicts another.
     """
+    given = _parameters(file)
+    shape = (len(given.ideal_um), len(given.wavelengths_nm))
+    heights = file.parent / f"{given.base}_DI_.dat"
+    real_um = 1e3 * _table(heights, shape)
+    illumination = _table(file.parent / f"{given.base}_RI_.dat", shape)
+    exports = {at: _export(file.parent, given, *at) for at in np.ndindex(shape)}
+    known = _beside(file.with_suffix(".yaml"))
+    pitch_um, size = common_grid(list(exports.values()))
+    check_size(size, pitch_um, file)
+    psf = np.empty((*shape, size, size))
+    for (field, wave), export in exports.items():
+        outwards_um = 0.0
+        if export.centre_y_mm is not None:
+            outwards_um = 1e3 * abs(export.centre_y_mm) - real_um[field, wave]
+            if abs(outwards_um) > size * pitch_um / 4:
+                raise UserError(
+                    "a PSF and its chief ray lie apart",
+                    file=heights,
+                    field=f"image height {field + 1}, {given.wavelengths_nm[wave]:g} nm",
+                    value=f"{real_um[field, wave]:.6g} um",
+                    allowed=f"about {1e3 * abs(export.centre_y_mm):.6g} um, where the PSF's file "
+                    "has its centre",
+                )
+        psf[field, wave] = turned(export, pitch_um, size, known.first_row, outwards_um)
+    nearest = int(np.abs(given.wavelengths_nm - given.numbers["refWave"]).argmin())
+    return make_bank(
+        _optics(given, known, file),
+        wavelengths_nm=given.wavelengths_nm,
+        reference_nm=float(given.wavelengths_nm[nearest]),
+        ideal_height_um=given.ideal_um,
+        real_height_um=real_um,
+        psf=psf,
+        pitch_um=pitch_um,
+        relative_illumination=illumination,
+        provenance=_provenance(given, known),
+        file=file,
+    )
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    """What ISETPARMS.TXT says.
+
+    Attributes
+    ----------
+    lens, base : str
+        Names of the lens's file, and that with which the data files begin.
+    wavelengths_nm : ndarray (L,)
+    ideal_um : ndarray (F,)
+        Paraxial image heights.
+    numbers : dict of str to float
+        By the macro's names.
+    """
+
+    lens: str
+    base: str
+    wavelengths_nm: np.ndarray
+    ideal_um: np.ndarray
+    numbers: dict[str, float]
+
+
+def _parameters(file: Path) -> _Parameters:
+    """Read and check ISETPARMS.TXT."""
     values = parse_parameters(decoded(read_bytes(file, "the parameter file")), file)
     for name in NEEDED:
         if name not in values:
@@ -132,15 +203,14 @@ def read_isetcam(file: Path) -> Bank:
                 value=str(values[name]),
                 allowed="a quoted text" if name in TEXTS else "a number",
             )
-    scalars = {}
+    numbers = {}
     for name in NEEDED:
         if name in TEXTS or name == "wave":
             continue
         if values[name].size != 1:
             raise UserError("one number is needed", file=file, field=name, value=str(values[name]))
-        scalars[name] = float(values[name][0])
-    wavelengths = values["wave"]
-    heights = scalars["imgHeightNum"]
+        numbers[name] = float(values[name][0])
+    heights = numbers["imgHeightNum"]
     if heights != int(heights) or not 2 <= heights <= MOST_SAMPLES:
         raise UserError(
             "two image heights or more are needed",
@@ -150,101 +220,82 @@ def read_isetcam(file: Path) -> Bank:
             allowed=f"2 to {MOST_SAMPLES}",
         )
     for name in ("imgHeightMax", "efl", "fnumber", "fnumber_eff"):
-        if not scalars[name] > 0:
+        if not numbers[name] > 0:
             raise UserError(
                 "a parameter is out of range",
                 file=file,
                 field=name,
-                value=f"{scalars[name]:g}",
+                value=f"{numbers[name]:g}",
                 allowed="above 0",
             )
-    ideal_um = 1e3 * np.linspace(0, scalars["imgHeightMax"], int(heights))
+    # PureWindowsPath understands / and \ alike.
+    lens, base = (PureWindowsPath(values[name]).name for name in TEXTS)
+    ideal_um = 1e3 * np.linspace(0, numbers["imgHeightMax"], int(heights))
+    return _Parameters(lens, base, values["wave"], ideal_um, numbers)
 
-    base = PureWindowsPath(values["baseLensFileName"]).name  # understands / and \ alike
-    shape = (len(ideal_um), len(wavelengths))
-    real_um = 1e3 * _table(file.parent / f"{base}_DI_.dat", shape)
-    illumination = _table(file.parent / f"{base}_RI_.dat", shape)
-    exports = {}
-    for field, wave in np.ndindex(shape):
-        path = _psf_file(file.parent, base, field + 1, wave + 1)
-        export = parse_psf(read_bytes(path, "the PSF file"), path)
-        if abs(export.wavelength_nm - wavelengths[wave]) > 0.6:  # the macro counts in whole nm
-            raise UserError(
-                "the PSF is not of the wavelength that its name says",
-                file=path,
-                field="wavelength",
-                value=f"{export.wavelength_nm:g} nm",
-                allowed=f"{wavelengths[wave]:g} nm",
-            )
-        exports[field, wave] = export
-    beside = file.with_suffix(".yaml")
-    stated = read_mapping(beside, "the file of the lens's fields") if beside.exists() else {}
+
+def _export(folder: Path, given: _Parameters, field: int, wave: int) -> PsfExport:
+    """Read the PSF of a field and a wavelength."""
+    path = _psf_file(folder, given.base, field + 1, wave + 1)
+    export = parse_psf(read_bytes(path, "the PSF file"), path)
+    stated_nm = given.wavelengths_nm[wave]
+    if abs(export.wavelength_nm - stated_nm) > 0.6:  # the macro counts in whole nm
+        raise UserError(
+            "the PSF is not of the wavelength that its name says",
+            file=path,
+            field="wavelength",
+            value=f"{export.wavelength_nm:g} nm",
+            allowed=f"{stated_nm:g} nm",
+        )
+    return export
+
+
+def _beside(file: Path) -> Beside:
+    """Read ISETPARMS.yaml."""
+    stated = read_mapping(file, "the file of the lens's fields") if file.exists() else {}
     if "transmission" not in stated:
         raise UserError(
             "the folder does not hold the lens's transmission",
-            file=beside,
+            file=file,
             field="transmission",
             allowed="a file of this name, with transmission: 0 to 1, or one number for each "
             "wavelength",
         )
-    known = checked(Beside, stated, beside)
-    pitch_um, size = common_grid(list(exports.values()))
-    check_size(size, pitch_um, file)
-    psf = np.empty((*shape, size, size))
-    for (field, wave), export in exports.items():
-        outwards_um = 0.0
-        if export.centre_y_mm is not None:
-            outwards_um = 1e3 * abs(export.centre_y_mm) - real_um[field, wave]
-            if abs(outwards_um) > size * pitch_um / 4:
-                raise UserError(
-                    "a PSF and its chief ray lie apart",
-                    file=file.parent / f"{base}_DI_.dat",
-                    field=f"image height {field + 1}, {wavelengths[wave]:g} nm",
-                    value=f"{real_um[field, wave]:.6g} um",
-                    allowed=f"about {1e3 * abs(export.centre_y_mm):.6g} um, where the PSF's file "
-                    "has its centre",
-                )
-        psf[field, wave] = turned(export, pitch_um, size, known.first_row, outwards_um)
+    return checked(Beside, stated, file)
 
-    lens = PureWindowsPath(values["lensFile"]).name
-    working = scalars["fnumber_eff"]
-    is_far = scalars["objDist"] > 1e9 or scalars["mag"] == 0
-    nearest = int(np.abs(wavelengths - scalars["refWave"]).argmin())
-    optics = checked(
+
+def _optics(given: _Parameters, known: Beside, file: Path) -> Stated:
+    """Return what the bank needs beside the data."""
+    return checked(
         Stated,
         {
-            "title": known.title or PureWindowsPath(lens).stem,
-            "source": known.source or f"ISETCam ray-trace folder of {lens}",
+            "title": known.title or PureWindowsPath(given.lens).stem,
+            "source": known.source or f"ISETCam ray-trace folder of {given.lens}",
             "notes": known.notes,
-            "efl_mm": scalars["efl"],
-            "f_number": scalars["fnumber"],
-            "working_f_number": working,
+            "efl_mm": given.numbers["efl"],
+            "f_number": given.numbers["fnumber"],
+            "working_f_number": given.numbers["fnumber_eff"],
             "transmission": known.transmission,
             "exit_pupil_mm": known.exit_pupil_mm,
         },
         file,
     )
-    return make_bank(
-        optics,
-        wavelengths_nm=wavelengths,
-        reference_nm=float(wavelengths[nearest]),
-        ideal_height_um=ideal_um,
-        real_height_um=real_um,
-        psf=psf,
-        pitch_um=pitch_um,
-        relative_illumination=illumination,
-        provenance={
-            "object": "at infinity"
-            if is_far
-            else f"{scalars['objDist']:g} mm before the lens; field angles are those of an object "
-            "at infinity with the same image height",
-            "image_height": "paraxial image height at the lens's reference wavelength, "
-            f"{scalars['refWave']:g} nm; that of the bank is the nearest with data",
-            "psf_orientation": f"rows of an export begin at {known.first_row}; turned until +x is "
-            "radial",
-        },
-        file=file,
-    )
+
+
+def _provenance(given: _Parameters, known: Beside) -> dict[str, str]:
+    """Return what is particular to such a folder."""
+    distance_mm = given.numbers["objDist"]
+    is_far = distance_mm > 1e9 or given.numbers["mag"] == 0
+    return {
+        "object": "at infinity"
+        if is_far
+        else f"{distance_mm:g} mm before the lens; field angles are those of an object "
+        "at infinity with the same image height",
+        "image_height": "paraxial image height at the lens's reference wavelength, "
+        f"{given.numbers['refWave']:g} nm; that of the bank is the nearest with data",
+        "psf_orientation": f"rows of an export begin at {known.first_row}; turned until +x is "
+        "radial",
+    }
 
 
 def _table(path: Path, shape: tuple[int, int]) -> np.ndarray:

@@ -233,33 +233,10 @@ def read_mtf(data: dict[str, object], file: Path) -> Bank:
         for field in table.fields
         for row in range(count)
     ]
-    highest = max(curve.end for curve in curves)
-    if highest > HIGHEST:
-        raise UserError(
-            "the MTF goes on to frequencies that light does not resolve",
-            file=file,
-            field="mtf.fields.values",
-            value=f"0 at {1e3 * highest:.4g} cycles/mm"
-            + (", as the last interval falls" if highest > frequency[-1] else ""),
-            allowed=f"0 at {1e3 * HIGHEST:g} cycles/mm or before: 2 / (400 nm)",
-        )
+    highest = _highest(curves, frequency, file)
     pitch_um = min(PITCH_UM, 1 / (SAMPLES_PER_PERIOD * highest))
-    for size in SIZES:
-        psfs = round_psfs(curves, pitch_um, size)
-        outside = 1 - psfs.sum(axis=(1, 2))
-        if np.abs(outside).max() <= GOOD_OUTSIDE:
-            break
-    worst = int(np.abs(outside).argmax())
-    if abs(outside[worst]) > MOST_OUTSIDE:
-        raise UserError(
-            f"the MTF falls so fast from frequency 0 that {outside[worst]:.1%} of the light lie "
-            f"more than {size * pitch_um / 2:.3g} um from the centre",
-            file=file,
-            field=f"mtf.fields.{worst // count + 1}.values",
-            allowed=f"at most {MOST_OUTSIDE:.0%}: light that spreads evenly is veiling glare, a "
-            "field of the sensor file",
-        )
-    shape = (len(table.fields), count)
+    psfs, outside = _windowed(curves, pitch_um, count, file)
+    shape, size = (len(table.fields), count), psfs.shape[-1]
     wavelengths = stated.samples_nm()
     ideal_um = 1e3 * np.array([field.height_mm for field in table.fields])
     distortion = np.array([field.distortion_percent for field in table.fields]) / 100
@@ -292,3 +269,43 @@ def read_mtf(data: dict[str, object], file: Path) -> Bank:
         },
         file=file,
     )
+
+
+def _highest(curves: list[Curve], frequency: np.ndarray, file: Path) -> float:
+    """Return the frequency at which the last of some MTFs ends, cycles/um."""
+    highest = max(curve.end for curve in curves)
+    if highest > HIGHEST:
+        raise UserError(
+            "the MTF goes on to frequencies that light does not resolve",
+            file=file,
+            field="mtf.fields.values",
+            value=f"0 at {1e3 * highest:.4g} cycles/mm"
+            + (", as the last interval falls" if highest > frequency[-1] else ""),
+            allowed=f"0 at {1e3 * HIGHEST:g} cycles/mm or before: 2 / (400 nm)",
+        )
+    return highest
+
+
+def _windowed(
+    curves: list[Curve], pitch_um: float, count: int, file: Path
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return PSFs in the least window that holds them, and the share of light that it misses.
+
+    ``count`` is how many MTFs each field has.
+    """
+    for size in SIZES:
+        psfs = round_psfs(curves, pitch_um, size)
+        outside = 1 - psfs.sum(axis=(1, 2))
+        if np.abs(outside).max() <= GOOD_OUTSIDE:
+            break
+    worst = int(np.abs(outside).argmax())
+    if abs(outside[worst]) > MOST_OUTSIDE:
+        raise UserError(
+            f"the MTF falls so fast from frequency 0 that {outside[worst]:.1%} of the light lie "
+            f"more than {size * pitch_um / 2:.3g} um from the centre",
+            file=file,
+            field=f"mtf.fields.{worst // count + 1}.values",
+            allowed=f"at most {MOST_OUTSIDE:.0%}: light that spreads evenly is veiling glare, a "
+            "field of the sensor file",
+        )
+    return psfs, outside

@@ -19,6 +19,8 @@ from gpusim.lens.dispersion import D_LINE_NM
 from gpusim.lens.import_log import ImportLog
 from gpusim.lens.prescription import Prescription
 
+Row = tuple[float, float, float, float]  # radius, thickness, index, aperture diameter
+
 
 def parse_pbrt(content: bytes, file: Path) -> Prescription:
     """Read a lens file of pbrt.
@@ -40,79 +42,17 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
     UserError
         Where a row is not four numbers, the stop is missing or the rows are no lens.
     """
-
-    def refuse(problem: str, where: str, value: object, allowed: str) -> UserError:
-        return UserError(problem, file=file, field=where, value=value, allowed=allowed)
-
     import_log = ImportLog()
-    comments, rows = [], []
-    for number, line in enumerate(decoded(content).splitlines(), start=1):
-        text, _, comment = line.partition("#")
-        if comment.strip():
-            comments.append(comment.strip())
-        if not text.strip():
-            continue
-        try:
-            values = [finite(word) for word in text.split()]
-        except ValueError:
-            values = []
-        if len(values) == 1 and not rows:
-            import_log.ignored(
-                "file", f"nominal focal length {values[0]:g}: it follows from the rows"
-            )
-            continue
-        if len(values) != 4:
-            raise refuse(
-                "not a row of a pbrt lens file",
-                f"line {number}",
-                text.strip()[:80],
-                "radius, thickness, index, aperture diameter",
-            )
-        rows.append(values)
-    stops = [i for i, (radius, *_) in enumerate(rows, start=1) if radius == 0]
-    if len(rows) < 3:
-        raise refuse(
-            "not a pbrt lens file, or a truncated one: it needs two surfaces and a stop",
-            "rows",
-            len(rows),
-            "3 or more",
-        )
-    if len(stops) != 1:
-        raise refuse(
-            "the file has no stop" if not stops else "the file has several stops",
-            "radius",
-            stops or None,
-            "one row with a radius of 0",
-        )
-    stop = stops[0]
+    rows, comments = _rows(decoded(content), file, import_log)
+    stop = _stop(rows, file)
     surfaces = []
     before = 1.0  # index before the row
-    for number, (radius, thickness, eta, diameter) in enumerate(rows, start=1):
-        if number == stop and eta == 0:
-            eta = 1.0
-        if (eta != before) if number == stop else eta < 1:
-            raise refuse(
-                f"the index of row {number} is wrong",
-                f"row {number}, index",
-                f"{eta:g}",
-                f"0, or {before:g} as before the stop" if number == stop else "1 (air) or more",
-            )
-        if diameter <= 0:
-            raise refuse(
-                f"the aperture of row {number} is wrong",
-                f"row {number}, aperture diameter",
-                f"{diameter:g}",
-                "> 0 mm",
-            )
-        row = {"thickness": thickness, "semi_diameter": diameter / 2}
-        row |= {"curvature": 0.0} if number == stop else {"radius": radius}
+    for number, row in enumerate(rows, start=1):
+        surface, eta = _surface(number, row, before, number == stop, file)
         if eta > 1:
-            row |= {"glass": "constant", "nd": eta}
             import_log.substituted(number, f"glass of index {eta:g}: the same at every wavelength")
-        if number == stop and eta == 1:  # a diaphragm in air is its own aperture
-            del row["semi_diameter"]
         import_log.read(number, "radius, thickness, index, aperture diameter")
-        surfaces.append(row)
+        surfaces.append(surface)
         before = eta
     del surfaces[-1]["thickness"]
     import_log.substituted("file", f"last thickness {rows[-1][1]:g}: by the best focus")
@@ -130,3 +70,87 @@ def parse_pbrt(content: bytes, file: Path) -> Prescription:
         "surfaces": surfaces,
     }
     return finished(data, Fields("not stated"), import_log, file, "pbrt")
+
+
+def _rows(text: str, file: Path, import_log: ImportLog) -> tuple[list[Row], list[str]]:
+    """Return the rows of four numbers, and the comments."""
+    rows, comments = [], []
+    for number, line in enumerate(text.splitlines(), start=1):
+        words, _, comment = line.partition("#")
+        if comment.strip():
+            comments.append(comment.strip())
+        if not words.strip():
+            continue
+        try:
+            values = [finite(word) for word in words.split()]
+        except ValueError:
+            values = []
+        if len(values) == 1 and not rows:
+            import_log.ignored(
+                "file", f"nominal focal length {values[0]:g}: it follows from the rows"
+            )
+            continue
+        if len(values) != 4:
+            raise UserError(
+                "not a row of a pbrt lens file",
+                file=file,
+                field=f"line {number}",
+                value=words.strip()[:80],
+                allowed="radius, thickness, index, aperture diameter",
+            )
+        rows.append(tuple(values))
+    return rows, comments
+
+
+def _stop(rows: list[Row], file: Path) -> int:
+    """Return the number of the row that is the stop, from 1."""
+    stops = [i for i, (radius, *_) in enumerate(rows, start=1) if radius == 0]
+    if len(rows) < 3:
+        raise UserError(
+            "not a pbrt lens file, or a truncated one: it needs two surfaces and a stop",
+            file=file,
+            field="rows",
+            value=len(rows),
+            allowed="3 or more",
+        )
+    if len(stops) != 1:
+        raise UserError(
+            "the file has no stop" if not stops else "the file has several stops",
+            file=file,
+            field="radius",
+            value=stops or None,
+            allowed="one row with a radius of 0",
+        )
+    return stops[0]
+
+
+def _surface(
+    number: int, row: Row, before: float, is_stop: bool, file: Path
+) -> tuple[dict[str, object], float]:
+    """Return the fields of a row's surface, and the index behind it, of that before it."""
+    radius, thickness, eta, diameter = row
+    if is_stop and eta == 0:
+        eta = 1.0
+    if (eta != before) if is_stop else eta < 1:
+        raise UserError(
+            f"the index of row {number} is wrong",
+            file=file,
+            field=f"row {number}, index",
+            value=f"{eta:g}",
+            allowed=f"0, or {before:g} as before the stop" if is_stop else "1 (air) or more",
+        )
+    if diameter <= 0:
+        raise UserError(
+            f"the aperture of row {number} is wrong",
+            file=file,
+            field=f"row {number}, aperture diameter",
+            value=f"{diameter:g}",
+            allowed="> 0 mm",
+        )
+    surface: dict[str, object] = {"thickness": thickness}
+    if not (is_stop and eta == 1):  # a diaphragm in air is its own aperture
+        surface["semi_diameter"] = diameter / 2
+    surface |= {"curvature": 0.0} if is_stop else {"radius": radius}
+    if eta > 1:
+        surface |= {"glass": "constant", "nd": eta}
+    return surface, eta

@@ -228,28 +228,7 @@ def _netcdf(path: Path) -> FieldBank:
 
 def _npz(path: Path) -> Bank:
     """Read a bank from NumPy's arrays, and from the YAML file beside them."""
-    beside = path.with_suffix(".yaml")
-    values = read_mapping(beside, "the file of the lens's fields") if os.path.exists(beside) else {}
-    try:
-        values |= read_npz(path)
-    except (
-        # NotImplementedError: an unknown compression; RuntimeError: encrypted.
-        *(OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, SyntaxError),
-        *(zipfile.BadZipFile, zlib.error),
-    ) as error:
-        raise UserError(
-            f"not a whole .npz file: {' '.join(str(error).split())}",
-            file=path,
-            allowed="arrays as numpy.savez writes them, without objects",
-        ) from error
-    for name in NPZ_ARRAYS:
-        if name not in values:
-            raise UserError(
-                f"{name} is missing",
-                file=path,
-                field=name,
-                allowed=f"{', '.join(NPZ_ARRAYS)}, in this file or in {beside.name}",
-            )
+    values = _npz_values(path)
     texts = {name: str(values[name]) for name in ("title", "source")}
     arrays = {name: _numbers(values[name], name, path) for name in NPZ_ARRAYS if name not in texts}
     if "exit_pupil_mm" in values:
@@ -299,6 +278,33 @@ def _npz(path: Path) -> Bank:
     )
     check_bank(bank, path)
     return bank if pupil_mm is None else with_exit_pupil(bank, pupil_mm)
+
+
+def _npz_values(path: Path) -> dict[str, object]:
+    """Return what stands under the names of `NPZ_ARRAYS` and others, in either file."""
+    beside = path.with_suffix(".yaml")
+    values = read_mapping(beside, "the file of the lens's fields") if os.path.exists(beside) else {}
+    try:
+        values |= read_npz(path)
+    except (
+        # NotImplementedError: an unknown compression; RuntimeError: encrypted.
+        *(OSError, ValueError, KeyError, EOFError, RuntimeError, NotImplementedError, SyntaxError),
+        *(zipfile.BadZipFile, zlib.error),
+    ) as error:
+        raise UserError(
+            f"not a whole .npz file: {' '.join(str(error).split())}",
+            file=path,
+            allowed="arrays as numpy.savez writes them, without objects",
+        ) from error
+    for name in NPZ_ARRAYS:
+        if name not in values:
+            raise UserError(
+                f"{name} is missing",
+                file=path,
+                field=name,
+                allowed=f"{', '.join(NPZ_ARRAYS)}, in this file or in {beside.name}",
+            )
+    return values
 
 
 def _numbers(value: object, name: str, file: Path) -> np.ndarray:

@@ -54,14 +54,7 @@ def _prescription(seq: SeqFile) -> Prescription:
             "SO, one S or more, SI",
         )
     curvatures = seq.curvatures()
-    unit = (seq.system.get("DIM") or [""])[0].upper()[:1]
-    if unit not in _UNITS_MM:
-        raise seq.refuse(
-            "the file does not state its unit of length",
-            "DIM",
-            " ".join(seq.system.get("DIM", [])) or None,
-            "M (mm), C (cm) or I (inch)",
-        )
+    unit_mm = _unit_mm(seq)
     _ends(seq)
     lens_rows = seq.rows[1:]
     if seq.stop is None or not 1 <= seq.stop <= len(lens_rows):
@@ -74,14 +67,7 @@ def _prescription(seq: SeqFile) -> Prescription:
     wavelengths, reference = wavelengths_of(seq)
     fields = fields_of(seq)
     surfaces = [surface_of(seq, row, curvatures) for row in lens_rows]
-    defocus = seq.image.thickness
-    focus = "as-given"
-    if seq.solved and lens_rows[-1].thickness == 0 and defocus == 0:
-        focus = "paraxial"
-        del surfaces[-1]["thickness"]
-    elif defocus:
-        surfaces[-1]["thickness"] = lens_rows[-1].thickness + defocus
-        seq.import_log.read("file", f"SI {defocus:g}: defocus, added to the last thickness")
+    focus = _focus(seq, surfaces[-1])
     title = " ".join(seq.system.get("TIT", [])).strip("'\"")
     data = {
         "title": title or seq.file.stem,
@@ -108,9 +94,34 @@ def _prescription(seq: SeqFile) -> Prescription:
         seq.import_log,
         seq.file,
         "CODE V",
-        unit_mm=_UNITS_MM[unit],
+        unit_mm=unit_mm,
         working_f_number=True,
     )
+
+
+def _unit_mm(seq: SeqFile) -> float:
+    """Return the file's unit of length."""
+    unit = (seq.system.get("DIM") or [""])[0].upper()[:1]
+    if unit not in _UNITS_MM:
+        raise seq.refuse(
+            "the file does not state its unit of length",
+            "DIM",
+            " ".join(seq.system.get("DIM", [])) or None,
+            "M (mm), C (cm) or I (inch)",
+        )
+    return _UNITS_MM[unit]
+
+
+def _focus(seq: SeqFile, last: dict[str, object]) -> str:
+    """Return how the lens is focused, and put the defocus into its last surface."""
+    thickness, defocus = seq.rows[-1].thickness, seq.image.thickness
+    if seq.solved and thickness == 0 and defocus == 0:
+        del last["thickness"]
+        return "paraxial"
+    if defocus:
+        last["thickness"] = thickness + defocus
+        seq.import_log.read("file", f"SI {defocus:g}: defocus, added to the last thickness")
+    return "as-given"
 
 
 def _ends(seq: SeqFile) -> None:

@@ -45,22 +45,7 @@ def parse_distortion(content: bytes, file: Path) -> tuple[float, np.ndarray, np.
             value=unit[1] if unit else "nothing",
             allowed=", ".join(MILLIMETRES),
         )
-    rows = []
-    for line in body.splitlines()[1:]:
-        words = line.replace("%", " ").split()
-        if len(words) < 9 or re.fullmatch(r"-?\d+", words[0]) is None:
-            if rows and words:
-                break  # the summary after the table
-            continue
-        try:
-            rows.append([float(word) for word in words[5:9]])
-        except ValueError as error:
-            raise UserError(f"a value is not a number: {error}", file=file) from error
-    if len(rows) < 9:
-        raise UserError(
-            "the export is not whole", file=file, value=f"{len(rows)} points", allowed="9 or more"
-        )
-    table = 1e3 * scale * np.array(rows)
+    table = 1e3 * scale * _table(body, file)
     ideal, real = np.hypot(table[:, 0], table[:, 1]), np.hypot(table[:, 2], table[:, 3])
     if not np.isfinite(table).all():
         raise UserError("a value is not a number", file=file)
@@ -78,3 +63,23 @@ def parse_distortion(content: bytes, file: Path) -> tuple[float, np.ndarray, np.
             allowed=f"at most {SYMMETRY_UM:g} um: lenses without symmetry are not read",
         )
     return 1e3 * float(wavelength[1]), np.bincount(place, ideal) / count, mean
+
+
+def _table(text: str, file: Path) -> np.ndarray:
+    """Return predicted x and y and real x and y (P, 4) of a grid's points, in the file's unit."""
+    rows = []
+    for line in text.splitlines()[1:]:
+        words = line.replace("%", " ").split()
+        if len(words) < 9 or re.fullmatch(r"-?\d+", words[0]) is None:
+            if rows and words:
+                break  # the summary after the table
+            continue
+        try:
+            rows.append([float(word) for word in words[5:9]])
+        except ValueError as error:
+            raise UserError(f"a value is not a number: {error}", file=file) from error
+    if len(rows) < 9:
+        raise UserError(
+            "the export is not whole", file=file, value=f"{len(rows)} points", allowed="9 or more"
+        )
+    return np.array(rows)

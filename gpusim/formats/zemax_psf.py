@@ -100,20 +100,7 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
         r"\s*\(?([a-z]+)",
         "wavelength and field",
     )
-    low, high, first, second, unit = line.groups()
-    along_y = first if second is None else second
-    if high is not None and float(high) != float(low):
-        raise UserError(
-            "a polychromatic PSF cannot be used",
-            file=file,
-            field="wavelength",
-            value=f"{low} to {high} um",
-            allowed="one wavelength in each export",
-        )
-    if second is not None and float(first) != 0:
-        raise UserError(
-            "the field lies off the y axis", file=file, field="field x", value=first, allowed="0"
-        )
+    um, along_y, unit = _place(line, file)
     size = _size(*found(r"Image grid size:\s*(\d+)\s+by\s+(\d+)", "image grid size").groups(), file)
     centre = found(
         r"Center point is:?\s*(?:row\s*)?(\d+),\s*(?:column\s*)?(\d+)", "centre point"
@@ -128,7 +115,7 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
             allowed="> 0",
         )
     return PsfExport(
-        wavelength_nm=1e3 * float(low),
+        wavelength_nm=1e3 * float(um),
         field=float(along_y),
         field_step=10.0 ** -len(along_y.partition(".")[2]),
         field_unit=unit.lower(),
@@ -137,6 +124,24 @@ def parse_psf(content: bytes, file: Path) -> PsfExport:
         centre_y_mm=_centre_y_mm(head, file),
         values=_values(body, size, file),
     )
+
+
+def _place(line: re.Match, file: Path) -> tuple[str, str, str]:
+    """Return wavelength, um, field along y and its unit, of the line that says them."""
+    low, high, first, second, unit = line.groups()
+    if high is not None and float(high) != float(low):
+        raise UserError(
+            "a polychromatic PSF cannot be used",
+            file=file,
+            field="wavelength",
+            value=f"{low} to {high} um",
+            allowed="one wavelength in each export",
+        )
+    if second is not None and float(first) != 0:
+        raise UserError(
+            "the field lies off the y axis", file=file, field="field x", value=first, allowed="0"
+        )
+    return low, first if second is None else second, unit
 
 
 def _size(rows: str, cols: str, file: Path) -> int:

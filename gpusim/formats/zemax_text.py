@@ -69,15 +69,7 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
     """
     stated = checked(ZemaxFile, data, file)
     grid, ideal_mm, wavelengths = _grid(stated, file)
-    reference = np.abs(wavelengths - stated.reference_nm)
-    if reference.min() > SAME_NM:
-        raise UserError(
-            "the reference wavelength is not one of the exports'",
-            file=file,
-            field="reference_nm",
-            value=stated.reference_nm,
-            allowed=", ".join(f"{w:g}" for w in wavelengths),
-        )
+    reference_nm = _reference_nm(stated, wavelengths, file)
     centres_um = _centres(grid, (len(ideal_mm), len(wavelengths)))
     real_um, chief_rays = _chief_rays(stated, file, wavelengths, ideal_mm, centres_um)
     illumination = stated.relative_illumination
@@ -102,7 +94,7 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
     return make_bank(
         stated,
         wavelengths_nm=wavelengths,
-        reference_nm=float(wavelengths[reference.argmin()]),
+        reference_nm=reference_nm,
         ideal_height_um=1e3 * ideal_mm,
         real_height_um=real_um,
         psf=psf,
@@ -125,6 +117,20 @@ def read_zemax(data: dict[str, object], file: Path) -> Bank:
         },
         file=file,
     )
+
+
+def _reference_nm(stated: ZemaxFile, wavelengths_nm: np.ndarray, file: Path) -> float:
+    """Return the wavelength of the exports that is the reference."""
+    off = np.abs(wavelengths_nm - stated.reference_nm)
+    if off.min() > SAME_NM:
+        raise UserError(
+            "the reference wavelength is not one of the exports'",
+            file=file,
+            field="reference_nm",
+            value=stated.reference_nm,
+            allowed=", ".join(f"{w:g}" for w in wavelengths_nm),
+        )
+    return float(wavelengths_nm[off.argmin()])
 
 
 def _grid(

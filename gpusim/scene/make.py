@@ -33,6 +33,7 @@ def make_scene(
     illuminant: str | None = None,
     projection: str = RECTILINEAR.name,
     frame: Frame | None = None,
+    *,
     transfer: str | None = None,
     upsampling: str | None = None,
     chart_height: str | None = None,
@@ -73,21 +74,8 @@ def make_scene(
         For an unknown name, illuminant or projection, a luminance that is not positive, or an
         unusable file.
     """
-    if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
-        raise UserError(
-            "impossible luminance",
-            field="luminance_cd_m2",
-            value=luminance_cd_m2,
-            allowed="above 0",
-        )
+    _check(luminance_cd_m2, projection)
     panorama = projection == PANORAMA
-    if projection not in PROJECTIONS and not panorama:
-        raise UserError(
-            "there is no such projection",
-            field="projection",
-            value=projection,
-            allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
-        )
     name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
     made_from = {
         "name_or_path": _found(name),
@@ -100,20 +88,7 @@ def make_scene(
         "chart_height": chart_height,
     }
     if is_chart(name):
-        if panorama:
-            raise UserError(
-                "a chart is no panorama",
-                field="projection",
-                value=projection,
-                allowed=f"{', '.join(PROJECTIONS)} for charts",
-            )
-        if upsampling is not None:
-            raise UserError(
-                "a chart has spectra of its own",
-                field="upsampling",
-                value=upsampling,
-                allowed="with an RGB picture",
-            )
+        _check_chart(projection, upsampling)
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
         height = None if chart_height is None else Height.parse(chart_height)
         laid = load_chart(name, frame, height=height, projection=plane)
@@ -139,6 +114,42 @@ def make_scene(
         value=name,
         allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture: {PICTURES}",
     )
+
+
+def _check(luminance_cd_m2: float | None, projection: str) -> None:
+    """Refuse a luminance that is not positive, and an unknown projection."""
+    if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
+        raise UserError(
+            "impossible luminance",
+            field="luminance_cd_m2",
+            value=luminance_cd_m2,
+            allowed="above 0",
+        )
+    if projection not in PROJECTIONS and projection != PANORAMA:
+        raise UserError(
+            "there is no such projection",
+            field="projection",
+            value=projection,
+            allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
+        )
+
+
+def _check_chart(projection: str, upsampling: str | None) -> None:
+    """Refuse what only pictures have."""
+    if projection == PANORAMA:
+        raise UserError(
+            "a chart is no panorama",
+            field="projection",
+            value=projection,
+            allowed=f"{', '.join(PROJECTIONS)} for charts",
+        )
+    if upsampling is not None:
+        raise UserError(
+            "a chart has spectra of its own",
+            field="upsampling",
+            value=upsampling,
+            allowed="with an RGB picture",
+        )
 
 
 def made_again(made_from: Mapping[str, Any]) -> Scene:
