@@ -58,17 +58,7 @@ def run(
 
     `show`: "table", "json" or "nothing".
     """
-    if form not in FORMATS:
-        raise UserError(
-            "there is no such format", field="--format", value=form, allowed=", ".join(FORMATS)
-        )
-    if not 1 <= frames <= MOST_FRAMES:
-        raise UserError(
-            "so many frames are not taken",
-            field="--frames",
-            value=frames,
-            allowed=f"1 to {MOST_FRAMES}",
-        )
+    _check(form, frames)
     exposures = None if exposure is None else [exposure_seconds(one) for one in exposure.split(",")]
     speeds = None if iso is None else [_speed(one) for one in iso.split(",")]
     camera = load_camera(camera_name)
@@ -107,6 +97,21 @@ def run(
     elif show == "table":
         _say(facts, out)
     return 0 if light.certificate is None or light.certificate.met else 1
+
+
+def _check(form: str, frames: int) -> None:
+    """Refuse an unknown format, and too many frames."""
+    if form not in FORMATS:
+        raise UserError(
+            "there is no such format", field="--format", value=form, allowed=", ".join(FORMATS)
+        )
+    if not 1 <= frames <= MOST_FRAMES:
+        raise UserError(
+            "so many frames are not taken",
+            field="--frames",
+            value=frames,
+            allowed=f"1 to {MOST_FRAMES}",
+        )
 
 
 def _speed(text: str) -> int:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -33,73 +34,41 @@ from gpusim.sensor.load import load_sensor
 FILES = ("noise.json", "noise.html", "noise.png")
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """What was measured, of which camera and from what; of a simulated sensor with verdicts."""
+
+    found: Characterisation
+    title: str
+    how: str
+    rows: Sequence[loop.Row] | None = None
+
+
 def noise(
     path: Path | None,
     sensor_name: str | None,
+    *,
     out: Path | None,
     keep: Path | None,
     side_px: int,
     seed: int,
     as_json: bool,
-    sensor_out: Path | None = None,
+    sensor_out: Path | None,
 ) -> int:
     """Measure frames on disk, or a simulated sensor; return the exit code.
 
     It is 1 where a parameter of a simulated sensor is not recovered within its uncertainty.
     """
-    if (path is None) == (sensor_name is None):
-        raise UserError(
-            "nothing to measure" if path is None else "two things to measure",
-            field="PATH, --sensor",
-            allowed="a folder with frames.csv or EMVA1288_Data.txt, or --sensor with a preset or a "
-            ".yaml file",
-        )
-    if path is None and sensor_out is not None:
-        raise UserError(
-            "the sensor has a file", field="--sensor-out", allowed="only with frames on disk"
-        )
-    if path is not None and keep is not None:
-        raise UserError("the frames are on disk", field="--keep", allowed="only with --sensor")
-    rows = None
+    _check(path, sensor_name, keep, sensor_out)
     with ExitStack() as stack:
         folder = stack.enter_context(staging(out)) if out is not None else None
         kept = frames.Kept(stack.enter_context(staging(keep))) if keep is not None else None
         progress = stack.enter_context(screen.progress_bar())
         if path is not None:
-            described = descriptor.find_descriptor(path)
-            listed = (
-                frames.find_frames(path)
-                if described is None
-                else descriptor.read_descriptor(described)
-            )
-            title = listed.name
-            found = characterise(list(frames.measure(listed, progress)), listed.sites)
-            how = f"frames of {path}"
-            if sensor_out is not None:
-                size = frames.read_frame(next(iter(listed.groups.values()))[0]).shape
-                written = stack.enter_context(whole_file(sensor_out, YAML, "--sensor-out"))
-                made = as_sensor(found, listed, size)
-                written.write_text(sensor_text(made, f"Measured from {how}."), "utf-8")
+            measured = _of_frames(path, sensor_out, stack, progress)
         else:
-            whole = load_sensor(sensor_name)
-            sensor = flat_field.region(whole, side_px)
-            runs = sensor_runs(sensor)
-            levels = flat_field.measure(
-                sensor,
-                flat_field.lights(sensor),
-                default_device(),
-                runs,
-                seed=seed,
-                keep=None if kept is None else kept.frame,
-                progress=progress,
-            )
-            found = characterise(list(levels), sensor.site_channels())
-            rows = loop.rows(found, sensor)
-            title = sensor.name
-            how = f"simulated: {sensor.rows} x {sensor.cols} pixels about the centre, seed {seed}"
-            how += flat_field.left_out(whole, runs)
-            if kept is not None:
-                kept.close(sensor.name, sensor.cfa.pattern, sensor.pixel_pitch_um)
+            measured = _of_sensor(sensor_name, side_px, seed, kept, progress)
+        found, title, how, rows = measured.found, measured.title, measured.how, measured.rows
         facts = {
             "gpusim": gpusim.__version__,
             "command": ["gpusim", *sys.argv[1:]],
@@ -120,6 +89,68 @@ def noise(
         for written in [*paths, *([sensor_out] if sensor_out is not None else [])]:
             Console().print(str(written), markup=False, highlight=False, soft_wrap=True)
     return 1 if rows is not None and loop.failed(rows) else 0
+
+
+def _check(
+    path: Path | None, sensor_name: str | None, keep: Path | None, sensor_out: Path | None
+) -> None:
+    """Refuse options that do not go together."""
+    if (path is None) == (sensor_name is None):
+        raise UserError(
+            "nothing to measure" if path is None else "two things to measure",
+            field="PATH, --sensor",
+            allowed="a folder with frames.csv or EMVA1288_Data.txt, or --sensor with a preset or a "
+            ".yaml file",
+        )
+    if path is None and sensor_out is not None:
+        raise UserError(
+            "the sensor has a file", field="--sensor-out", allowed="only with frames on disk"
+        )
+    if path is not None and keep is not None:
+        raise UserError("the frames are on disk", field="--keep", allowed="only with --sensor")
+
+
+def _of_frames(
+    path: Path, sensor_out: Path | None, stack: ExitStack, progress: Callable[..., None]
+) -> _Measured:
+    """Measure frames on disk, and write the sensor file if one is asked for."""
+    described = descriptor.find_descriptor(path)
+    listed = (
+        frames.find_frames(path) if described is None else descriptor.read_descriptor(described)
+    )
+    found = characterise(list(frames.measure(listed, progress)), listed.sites)
+    how = f"frames of {path}"
+    if sensor_out is not None:
+        size = frames.read_frame(next(iter(listed.groups.values()))[0]).shape
+        written = stack.enter_context(whole_file(sensor_out, YAML, "--sensor-out"))
+        made = as_sensor(found, listed, size)
+        written.write_text(sensor_text(made, f"Measured from {how}."), "utf-8")
+    return _Measured(found, listed.name, how)
+
+
+def _of_sensor(
+    name: str, side_px: int, seed: int, kept: frames.Kept | None, progress: Callable[..., None]
+) -> _Measured:
+    """Simulate frames of a sensor and measure them."""
+    whole = load_sensor(name)
+    sensor = flat_field.region(whole, side_px)
+    runs = sensor_runs(sensor)
+    levels = flat_field.measure(
+        sensor,
+        flat_field.lights(sensor),
+        default_device(),
+        runs,
+        seed=seed,
+        keep=None if kept is None else kept.frame,
+        progress=progress,
+    )
+    found = characterise(list(levels), sensor.site_channels())
+    rows = loop.rows(found, sensor)
+    how = f"simulated: {sensor.rows} x {sensor.cols} pixels about the centre, seed {seed}"
+    how += flat_field.left_out(whole, runs)
+    if kept is not None:
+        kept.close(sensor.name, sensor.cfa.pattern, sensor.pixel_pitch_um)
+    return _Measured(found, sensor.name, how, rows)
 
 
 def show(found: Characterisation, rows: Sequence[loop.Row] | None, title: str) -> None:

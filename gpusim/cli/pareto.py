@@ -65,7 +65,7 @@ def run(
     device = default_device()
     with staging(out) as folder:
         with screen.progress_bar() as progress:
-            found = sweep(camera, scene, accuracy, exposure_s, device, progress)
+            found = sweep(camera, scene, accuracy, exposure_s, device=device, progress=progress)
         rows, cols = camera.sensor.rows, camera.sensor.cols
         adapter = device.report()
         certificate = found.certificate
@@ -101,21 +101,26 @@ def run(
         (folder / "pareto.png").write_bytes(png(figure))
     console = Console()
     console.print(table(found.points, accuracy.unit))
-    say = _say(accuracy.unit)
+    paths = (str(out / name) for name in ("pareto.csv", "pareto.json", "pareto.png"))
+    for line in (*_verdict(found, accuracy), facts, *paths):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return 0 if certificate.met else 1
+
+
+def _verdict(found: Sweep, accuracy: Accuracy) -> list[str]:
+    """Return what is said below the table, line by line."""
+    say, certificate = _say(accuracy.unit), found.certificate
     lines = [f"{point.name}: {point.obstacle}" for point in found.points if point.obstacle]
     if found.shortfall:
         lines.append(f"best effort: {found.shortfall}")
-    lines += [regret_in_words(chosen, kind) for kind in KINDS]
+    lines += [regret_in_words(found.points[0], kind) for kind in KINDS]
     met = "within" if certificate.met else "BEYOND"
     lines.append(
         f"certificate of the chosen plan: {met} the tolerance "
         f"of {accuracy.text}: total RMS {say(certificate.total_rms)}, "
         f"worst {say(certificate.total_worst)}"
     )
-    lines += [facts, *(str(out / name) for name in ("pareto.csv", "pareto.json", "pareto.png"))]
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    return 0 if certificate.met else 1
+    return lines
 
 
 def region(camera: Camera) -> Camera:

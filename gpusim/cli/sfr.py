@@ -51,33 +51,8 @@ def sfr(
     """Measure the edges of a picture, those given or all that are found; return the exit code."""
     planes = read_picture(path, linear=linear)
     names = channels_of(planes, channels, path)
-    if boxes:
-        regions = [region_of(box) for box in boxes]
-    else:
-        with screen.progress_bar() as progress:
-            searched = find_regions(
-                planes[most_frequent(planes)], lambda done, total: progress("edges", done, total)
-            )
-        regions = [one.box for one in searched]
-        if not regions:
-            raise UserError(
-                "No slanted edge is found in the picture.",
-                file=path,
-                field="--roi",
-                allowed="x,y,width,height of a region with one edge",
-            )
-    found: list[Edge] = []
-    for number, box in enumerate(regions, start=1):
-        for name in names:
-            plane = planes[name]
-            try:
-                one = measure_sfr(plane.values, box, sites=plane.sites, clip=plane.clip)
-            except UserError as refused:
-                if boxes:
-                    raise
-                print(f"left out: region {number}, {name}: {refused.problem}", file=sys.stderr)
-                continue
-            found.append(Edge(number, box, name, one))
+    regions = [region_of(box) for box in boxes] if boxes else _sought(planes, path)
+    found = _edges(planes, names, regions, leave_out=not boxes)
     cutoff = None
     if pitch_um is not None and f_number is not None:
         cutoff = pitch_um * 1e3 / (wavelength_nm * f_number)
@@ -102,6 +77,45 @@ def sfr(
     for name in FILES if out is not None else ():
         Console().print(str(out / name), markup=False, highlight=False, soft_wrap=True)
     return 0
+
+
+def _sought(planes: dict[str, Plane], path: Path) -> list[tuple[int, int, int, int]]:
+    """Return the regions of all edges that are found in a picture."""
+    with screen.progress_bar() as progress:
+        searched = find_regions(
+            planes[most_frequent(planes)], lambda done, total: progress("edges", done, total)
+        )
+    if not searched:
+        raise UserError(
+            "No slanted edge is found in the picture.",
+            file=path,
+            field="--roi",
+            allowed="x,y,width,height of a region with one edge",
+        )
+    return [one.box for one in searched]
+
+
+def _edges(
+    planes: dict[str, Plane],
+    names: Sequence[str],
+    regions: Sequence[tuple[int, int, int, int]],
+    *,
+    leave_out: bool,
+) -> list[Edge]:
+    """Measure each region in each channel; leave out, or refuse, what is no edge."""
+    found: list[Edge] = []
+    for number, box in enumerate(regions, start=1):
+        for name in names:
+            plane = planes[name]
+            try:
+                one = measure_sfr(plane.values, box, sites=plane.sites, clip=plane.clip)
+            except UserError as refused:
+                if not leave_out:
+                    raise
+                print(f"left out: region {number}, {name}: {refused.problem}", file=sys.stderr)
+                continue
+            found.append(Edge(number, box, name, one))
+    return found
 
 
 def channels_of(planes: dict[str, Plane], channels: str | None, path: Path) -> list[str]:

@@ -48,7 +48,8 @@ def texture(
     others = {} if second is None else _same(read_picture(second, linear=linear), planes, second)
     patch = None if even is None else region_of(even)
     found = [
-        measure_texture(planes[name], name, box, radii, others.get(name), patch) for name in names
+        measure_texture(planes[name], name, box, radii, second=others.get(name), even=patch)
+        for name in names
     ]
     deliver(
         "texture",

@@ -192,8 +192,8 @@ def _pupil(
             targets,
             (grid_a - centre_a) / half_a,
             (grid_b - centre_b) / half_b,
-            degree,
-            2 if samples.half else 1,
+            degree=degree,
+            stride=2 if samples.half else 1,
         )
         residual = float(np.std((fitted[:, 0] - opd)[inside]))
         if residual < GOOD_FIT_WAVES * wavelength_nm * 1e-6:
@@ -205,15 +205,10 @@ def _pupil(
     apodised = lost[0] if lost else 1.0
     if samples.apodisation:
         apodised = apodised * np.exp(-samples.apodisation * np.maximum(1 + smooth[-1], 0.0))
-    coverage = within.astype(float)
-    for g in smooth[1:]:
-        slope_a, slope_b = np.gradient(g, edge_order=2)
-        # Rims that coincide must not count twice, so the least share, not the product.
-        coverage = np.minimum(coverage, half_plane_share(-g, slope_a, slope_b))
     return Pupil(
         alpha=grid_a,
         beta=grid_b,
-        coverage=coverage,
+        coverage=_coverage(within, smooth[1:]),
         opd_mm=smooth[0],
         fit_residual_mm=residual,
         entering=entering,
@@ -222,6 +217,16 @@ def _pupil(
         apodised=apodised,
         reach=np.where(within, 1 + np.max(smooth[1:], axis=0), BEYOND) if active else None,
     )
+
+
+def _coverage(within: np.ndarray, margins: list[np.ndarray]) -> np.ndarray:
+    """Return the share of each cell that lies inside all rims, by margins below 0 there."""
+    coverage = within.astype(float)
+    for g in margins:
+        slope_a, slope_b = np.gradient(g, edge_order=2)
+        # Rims that coincide must not count twice, so the least share, not the product.
+        coverage = np.minimum(coverage, half_plane_share(-g, slope_a, slope_b))
+    return coverage
 
 
 def _axis(
@@ -246,6 +251,7 @@ def _fit(
     targets: np.ndarray,
     grid_a: np.ndarray,
     grid_b: np.ndarray,
+    *,
     degree: int,
     stride: int,
 ) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -32,6 +32,7 @@ BEYOND = 1.1  # of saturation, where the response ends
 HIGHEST = 0.97  # of the signal at saturation: beyond, levels clip in part
 CLIPPED = 0.25  # of a step: levels this near the highest code are the converter's own clipping
 UNKNOWN_PITCH_UM = 5.0
+MEASURED = "measured by EMVA 1288"
 ASSUMED = {
     "fill_factor": "assumed: of no consequence to frames of even light",
     "reference_temperature_c": "assumed: that of the measurement",
@@ -56,7 +57,7 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
     first = found.channels[0]
     response, eta = _response(first)
     gain = float(response.deriv()(0.0)) / eta
-    figures, measured = found.figures, "measured by EMVA 1288"
+    figures = found.figures
     noise2 = {
         part: max(figures[f"{part}_noise_e"].square or 0.0, 0.0) for part in ("row", "column")
     }
@@ -69,8 +70,7 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
     }
     black = float(found.series.mean[np.argmin(found.series.exposure_s)])
     bent = _linearity(response, eta, gain, first)
-    full, says = _full_well(first, bits, black, gain, eta, bent)
-    light = "" if first.wavelength_nm is None else f" at {first.wavelength_nm:g} nm"
+    full, says = _full_well(first, bits, black, gain=gain, eta=eta, bent=bent)
     fields = {
         "name": frames.name,
         "rows": size[0],
@@ -98,31 +98,30 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
             "row_noise_e": scale * math.sqrt(noise2["row"]),
             "column_noise_e": scale * math.sqrt(noise2["column"]),
         },
-        "sources": ASSUMED
-        | {
-            "pixel_pitch_um": "as the list of frames says"
-            if frames.pixel_pitch_um
-            else "assumed: the list of frames does not say it",
-            "quantum_efficiency": f"{measured}{light}; taken as the same at all wavelengths",
-            "system_gain_dn_per_e": f"{measured}; the response in the dark",
-            "black_level_dn": f"{measured}: mean of the shortest dark frames",
-            "full_well_e": says,
-            **dict.fromkeys(
-                (
-                    "temporal_dark_noise_e",
-                    "dark_current_e_per_s",
-                    "dsnu_e",
-                    "prnu_percent",
-                    "lines",
-                ),
-                measured,
-            ),
-        },
+        "sources": _sources(frames, first.wavelength_nm, says),
     }
     if bent is not None:
         fields["linearity"] = bent
-        fields["sources"]["linearity"] = f"{measured}: the mean signal against the light"
+        fields["sources"]["linearity"] = f"{MEASURED}: the mean signal against the light"
     return Sensor.model_validate(fields)
+
+
+def _sources(frames: Frames, wavelength_nm: float | None, full_well: str) -> dict[str, str]:
+    """Return where each field comes from."""
+    light = "" if wavelength_nm is None else f" at {wavelength_nm:g} nm"
+    return ASSUMED | {
+        "pixel_pitch_um": "as the list of frames says"
+        if frames.pixel_pitch_um
+        else "assumed: the list of frames does not say it",
+        "quantum_efficiency": f"{MEASURED}{light}; taken as the same at all wavelengths",
+        "system_gain_dn_per_e": f"{MEASURED}; the response in the dark",
+        "black_level_dn": f"{MEASURED}: mean of the shortest dark frames",
+        "full_well_e": full_well,
+        **dict.fromkeys(
+            ("temporal_dark_noise_e", "dark_current_e_per_s", "dsnu_e", "prnu_percent", "lines"),
+            MEASURED,
+        ),
+    }
 
 
 def _value(figures: dict[str, Figure], name: str) -> float:
@@ -170,6 +169,7 @@ def _full_well(
     channel: Channel,
     bits: int,
     black: float,
+    *,
     gain: float,
     eta: float,
     bent: dict[str, list[float]] | None,

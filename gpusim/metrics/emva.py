@@ -132,22 +132,15 @@ def characterise(levels: Sequence[Level], pattern: Sequence[str]) -> Characteris
     if fixed is None:
         notes.append("no dark level has more than two frames: DSNU and PRNU are not measured")
     channels = tuple(
-        _channel(name, pattern, lit, dark, variance, notes) for name in dict.fromkeys(pattern)
+        _channel(name, pattern, lit, dark, dark_variance=variance, notes=notes)
+        for name in dict.fromkeys(pattern)
     )
     gain = weighted([one.figures["system_gain_dn_per_e"] for one in channels])
     figures = {"system_gain_dn_per_e": gain}
     if all("response_gain_dn_per_e" in one.figures for one in channels):
         unlike = [one.figures["response_gain_dn_per_e"] for one in channels]
         figures["response_gain_dn_per_e"] = weighted(unlike)
-    if variance.value < LEAST_DARK_VARIANCE_DN2:
-        notes.append(
-            f"the temporal dark noise is lost in the converter's steps; the standard takes "
-            f"{math.sqrt(LEAST_DARK_VARIANCE_DN2):.2g} DN in its place, which is an upper limit"
-        )
-        variance = Figure(LEAST_DARK_VARIANCE_DN2, variance.u)
-    figures["temporal_dark_noise_dn"] = Figure.root(variance.value, variance.u)
-    without_steps = variance.value - QUANTISATION_DN2  # equation (31)
-    figures["temporal_dark_noise_e"] = root_in(without_steps, variance.u, gain, 1.0)
+    figures |= _dark_noise(variance, gain, notes)
     if current_dn is not None:
         figures["dark_current_e_per_s"] = current_dn.over(gain)
         figures["dark_current_variance_e_per_s"] = current_dn2.over(gain, power=2)
@@ -168,15 +161,31 @@ def characterise(levels: Sequence[Level], pattern: Sequence[str]) -> Characteris
     return Characterisation(channels, series, fixed, figures, tuple(dict.fromkeys(notes)))
 
 
+def _dark_noise(variance: Figure, gain: Figure, notes: list[str]) -> dict[str, Figure]:
+    """Return the temporal dark noise of its variance, DN^2."""
+    if variance.value < LEAST_DARK_VARIANCE_DN2:
+        notes.append(
+            f"the temporal dark noise is lost in the converter's steps; the standard takes "
+            f"{math.sqrt(LEAST_DARK_VARIANCE_DN2):.2g} DN in its place, which is an upper limit"
+        )
+        variance = Figure(LEAST_DARK_VARIANCE_DN2, variance.u)
+    without_steps = variance.value - QUANTISATION_DN2  # equation (31)
+    return {
+        "temporal_dark_noise_dn": Figure.root(variance.value, variance.u),
+        "temporal_dark_noise_e": root_in(without_steps, variance.u, gain, 1.0),
+    }
+
+
 def _channel(
     name: str,
     pattern: Sequence[str],
     lit: Sequence[Level],
     dark: Sequence[Level],
+    *,
     dark_variance: Figure,
     notes: list[str],
 ) -> Channel:
-    """Measure one channel: sections 6.6, 6.7 and 8; the threshold by equation (17)."""
+    """Measure one channel: sections 6.6, 6.7 and 8."""
     sites = [number for number, one in enumerate(pattern) if one == name]
     curves = {
         nm: transfer_of([one for one in lit if one.wavelength_nm == nm], dark, sites)
@@ -215,6 +224,21 @@ def _channel(
         of_response, prnu_u2 = response_nonuniformity(bright, below, gain)
         figures |= of_response
     responsivity = Figure(slope, math.hypot(spread, slope * math.sqrt(prnu_u2)))
+    figures |= _light_figures(transfer, gain, responsivity, dark_variance)
+    straight = linearity_of(transfer)
+    least_error, largest_error = linearity_errors(straight, transfer)
+    figures |= {
+        "linearity_error_min_percent": least_error,
+        "linearity_error_max_percent": largest_error,
+    }
+    pixels = math.prod(dark[0].sites[sites[0]].shape) * len(sites)
+    return Channel(name, wavelength, pixels, transfer, straight, bright, outliers, figures)
+
+
+def _light_figures(
+    transfer: Transfer, gain: Figure, responsivity: Figure, dark_variance: Figure
+) -> dict[str, Figure]:
+    """Return efficiency, saturation, the threshold by equation (17), and what follows of them."""
     efficiency = responsivity.over(gain)
     photons = Figure(float(transfer.photons[transfer.saturation]), transfer.saturation_u)
     capacity = Figure(
@@ -225,9 +249,7 @@ def _channel(
     least_e = noise.over(gain)
     least_e = Figure(least_e.value + 0.5, least_e.u)
     least = least_e.over(efficiency)
-    straight = linearity_of(transfer)
-    least_error, largest_error = linearity_errors(straight, transfer)
-    figures |= {
+    return {
         "responsivity_dn_per_photon": responsivity,
         "quantum_efficiency": efficiency,
         "saturation_photons": photons,
@@ -236,8 +258,4 @@ def _channel(
         "sensitivity_threshold_e": least_e,
         "snr_max": Figure(math.sqrt(capacity.value), capacity.u / 2 / math.sqrt(capacity.value)),
         "dynamic_range": photons.over(least),
-        "linearity_error_min_percent": least_error,
-        "linearity_error_max_percent": largest_error,
     }
-    pixels = math.prod(dark[0].sites[sites[0]].shape) * len(sites)
-    return Channel(name, wavelength, pixels, transfer, straight, bright, outliers, figures)

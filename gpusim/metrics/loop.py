@@ -20,7 +20,7 @@ from gpusim.metrics.dark import LEAST_DARK_VARIANCE_DN2, QUANTISATION_DN2
 from gpusim.metrics.emva import UNDERFLOW_SHARE, Channel, Characterisation
 from gpusim.metrics.figure import Figure, line
 from gpusim.metrics.law import PixelLaw
-from gpusim.metrics.transfer import DRAWS
+from gpusim.metrics.transfer import DRAWS, Transfer
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
@@ -87,7 +87,7 @@ def rows(found: Characterisation, sensor: Sensor) -> list[Row]:
     unlike = found.figures.get("response_gain_dn_per_e")
     if unlike is not None and not reason:
         gain = sensor.system_gain_dn_per_e
-        table.append(_row("K of unlike pixels", "DN/e-", gain, gain, "", unlike))
+        table.append(_row("K of unlike pixels", "DN/e-", gain, gain, unlike))
     gains = [row.expected for row in table if row.parameter.startswith("K")]
     return table + _in_the_dark(found, sensor, says, reason, float(np.mean(gains)))
 
@@ -167,27 +167,28 @@ def _of_channel(
     mean, variance = law.levels(efficiency * transfer.photons, dark_e)
     expected = {"gain": gain, "efficiency": efficiency, "prnu": says.prnu}
     if reason:
-        black, black_variance = law.levels(np.zeros_like(dark_e), dark_e)
-        ideal = replace(
-            transfer, mean=mean, variance=variance, dark_mean=black, dark_variance=black_variance
-        )
-        none = np.zeros_like(mean)
-        expected["gain"], _ = ideal.slope(variance - black_variance, ideal.signal, none, none)
-        slope, _ = ideal.slope(ideal.signal, transfer.photons, none, none)
-        expected["efficiency"] = slope / expected["gain"]
+        ideal = replace(transfer, mean=mean, variance=variance)
+        expected |= _by_law(law, ideal, dark_e)
         if channel.bright is not None:
             light = efficiency * channel.bright.photons
             expected["prnu"] = law.response_percent(light, float(dark_e[0]))
     masked = "" if says.response == 1 else f"the mask passes {says.response:.4g} of the light"
     found = [
-        _row(f"K{of}", "DN/e-", gain, expected["gain"], reason, figures["system_gain_dn_per_e"]),
+        _row(
+            f"K{of}",
+            "DN/e-",
+            gain,
+            expected["gain"],
+            figures["system_gain_dn_per_e"],
+            reason=reason,
+        ),
         _row(
             f"eta{of} at {channel.wavelength_nm:g} nm",
             "1",
             sheet,
             expected["efficiency"],
-            _both(reason, masked),
             figures["quantum_efficiency"],
+            reason=_both(reason, masked),
         ),
     ]
     draws = np.random.default_rng(1289).standard_normal((DRAWS, mean.size))
@@ -202,8 +203,8 @@ def _of_channel(
             "e-",
             sensor.full_well_e,
             float(capacity.mean()),
-            f"the variance is highest a little before the {first}",
             Figure(full.value, math.hypot(full.u, float(capacity.std()))),
+            reason=f"the variance is highest a little before the {first}",
         )
     )
     if "prnu_percent" in figures:
@@ -214,13 +215,23 @@ def _of_channel(
                 "%",
                 sensor.prnu_percent,
                 expected["prnu"],
-                _both(reason, others),
                 figures["prnu_percent"],
+                reason=_both(reason, others),
             )
         )
         if not reason:
             found += _parts(f"PRNU{of}", "%", says.prnu_percent, figures, "prnu_{}_percent")
     return found
+
+
+def _by_law(law: PixelLaw, lit: Transfer, dark_e: np.ndarray) -> dict[str, float]:
+    """Return the gain and the efficiency that the standard finds of a law's lit levels."""
+    black, black_variance = law.levels(np.zeros_like(dark_e), dark_e)
+    ideal = replace(lit, dark_mean=black, dark_variance=black_variance)
+    none = np.zeros_like(ideal.mean)
+    gain, _ = ideal.slope(ideal.variance - black_variance, ideal.signal, none, none)
+    slope, _ = ideal.slope(ideal.signal, ideal.photons, none, none)
+    return {"gain": gain, "efficiency": slope / gain}
 
 
 def _parts(
@@ -230,7 +241,7 @@ def _parts(
     if not (says["row"] or says["column"]):
         return []
     return [
-        _row(f"{name}.{short}", unit, says[part], says[part], "", figures[key.format(part)])
+        _row(f"{name}.{short}", unit, says[part], says[part], figures[key.format(part)])
         for part, short in (("pixel", "pixel"), ("row", "row"), ("column", "col"))
     ]
 
@@ -272,12 +283,12 @@ def _in_the_dark(
             figure = figures[key]
             if unit == "e-/s":
                 figure = Figure(figure.value, math.hypot(figure.u, sample))
-            rows.append(_row(name, unit, given, expected, _both(reason, why), figure))
+            rows.append(_row(name, unit, given, expected, figure, reason=_both(reason, why)))
     if not reason:
         for name, given in (("row", says.row_noise_e), ("column", says.column_noise_e)):
             if given:
                 key = f"{name}_noise_e"
-                rows.append(_row(f"sigma_d.{name[:3]}", "e-", given, given, "", figures[key]))
+                rows.append(_row(f"sigma_d.{name[:3]}", "e-", given, given, figures[key]))
         if "dsnu_e" in figures:
             rows += _parts("DSNU", "e-", says.dsnu_e, figures, "dsnu_{}_e")
     return rows
@@ -308,7 +319,7 @@ def _column_offsets_dn(sensor: Sensor) -> float:
 
 
 def _row(
-    parameter: str, unit: str, sheet: float, expected: float, reason: str, figure: Figure
+    parameter: str, unit: str, sheet: float, expected: float, figure: Figure, *, reason: str = ""
 ) -> Row:
     """Judge one figure; one that is a root of a variance as that variance, whose law is normal."""
     if figure.square is None:

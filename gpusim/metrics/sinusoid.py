@@ -85,26 +85,8 @@ def measure_sinusoid(plane: Plane, region: tuple[int, int, int, int]) -> Sinusoi
     UserError
         The region leaves the picture, is too small, clipped, or holds no wave.
     """
-    left, top, width, height = region
-    tall, wide = plane.values.shape
-    if not (0 <= left < left + width <= wide and 0 <= top < top + height <= tall):
-        allowed = f"x,y,width,height within {wide} x {tall}"
-        raise UserError(
-            "The region leaves the picture.", field="roi", value=region, allowed=allowed
-        )
-    if min(width, height) < SMALLEST_PX:
-        allowed = f"{SMALLEST_PX} x {SMALLEST_PX} pixels or more"
-        raise UserError("The region is too small.", field="roi", value=region, allowed=allowed)
-    rows, cols = np.mgrid[top : top + height, left : left + width]
-    own = np.ones(rows.shape, bool)
-    if plane.sites is not None:
-        own = plane.sites[rows % plane.sites.shape[0], cols % plane.sites.shape[1]]
-    value = plane.values[rows[own], cols[own]].astype(np.float64)
-    if np.mean((value <= plane.clip[0]) | (value >= plane.clip[1])) > 0:
-        raise UserError(
-            "The region is clipped.", field="roi", value=region, allowed="no black or full pixels"
-        )
-    x, y = cols[own] + 0.5 - left - width / 2, rows[own] + 0.5 - top - height / 2
+    width, height = region[2:]
+    x, y, value = _pixels(plane, region)
     start = _start(plane, region)
     fit = _fit(x, y, value, start)
     f, spread, beside, noise = fit
@@ -147,6 +129,33 @@ def measure_sinusoid(plane: Plane, region: tuple[int, int, int, int]) -> Sinusoi
         at,
         rest,
     )
+
+
+def _pixels(
+    plane: Plane, region: tuple[int, int, int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return x and y from a region's middle (N,), and values (N,), of its own pixels."""
+    left, top, width, height = region
+    tall, wide = plane.values.shape
+    if not (0 <= left < left + width <= wide and 0 <= top < top + height <= tall):
+        allowed = f"x,y,width,height within {wide} x {tall}"
+        raise UserError(
+            "The region leaves the picture.", field="roi", value=region, allowed=allowed
+        )
+    if min(width, height) < SMALLEST_PX:
+        allowed = f"{SMALLEST_PX} x {SMALLEST_PX} pixels or more"
+        raise UserError("The region is too small.", field="roi", value=region, allowed=allowed)
+    rows, cols = np.mgrid[top : top + height, left : left + width]
+    own = np.ones(rows.shape, bool)
+    if plane.sites is not None:
+        own = plane.sites[rows % plane.sites.shape[0], cols % plane.sites.shape[1]]
+    value = plane.values[rows[own], cols[own]].astype(np.float64)
+    if np.mean((value <= plane.clip[0]) | (value >= plane.clip[1])) > 0:
+        raise UserError(
+            "The region is clipped.", field="roi", value=region, allowed="no black or full pixels"
+        )
+    x, y = cols[own] + 0.5 - left - width / 2, rows[own] + 0.5 - top - height / 2
+    return x, y, value
 
 
 def _start(plane: Plane, region: tuple[int, int, int, int]) -> np.ndarray:

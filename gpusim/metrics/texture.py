@@ -132,6 +132,7 @@ def measure_texture(
     channel: str,
     box: Box,
     radii_px: tuple[float, float],
+    *,
     second: Plane | None = None,
     even: Box | None = None,
 ) -> Texture:
@@ -165,7 +166,7 @@ def measure_texture(
     values, step = _samples(plane, box, "--roi")
     tile = _tile(values.shape, box, "--roi")
     bins, frequency = _bins(tile)
-    found, noise = _without_noise(plane, box, values, tile, second, even)
+    found, noise = _without_noise(plane, box, values, tile, second=second, even=even)
     whole = target_power(tile, (radii_px[0] / step, radii_px[1] / step))
     target, folded = (_averaged(one, bins) for one in whole)
     power = found.mean(axis=0)
@@ -182,24 +183,7 @@ def measure_texture(
             value=",".join(map(str, box)),
             allowed="a region of dead leaves, larger than its noise",
         )
-    low &= ratio > 0
-    # ln(MTF^2) = a + b f^2, of a Gaussian exactly, and of others nearly, while f is low.
-    weights = ratio[low] / u[low]
-    logs = np.log(ratio[low])
-    (_, start), errors = np.polyfit(frequency[low] ** 2, logs, 1, w=weights, cov="unscaled")
-
-    def amplitude(of: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.maximum(of, 0.0) / math.exp(start))
-
-    most = amplitude(ratio)
-    # Samples fold higher frequencies onto these. Their MTF lies between none and that of these.
-    least = most / np.sqrt(folded / target)
-    mtf = (most + least) / 2
-    u = np.sqrt(
-        ((amplitude(ratio + u) - amplitude(ratio - u)) / 2) ** 2
-        + (mtf * math.sqrt(errors[1, 1]) / 2) ** 2
-        + ((most - least) / 2) ** 2 / 3  # anywhere between both
-    )
+    mtf, u = _scaled(ratio, u, frequency, low & (ratio > 0), folded / target)
     x, y, width, height = box
     seen = plane.values[y : y + height, x : x + width]
     clipped = bool(np.any(seen <= plane.clip[0]) or np.any(seen >= plane.clip[1]))
@@ -216,8 +200,49 @@ def measure_texture(
     )
 
 
+def _scaled(
+    ratio: np.ndarray, u: np.ndarray, frequency: np.ndarray, low: np.ndarray, folds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the MTF, 1 at low frequencies, and its uncertainties.
+
+    Parameters
+    ----------
+    ratio, u : ndarray (B,)
+        Power over the target's, and its standard uncertainty.
+    frequency : ndarray (B,)
+    low : ndarray of bool (B,)
+        The frequencies that say what is 1.
+    folds : ndarray (B,)
+        How many times its own power samples fold onto a frequency of the target.
+    """
+    # ln(MTF^2) = a + b f^2, of a Gaussian exactly, and of others nearly, while f is low.
+    weights = ratio[low] / u[low]
+    logs = np.log(ratio[low])
+    (_, start), errors = np.polyfit(frequency[low] ** 2, logs, 1, w=weights, cov="unscaled")
+
+    def amplitude(of: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.maximum(of, 0.0) / math.exp(start))
+
+    most = amplitude(ratio)
+    # Samples fold higher frequencies onto these. Their MTF lies between none and that of these.
+    least = most / np.sqrt(folds)
+    mtf = (most + least) / 2
+    u = np.sqrt(
+        ((amplitude(ratio + u) - amplitude(ratio - u)) / 2) ** 2
+        + (mtf * math.sqrt(errors[1, 1]) / 2) ** 2
+        + ((most - least) / 2) ** 2 / 3  # anywhere between both
+    )
+    return mtf, u
+
+
 def _without_noise(
-    plane: Plane, box: Box, values: np.ndarray, tile: int, second: Plane | None, even: Box | None
+    plane: Plane,
+    box: Box,
+    values: np.ndarray,
+    tile: int,
+    *,
+    second: Plane | None,
+    even: Box | None,
 ) -> tuple[np.ndarray, str]:
     """Return the power of each tile by rings (N, B), and how noise was taken off."""
     own = _tiles(values, tile)

@@ -141,6 +141,7 @@ def sweep(
     scene: Scene,
     accuracy: Accuracy,
     exposure_s: float,
+    *,
     device: Device | None = None,
     progress: Callable[[str, int, int], None] | None = None,
     budget_s: float = BUDGET_S,
@@ -203,16 +204,15 @@ def sweep(
         obstacles: dict[Variant, str] = {}
         for done, variant in enumerate(everything[1:], start=1):
             report("certificates", done, len(everything))
-            unprobed = replace(variant.accuracy, probes=0)
             try:
-                plan, errors = variant.change(turned()) if variant.change else (None, {})
-                if variant.change and _kernels(plan) in [_kernels(run.plan) for run in runs]:
-                    continue  # the same under another name
-                one = renderer(unprobed, plan)
+                made = _made(variant, turned, renderer, [run.plan for run in runs])
             except UserError as obstacle:
                 why = f"{obstacle.problem} {obstacle.value}; allowed: {obstacle.allowed}"
                 obstacles[variant] = why
                 continue
+            if made is None:
+                continue
+            one, errors = made
             try:
                 rate = one.capture(exposure_s, keep=("rate",)).rate
                 found = judge(rate, one.glare, variant.accuracy)
@@ -224,13 +224,29 @@ def sweep(
         chosen.release()
         if turned.cache_info().currsize:
             turned().release()
-    rounds = _time(runs, renderer, exposure_s, budget_s, report, clock)
+    rounds = _time(runs, renderer, exposure_s, budget_s=budget_s, report=report, clock=clock)
     points = {run.variant: _point(run, runs) for run in runs}
     for variant, why in obstacles.items():
         asked = variant.accuracy.tolerance
         points[variant] = Point(variant.family, variant.name, False, asked, obstacle=why)
     in_order = tuple(points[variant] for variant in everything if variant in points)
     return Sweep(in_order, first.certificate, runs[0].plan.shortfall, rounds)
+
+
+def _made(
+    variant: Variant,
+    turned: Callable[[], Renderer],
+    renderer: Callable[..., Renderer],
+    others: Sequence[Plan],
+) -> tuple[Renderer, dict[str, float]] | None:
+    """Return what renders a variant, with the errors that turning the knobs of `turned` predicts.
+
+    None where its plan is one of the others under another name.
+    """
+    plan, errors = variant.change(turned()) if variant.change else (None, {})
+    if variant.change and _kernels(plan) in [_kernels(other) for other in others]:
+        return None
+    return renderer(replace(variant.accuracy, probes=0), plan), errors
 
 
 def _judge(
@@ -269,6 +285,7 @@ def _time(
     runs: Sequence[_Run],
     renderer: Callable[..., Renderer],
     exposure_s: float,
+    *,
     budget_s: float,
     report: Callable[[str, int, int], None],
     clock: Callable[[], float],

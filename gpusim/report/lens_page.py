@@ -144,33 +144,21 @@ def lens_page(
 
         def curves(one: tuple[str, float, transfer.FieldPupils]) -> tuple[Curves, np.ndarray]:
             name, theta, field = one
-            return (
-                Curves(name, float(np.degrees(theta)), _both(field.otf, frequency)),
-                _both(
-                    lambda f, direction: field.through_focus(f, direction, focus_mm),
-                    focus_frequency,
-                ),
-            )
+            mtf = Curves(name, float(np.degrees(theta)), _both(field.otf, frequency))
+            return mtf, _through_focus(field, focus_frequency, focus_mm)
 
         drawn = each(pool.map(curves, zip(CURVE_FIELDS, fields, pupils, strict=True)))
         chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
         chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
         chief = pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))
         (chief_um,) = each([np.stack(list(chief))])
-    light = pupils[0].weight
-    limits = np.stack(
-        [
-            _limit(pupil, wavelength, frequency, working_f_number(bank))
-            for pupil, wavelength in zip(pupils[0].fine, wavelengths, strict=True)
-        ]
-    )
     return LensPage(
         bank=bank,
         system=system,
         elements=elements(system),
         beams=[beam(system, theta, RAYS, 0.12 * system.image_z_mm) for theta in fields],
         frequency=frequency,
-        limit=light @ limits / light.sum(),
+        limit=_limit_of(pupils[0], wavelengths, frequency, working_f_number(bank)),
         focus_frequency=focus_frequency,
         focus_mm=focus_mm,
         curves=[one for one, _ in drawn],
@@ -244,6 +232,26 @@ def _chief_um(system: System, wavelengths_nm: np.ndarray) -> Callable[[float], n
     """Return a function from field angle (rad) to where its chief rays land."""
     index, centre = system.index(wavelengths_nm), np.zeros(1)
     return lambda theta: 1e3 * sample_rays(system, index, theta, centre, centre).chief_y_mm
+
+
+def _through_focus(
+    field: transfer.FieldPupils, frequency: float, focus_mm: np.ndarray
+) -> np.ndarray:
+    """Return a field's MTF, tangential and sagittal, at shifts of the image plane; shape (2, Z)."""
+    return _both(lambda f, direction: field.through_focus(f, direction, focus_mm), frequency)
+
+
+def _limit_of(
+    axis: transfer.FieldPupils, wavelengths_nm: np.ndarray, frequency: np.ndarray, f_number: float
+) -> np.ndarray:
+    """Return the MTF of a perfect lens with the axial pupils, in the light of the lens."""
+    limits = np.stack(
+        [
+            _limit(pupil, wavelength, frequency, f_number)
+            for pupil, wavelength in zip(axis.fine, wavelengths_nm, strict=True)
+        ]
+    )
+    return axis.weight @ limits / axis.weight.sum()
 
 
 def _limit(

@@ -67,30 +67,7 @@ def read_envi(path: Path) -> Bands:
     fields = _fields(header)
     sizes = {name: _whole(fields, name, header) for name in ("bands", "lines", "samples")}
     checked_size(header, tuple(sizes.values()))
-    kind = TYPES.get(_whole(fields, "data type", header))
-    if kind is None:
-        raise _wrong(header, fields, "data type", ", ".join(map(str, TYPES)))
-    interleave = INTERLEAVES.get(fields.get("interleave", "").lower())
-    if interleave is None:
-        raise _wrong(header, fields, "interleave", ", ".join(INTERLEAVES))
-    order = fields.get("byte order", "0")
-    if order not in ("0", "1"):
-        raise _wrong(header, fields, "byte order", "0 for little, 1 for big endian")
-    dtype = np.dtype(("<" if order == "0" else ">") + kind)
-    offset = _whole(fields, "header offset", header, least=0) if "header offset" in fields else 0
-    data = path if path != header else _data_of(header)
-    count = sizes["bands"] * sizes["lines"] * sizes["samples"]
-    size = data.stat().st_size
-    if size < offset + count * dtype.itemsize:
-        raise UserError(
-            "the file of samples is shorter than its header says",
-            file=data,
-            value=f"{size:,} bytes",
-            allowed=f"{offset + count * dtype.itemsize:,}",
-        )
-    axes, turn = interleave
-    cube = np.memmap(data, dtype, "r", offset, tuple(sizes[axis] for axis in axes))
-    planes = np.transpose(cube, turn).astype(np.float32)
+    planes = _samples(path, header, fields, sizes)
     notes: tuple[str, ...] = ()
     if "data ignore value" in fields:
         ignored = planes == np.float32(_number(fields, "data ignore value", header))
@@ -115,6 +92,34 @@ def read_envi(path: Path) -> Bands:
     else:
         notes += ("the header says no unit: relative, unless an illuminant lights it",)
     return Bands(planes, _wavelengths(fields, header, len(planes)), kind, notes)
+
+
+def _samples(path: Path, header: Path, fields: dict[str, str], sizes: dict[str, int]) -> np.ndarray:
+    """Return the samples as they stand (bands, lines, samples), float32."""
+    kind = TYPES.get(_whole(fields, "data type", header))
+    if kind is None:
+        raise _wrong(header, fields, "data type", ", ".join(map(str, TYPES)))
+    interleave = INTERLEAVES.get(fields.get("interleave", "").lower())
+    if interleave is None:
+        raise _wrong(header, fields, "interleave", ", ".join(INTERLEAVES))
+    order = fields.get("byte order", "0")
+    if order not in ("0", "1"):
+        raise _wrong(header, fields, "byte order", "0 for little, 1 for big endian")
+    dtype = np.dtype(("<" if order == "0" else ">") + kind)
+    offset = _whole(fields, "header offset", header, least=0) if "header offset" in fields else 0
+    data = path if path != header else _data_of(header)
+    count = sizes["bands"] * sizes["lines"] * sizes["samples"]
+    size = data.stat().st_size
+    if size < offset + count * dtype.itemsize:
+        raise UserError(
+            "the file of samples is shorter than its header says",
+            file=data,
+            value=f"{size:,} bytes",
+            allowed=f"{offset + count * dtype.itemsize:,}",
+        )
+    axes, turn = interleave
+    cube = np.memmap(data, dtype, "r", offset, tuple(sizes[axis] for axis in axes))
+    return np.transpose(cube, turn).astype(np.float32)
 
 
 def _fields(header: Path) -> dict[str, str]:

@@ -40,17 +40,7 @@ def read_hdr(path: Path) -> Photograph:
         Where it is no such picture, too large, or ends early.
     """
     content = read_bytes(path, "the picture")
-    lines, at = [], 0
-    while True:
-        end = content.find(b"\n", at, HEADER_BYTES)
-        if end < 0:
-            raise _broken(path, "its header does not end")
-        lines.append(content[at:end].strip())
-        at = end + 1
-        if lines[-1] == b"":
-            break
-    if not lines[0].startswith(b"#?"):
-        raise _broken(path, "it does not begin with #?")
+    lines, at = _lines(content, path)
     end = content.find(b"\n", at, HEADER_BYTES)
     size = SIZE.fullmatch(content[at : max(end, at)].strip())
     if size is None or {size[2], size[5]} != {b"X", b"Y"}:
@@ -67,14 +57,7 @@ def read_hdr(path: Path) -> Photograph:
     factor = np.ldexp(1.0, pixels[..., 3].astype(np.int32) - 136)
     factor[pixels[..., 3] == 0] = 0.0
     rgb = np.moveaxis((pixels[..., :3] + 0.5) * factor[..., None] / exposure, -1, 0)
-    # Stored from the first axis' start: mirrored and turned until row 0 is up and column 0 left.
-    first, second = size[1] + size[2], size[4] + size[5]
-    if first in (b"+Y", b"-X"):
-        rgb = rgb[:, ::-1]
-    if second in (b"-X", b"+Y"):
-        rgb = rgb[:, :, ::-1]
-    if size[2] == b"X":
-        rgb = rgb.transpose(0, 2, 1)
+    rgb = _upright(rgb, size[1] + size[2], size[4] + size[5])
     notes = [f"white taken as {EFFICACY_LM_PER_W:g} cd/m^2, as Radiance has RGB (1, 1, 1)"]
     own = np.eye(3)
     space = rgb_to_xyz(REC709_CHROMATICITIES)
@@ -89,6 +72,34 @@ def read_hdr(path: Path) -> Photograph:
         notes.append(f"{moved} pixels outside Rec.709 moved to its boundary, luminance kept")
     white = tuple(own @ np.ones(3))
     return Photograph(rgb.astype(np.float32), white, EFFICACY_LM_PER_W, tuple(notes))
+
+
+def _lines(content: bytes, path: Path) -> tuple[list[bytes], int]:
+    """Return the lines of the header, and where the line of the size begins."""
+    lines, at = [], 0
+    while True:
+        end = content.find(b"\n", at, HEADER_BYTES)
+        if end < 0:
+            raise _broken(path, "its header does not end")
+        lines.append(content[at:end].strip())
+        at = end + 1
+        if lines[-1] == b"":
+            break
+    if not lines[0].startswith(b"#?"):
+        raise _broken(path, "it does not begin with #?")
+    return lines, at
+
+
+def _upright(rgb: np.ndarray, first: bytes, second: bytes) -> np.ndarray:
+    """Return planes mirrored and turned until row 0 is up and column 0 left.
+
+    They are stored from the start of the axes, which are named by sign and letter.
+    """
+    if first in (b"+Y", b"-X"):
+        rgb = rgb[:, ::-1]
+    if second in (b"-X", b"+Y"):
+        rgb = rgb[:, :, ::-1]
+    return rgb.transpose(0, 2, 1) if first[1:] == b"X" else rgb
 
 
 def _header(lines: list[bytes], path: Path) -> tuple[bytes, float, tuple[float, ...] | None]:

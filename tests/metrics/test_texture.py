@@ -104,7 +104,7 @@ def test_a_second_picture_or_an_even_patch_takes_the_noise_off():
     assert (noisy.mtf - clean.mtf)[at][-1] > 0.1 and noisy.noise == "not taken off"
     # Noise of 400 beside a signal of 63 at 0.4 cycles/pixel, where its MTF is 0.1: 1e-2 is left of
     # it in the mean of a ring and nine tiles, four times as much at worst; with a patch's own more.
-    by_second = measure_texture(plane(1), "Y", BOX, RADII, plane(2))
+    by_second = measure_texture(plane(1), "Y", BOX, RADII, second=plane(2))
     assert np.abs(by_second.mtf - clean.mtf)[at].max() < 0.04
     grain = np.random.default_rng(3).normal(500, NOISE, (SIDE, SIDE))
     beside = Plane(np.hstack([plane(1).values, grain]), None, OPEN)
@@ -149,7 +149,7 @@ def test_what_cannot_be_measured_is_refused():
     flat = Plane(np.random.default_rng(1).normal(500, 5, (SIDE, SIDE)), None, OPEN)
     other = Plane(np.random.default_rng(2).normal(500, 5, (SIDE, SIDE)), None, OPEN)
     with pytest.raises(UserError, match="no texture"):
-        measure_texture(flat, "Y", BOX, RADII, other)
+        measure_texture(flat, "Y", BOX, RADII, second=other)
 
 
 def test_the_command_writes_its_files(tmp_path, monkeypatch):

@@ -79,7 +79,16 @@ def noise(
     from gpusim.cli.measure import noise as run
 
     choose_adapter(adapter)
-    if code := run(path, sensor, out, keep, side, seed, as_json, sensor_out):
+    if code := run(
+        path,
+        sensor,
+        out=out,
+        keep=keep,
+        side_px=side,
+        seed=seed,
+        as_json=as_json,
+        sensor_out=sensor_out,
+    ):
         raise typer.Exit(code)
 
 
