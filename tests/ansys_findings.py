@@ -68,8 +68,15 @@ def noise_of(count, factor=1.0):
     mean, frames = frames_of(count, factor)
     region = (0, 0, 64, 64)
     clean = measure_sfr(mean, region)
-    given = clean.distance_px, clean.lsf, 3000.0, 6000.0, 5.0, 64 / math.cos(TILT_RAD)
-    expected = ansys_noise.sfr_deviation(*given, clean.rise_px)
+    expected = ansys_noise.sfr_deviation(
+        clean.distance_px,
+        clean.lsf,
+        dark_e=3000.0,
+        bright_e=6000.0,
+        read_noise_e=5.0,
+        pixels_per_px=64 / math.cos(TILT_RAD),
+        rise_px=clean.rise_px,
+    )
     curves = np.array([measure_sfr(one, region).sfr for one in frames])
     reach = float(clean.distance_px[-1])
     return ansys_noise.Noise(3, curves, clean.sfr, expected, reach)

@@ -506,11 +506,11 @@ def paint_job(device: Device, frame: tuple[int, int]) -> Job:
         [dot],
         coefficients,
         0,
-        tuple(np.add(grid.block_origin(block), (x + 0.5, y + 0.5)) - grid.centre),
-        (8, 8),
-        SIGMA,
-        CHIEF_RAY.pieces,
-        RADIUS,
+        origin_xy=tuple(np.add(grid.block_origin(block), (x + 0.5, y + 0.5)) - grid.centre),
+        shape=(8, 8),
+        sigma=SIGMA,
+        distortion=CHIEF_RAY.pieces,
+        radius=RADIUS,
     )[0]
     return source_stage(device, stage, block, np.s_[y : y + 8, x : x + 8], expected)
 
@@ -533,8 +533,8 @@ def warp_job(device: Device, frame: tuple[int, int]) -> Job:
         grid.block[::-1],
         (frame[1] / 2 - 0.5, frame[0] / 2 - 0.5),
         SIM_PITCH_UM / PITCH_UM,
-        CHIEF_RAY.pieces,
-        RADIUS,
+        distortion=CHIEF_RAY.pieces,
+        radius=RADIUS,
     )
     job = source_stage(device, stage, block, np.s_[:, :], expected)
     job.nbytes += planes.nbytes
@@ -592,7 +592,14 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
         places = [(channel, 2 * (s % 2), 2 * (s // 2)) for s, channel in enumerate(SITES)]
         found = error(
             by_site(device.read(scratch.folded)),
-            fft_columns(complex_of(spectra), kernels, first_y, step_y, places, grid.stride),
+            fft_columns(
+                complex_of(spectra),
+                kernels,
+                first_s=first_y,
+                step_s=step_y,
+                sites=places,
+                stride=grid.stride,
+            ),
         )
         nbytes = spectra.nbytes + 4 * packed[0].nbytes + folded.nbytes
         samples = length**2 // 2
@@ -690,8 +697,16 @@ def direct_job(device: Device, frame: tuple[int, int]) -> Job:
         taps[node, 0, site] = lines[::-1, start : start + layout.lines][:, ::-1]
     (first_s, step_s), (first_t, step_t) = grid.node_weights((0, 0))
     places = [(2 * (site % 2), 2 * (site // 2)) for site in range(4)]
-    geometry = (layout.low, (first_s, first_t), (step_s, step_t), places, 4, grid.half_size)
-    expected = direct(planes, taps, *geometry)
+    expected = direct(
+        planes,
+        taps,
+        low=layout.low,
+        first=(first_s, first_t),
+        step=(step_s, step_t),
+        sites=places,
+        stride=4,
+        reach=grid.half_size,
+    )
     left, top = (-origin for origin in grid.window_origin((0, 0)))
     inside = expected[:, top:, left:][:, : found.shape[1], : found.shape[2]]
     samples = expected.size

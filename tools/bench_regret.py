@@ -71,7 +71,7 @@ def regret_job(
                         make_scene(name),
                         asked,
                         EXPOSURE_S,
-                        device,
+                        device=device,
                         budget_s=BUDGET_S,
                         leave_out=left_out,
                         clock=clock,

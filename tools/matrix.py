@@ -115,7 +115,7 @@ class Spot:
         edge = np.radians(self.lens.max_field_deg)
         radii = []
         for azimuth in (0.0, np.pi / 2, np.pi, -np.pi / 2):
-            there = sample_rays(self.system, index, edge, middle, middle, azimuth)
+            there = sample_rays(self.system, index, edge, middle, middle, azimuth=azimuth)
             radii.append(math.hypot(there.chief_x_mm[0], there.chief_y_mm[0]))
         return 1e3 * min(radii)
 

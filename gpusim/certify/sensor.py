@@ -187,7 +187,9 @@ class _Light:
         if kernels is None:
             return self.seen(row, col)
         frame = sensor.frame.pixels
-        return crosstalk_at(row, col, self.seen, sensor.cfa.pattern, kernels.between, frame)
+        return crosstalk_at(
+            row, col, self.seen, pattern=sensor.cfa.pattern, between=kernels.between, frame=frame
+        )
 
     def mean(self, row: np.ndarray, col: np.ndarray) -> np.ndarray:
         """Return the mean electrons of pixels, as far as each is by itself."""

@@ -39,9 +39,9 @@ def colour(
         out,
         facts,
         colour_rows(facts),
-        lambda: draw_colour(found, planes, path.name),
-        colour_html,
-        show,
+        draw=lambda: draw_colour(found, planes, path.name),
+        html=colour_html,
+        show=show,
         as_json=as_json,
     )
 

@@ -36,9 +36,9 @@ def distortion(
         out,
         distortion_facts(found),
         distortion_rows(found),
-        lambda: draw_distortion(found, planes[found.reference].values, path.name),
-        distortion_html,
-        show,
+        draw=lambda: draw_distortion(found, planes[found.reference].values, path.name),
+        html=distortion_html,
+        show=show,
         as_json=as_json,
     )
 

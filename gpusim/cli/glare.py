@@ -26,9 +26,9 @@ def glare(
         out,
         facts,
         glare_rows(facts),
-        lambda: draw_glare(found, planes[names[0]].values, path.name),
-        glare_html,
-        show,
+        draw=lambda: draw_glare(found, planes[names[0]].values, path.name),
+        html=glare_html,
+        show=show,
         as_json=as_json,
     )
 

@@ -27,10 +27,10 @@ def deliver(
     out: Path | None,
     facts: dict[str, Any],
     rows: Iterable[Sequence[object]],
+    *,
     draw: Callable[[], Figure],
     html: Callable[[dict[str, Any], Figure], str],
     show: Callable[[dict[str, Any]], None],
-    *,
     as_json: bool,
 ) -> None:
     """Write a measurement's files, and print it.

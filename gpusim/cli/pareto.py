@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,7 @@ from gpusim.scene import make_scene
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
+    from gpusim.scene.scene import Scene
 
 # A sweep renders twenty plans a dozen times each.
 REGION_PX = 512  # of the longer side, about the centre, unless the whole sensor is asked for
@@ -74,28 +75,11 @@ def run(
             f"{duration(certificate.seconds)} once for all plans; times: medians of {found.rounds} "
             "rounds through all plans"
         )
-        chosen = found.points[0]
-        write(found, folder, {
-            "gpusim": gpusim.__version__,
-            "command": ["gpusim", *sys.argv[1:]],
-            "camera": camera.title,
-            "scene": scene.name,
-            "rows": rows,
-            "cols": cols,
-            "exposure_s": exposure_s,
-            "tolerance": accuracy.tolerance,
-            "tolerance_unit": accuracy.unit,
-            "device": {name: adapter[name] for name in ("adapter", "driver", "backend")},
-            "probes": certificate.probes,
-            "truth_s": certificate.seconds,
-            "rounds": found.rounds,
-            "met": certificate.met,
-            "shortfall": found.shortfall,
-            "regret": chosen.regret,
-            "fastest": chosen.fastest,
-            "first_regret": chosen.first_regret,
-            "first_fastest": chosen.first_fastest,
-        })  # fmt: skip
+        write(
+            found,
+            folder,
+            _facts(found, camera, scene, accuracy, exposure_s=exposure_s, adapter=adapter),
+        )
         title = f"{scene.name}, {camera.title}"
         figure = draw(found.points, title, facts, accuracy.unit)
         (folder / "pareto.png").write_bytes(png(figure))
@@ -121,6 +105,40 @@ def _verdict(found: Sweep, accuracy: Accuracy) -> list[str]:
         f"worst {say(certificate.total_worst)}"
     )
     return lines
+
+
+def _facts(
+    found: Sweep,
+    camera: Camera,
+    scene: Scene,
+    accuracy: Accuracy,
+    *,
+    exposure_s: float,
+    adapter: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Return what pareto.json says beside the points."""
+    chosen, certificate = found.points[0], found.certificate
+    return {
+        "gpusim": gpusim.__version__,
+        "command": ["gpusim", *sys.argv[1:]],
+        "camera": camera.title,
+        "scene": scene.name,
+        "rows": camera.sensor.rows,
+        "cols": camera.sensor.cols,
+        "exposure_s": exposure_s,
+        "tolerance": accuracy.tolerance,
+        "tolerance_unit": accuracy.unit,
+        "device": {name: adapter[name] for name in ("adapter", "driver", "backend")},
+        "probes": certificate.probes,
+        "truth_s": certificate.seconds,
+        "rounds": found.rounds,
+        "met": certificate.met,
+        "shortfall": found.shortfall,
+        "regret": chosen.regret,
+        "fastest": chosen.fastest,
+        "first_regret": chosen.first_regret,
+        "first_fastest": chosen.first_fastest,
+    }
 
 
 def region(camera: Camera) -> Camera:

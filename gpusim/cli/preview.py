@@ -10,6 +10,7 @@ def run(
     camera: str,
     scene: str,
     knobs: Mapping[str, object],
+    *,
     out: Path,
     screenshot: Path | None,
     script: Path | None,

@@ -26,9 +26,9 @@ def shading(
         out,
         shading_facts(found),
         shading_rows(found),
-        lambda: draw_shading(found, (cols, rows), path.name),
-        shading_html,
-        show,
+        draw=lambda: draw_shading(found, (cols, rows), path.name),
+        html=shading_html,
+        show=show,
         as_json=as_json,
     )
 

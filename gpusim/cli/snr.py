@@ -37,9 +37,9 @@ def snr(
         out,
         facts,
         snr_rows(facts),
-        lambda: draw_snr(found, planes[names[0]].values, path.name),
-        snr_html,
-        show,
+        draw=lambda: draw_snr(found, planes[names[0]].values, path.name),
+        html=snr_html,
+        show=show,
         as_json=as_json,
     )
 

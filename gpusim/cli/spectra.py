@@ -44,9 +44,9 @@ def spectra(
         out,
         spectra_facts(found),
         spectra_rows(found),
-        lambda: draw_spectra(found, planes[names[0]].values, path.name),
-        spectra_html,
-        show,
+        draw=lambda: draw_spectra(found, planes[names[0]].values, path.name),
+        html=spectra_html,
+        show=show,
         as_json=as_json,
     )
 

@@ -19,13 +19,13 @@ MIDDLE = 0.8  # of the picture's width and height: the region where none is give
 
 def texture(
     path: Path,
+    *,
     roi: str | None,
     leaves: str | None,
     second: Path | None,
     even: str | None,
     channels: str | None,
     out: Path | None,
-    *,
     linear: bool,
     as_json: bool,
 ) -> None:
@@ -57,9 +57,9 @@ def texture(
         out,
         texture_facts(found, radii),
         texture_rows(found),
-        lambda: draw_texture(found, planes[names[0]].values, path.name),
-        texture_html,
-        show,
+        draw=lambda: draw_texture(found, planes[names[0]].values, path.name),
+        html=texture_html,
+        show=show,
         as_json=as_json,
     )
 

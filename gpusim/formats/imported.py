@@ -328,7 +328,7 @@ def _with_beams(lens: Prescription, beams: Iterable[Beam]) -> Prescription:
         y = radius * (beam.centre_y + beam.half_y * np.sin(turn))
         theta = math.radians(beam.angle_deg)
         launch, reached = launch_field(system.geometry, index, theta, 1e-9 * radius)
-        px, py, found = aim(system.geometry, index, launch, x, y, 1e-9 * radius)
+        px, py, found = aim(system.geometry, index, launch, x, y, tolerance_mm=1e-9 * radius)
         rays = trace(system.geometry, index, launch, px, py)
         if not (reached.all() and (found & rays.ok).all()):
             raise UserError(

@@ -339,7 +339,9 @@ class _Chain:
         if "rectify" not in out:
             first = start - self.top, -self.left
             frame = source.codes.shape
-            colours = record_rectify(rec, colours, source.rectification, frame, first, made)
+            colours = record_rectify(
+                rec, colours, source.rectification, frame, first=first, rows=made
+            )
             above = 0
         colours = record_matrix(rec, colours, self.matrix)
         if "roll_off" not in out:

@@ -68,9 +68,9 @@ def record_rectify(
     planes: Array,
     given: Rectification,
     frame: tuple[int, int],
+    *,
     first: tuple[int, int],
     rows: tuple[int, int],
-    *,
     label: str = "rectified",
 ) -> Array:
     """Record the picture without distortion.

@@ -56,7 +56,16 @@ def launch_field(
     zero = np.zeros((index.shape[1], 1))
 
     def chief(guess: Launch) -> tuple[Launch, np.ndarray]:
-        px, py, found = _newton(geometry, index, guess, zero, zero, 0.0, 0.0, tolerance_mm)
+        px, py, found = _newton(
+            geometry,
+            index,
+            guess,
+            zero,
+            zero,
+            wanted_x=0.0,
+            wanted_y=0.0,
+            tolerance_mm=tolerance_mm,
+        )
         return replace(guess, base=guess.points(px, py)[:, :, 0]), found[:, 0]
 
     def field(angle: float) -> Launch:
@@ -94,6 +103,7 @@ def aim(
     launch: Launch,
     stop_x: np.ndarray,
     stop_y: np.ndarray,
+    *,
     tolerance_mm: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the rays that meet the stop surface at given points, by Newton on real rays.
@@ -117,12 +127,16 @@ def aim(
         False where no such ray was found.
     """
     zero = np.zeros((index.shape[1], 1))
-    chief_x, chief_y, slopes, _ = _at_stop(geometry, index, launch, zero, zero, tolerance_mm)
+    chief_x, chief_y, slopes, _ = _at_stop(
+        geometry, index, launch, zero, zero, tolerance_mm=tolerance_mm
+    )
     px, py, _ = _correction(slopes, stop_x - chief_x, stop_y - chief_y)
-    return _newton(geometry, index, launch, px, py, stop_x, stop_y, tolerance_mm)
+    return _newton(
+        geometry, index, launch, px, py, wanted_x=stop_x, wanted_y=stop_y, tolerance_mm=tolerance_mm
+    )
 
 
-def _at_stop(geometry, index, launch, px, py, tolerance_mm):
+def _at_stop(geometry, index, launch, px, py, *, tolerance_mm):
     """Return where rays meet the stop, the derivatives of that, and which could be traced.
 
     The derivatives dx/dpx, dx/dpy, dy/dpx, dy/dpy are forward differences: their step only sets
@@ -155,7 +169,7 @@ def _correction(slopes, need_x, need_y):
     return (d * need_x - b * need_y) / det, (a * need_y - c * need_x) / det, usable
 
 
-def _newton(geometry, index, launch, px, py, wanted_x, wanted_y, tolerance_mm):
+def _newton(geometry, index, launch, px, py, *, wanted_x, wanted_y, tolerance_mm):
     """Return px, py and success of the rays to wanted points of the stop, from a first guess."""
     px, py = px.copy(), py.copy()
     wanted_x, wanted_y = (np.broadcast_to(w, px.shape) for w in (wanted_x, wanted_y))
@@ -163,7 +177,7 @@ def _newton(geometry, index, launch, px, py, wanted_x, wanted_y, tolerance_mm):
     for _ in range(AIM_ITERATIONS):
         open_ = ~found.all(axis=0)
         x, y, slopes, traced = _at_stop(
-            geometry, index, launch, px[:, open_], py[:, open_], tolerance_mm
+            geometry, index, launch, px[:, open_], py[:, open_], tolerance_mm=tolerance_mm
         )
         need_x, need_y = wanted_x[:, open_] - x, wanted_y[:, open_] - y
         hit = traced[0] & (np.hypot(need_x, need_y) < tolerance_mm)

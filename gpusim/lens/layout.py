@@ -104,7 +104,12 @@ def beam(system: System, theta: float, rays: int, lead_mm: float) -> np.ndarray:
 
     def traced(stop_y):
         px, py, found = aim(
-            geometry, index, launch, np.zeros_like(stop_y), stop_y, AIM_TOLERANCE * radius
+            geometry,
+            index,
+            launch,
+            np.zeros_like(stop_y),
+            stop_y,
+            tolerance_mm=AIM_TOLERANCE * radius,
         )
         result = trace(geometry, index, launch, px, py)
         height = np.hypot(result.own_x, result.own_y)[:, 0]

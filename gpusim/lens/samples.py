@@ -106,8 +106,8 @@ def sample_rays(
     theta: float,
     stop_x: np.ndarray,
     stop_y: np.ndarray,
-    azimuth: float = 0.0,
     *,
+    azimuth: float = 0.0,
     whole: bool = False,
 ) -> Samples:
     """Aim real rays at points of the stop and trace them to the image plane.
@@ -187,7 +187,7 @@ def _sample(
     """Do what ``sample_rays`` promises, for a field whose launch plane is known."""
     geometry = system.geometry
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
-    px, py, found = aim(geometry, index, launch, stop_x, stop_y, tolerance)
+    px, py, found = aim(geometry, index, launch, stop_x, stop_y, tolerance_mm=tolerance)
     # The chief ray goes first.
     first = ((0, 0), (1, 0))
     lossy = goes_with_the_ray(system.prescription)

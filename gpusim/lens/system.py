@@ -321,7 +321,7 @@ def with_clear_apertures(prescription: LensModel) -> LensModel:
     for field in np.radians(np.linspace(0, prescription.max_field_deg, 9)):
         x, y = np.append(radius * np.cos(angle), 0.0), np.append(radius * np.sin(angle), 0.0)
         launch, reached = launch_field(geometry, index, field, 1e-9 * radius)
-        px, py, found = aim(geometry, index, launch, x, y, 1e-9 * radius)
+        px, py, found = aim(geometry, index, launch, x, y, tolerance_mm=1e-9 * radius)
         rays = trace(geometry, index, launch, px, py)
         if not (reached.all() and (found & rays.ok).all()):
             raise UserError(

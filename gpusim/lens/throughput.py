@@ -59,6 +59,7 @@ def layer(
     n2: np.ndarray,
     cos1: np.ndarray,
     cos2: np.ndarray,
+    *,
     phase_of_normal: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the reflectances of s and p light of one layer on a surface.
@@ -98,12 +99,14 @@ def _reflectance(
     prescription: LensModel,
     number: int,
     wavelengths_nm: np.ndarray,
-    n1: np.ndarray,
-    n2: np.ndarray,
-    cos1: np.ndarray,
-    cos2: np.ndarray,
+    indices: tuple[np.ndarray, np.ndarray],
+    cosines: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return what a surface (from 1) reflects of unpolarised light, (L, R); indices (L, 1)."""
+    """Return what a surface (from 1) reflects of unpolarised light, (L, R).
+
+    Indices (L, 1) and cosines (L, R) are those before and behind it.
+    """
+    n1, n2 = indices
     media = _glass_before(prescription, number), prescription.surfaces[number - 1].glass
     own = prescription.surfaces[number - 1].coating
     if own is None and (media[0] is None) != (media[1] is None):
@@ -116,9 +119,9 @@ def _reflectance(
         # A quarter of the design wavelength thick at normal incidence: n d = lambda_0 / 4 there.
         thickness_nm = own.mgf2_nm / (4 * design)
         phase = 2 * np.pi * film * thickness_nm / wavelengths_nm
-        s, p = layer(n1, film[:, None], n2, cos1, cos2, phase[:, None])
+        s, p = layer(n1, film[:, None], n2, *cosines, phase_of_normal=phase[:, None])
     else:
-        s, p = fresnel(n1, n2, cos1, cos2)
+        s, p = fresnel(n1, n2, *cosines)
     return (s + p) / 2
 
 
@@ -189,9 +192,9 @@ def throughput(
     """
     passed = []
     for number, surface in enumerate(prescription.surfaces, start=1):
-        n1, n2 = index[number - 1][:, None], index[number][:, None]
+        media = index[number - 1][:, None], index[number][:, None]
         at = rays.cos_in[number - 1], rays.cos_out[number - 1]
-        passed.append(1 - _reflectance(prescription, number, wavelengths_nm, n1, n2, *at))
+        passed.append(1 - _reflectance(prescription, number, wavelengths_nm, media, at))
         if prescription.internal_transmission and number < len(prescription.surfaces):
             places = prescription.glass_catalogues
             per_mm = absorption_per_mm(surface, places, wavelengths_nm)

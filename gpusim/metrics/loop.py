@@ -191,22 +191,7 @@ def _of_channel(
             reason=_both(reason, masked),
         ),
     ]
-    draws = np.random.default_rng(1289).standard_normal((DRAWS, mean.size))
-    tops = (variance + np.sqrt(transfer.variance_u2) * draws).argmax(axis=1)
-    capacity = expected["efficiency"] * transfer.photons[tops]
-    full = figures["saturation_e"]
-    clips = sensor.saturation_e
-    first = "well is full" if clips == sensor.full_well_e else f"converter ends, at {clips:.0f} e-"
-    found.append(
-        _row(
-            f"mu_e.sat{of}",
-            "e-",
-            sensor.full_well_e,
-            float(capacity.mean()),
-            Figure(full.value, math.hypot(full.u, float(capacity.std()))),
-            reason=f"the variance is highest a little before the {first}",
-        )
-    )
+    found.append(_saturation(f"mu_e.sat{of}", channel, sensor, expected["efficiency"], variance))
     if "prnu_percent" in figures:
         others = "" if says.prnu == sensor.prnu_percent else "rows, columns and masks are in it"
         found.append(
@@ -222,6 +207,26 @@ def _of_channel(
         if not reason:
             found += _parts(f"PRNU{of}", "%", says.prnu_percent, figures, "prnu_{}_percent")
     return found
+
+
+def _saturation(
+    name: str, channel: Channel, sensor: Sensor, efficiency: float, variance: np.ndarray
+) -> Row:
+    """Judge where the variance of levels, DN^2, is highest."""
+    transfer, full = channel.transfer, channel.figures["saturation_e"]
+    draws = np.random.default_rng(1289).standard_normal((DRAWS, variance.size))
+    tops = (variance + np.sqrt(transfer.variance_u2) * draws).argmax(axis=1)
+    capacity = efficiency * transfer.photons[tops]
+    clips = sensor.saturation_e
+    first = "well is full" if clips == sensor.full_well_e else f"converter ends, at {clips:.0f} e-"
+    return _row(
+        name,
+        "e-",
+        sensor.full_well_e,
+        float(capacity.mean()),
+        Figure(full.value, math.hypot(full.u, float(capacity.std()))),
+        reason=f"the variance is highest a little before the {first}",
+    )
 
 
 def _by_law(law: PixelLaw, lit: Transfer, dark_e: np.ndarray) -> dict[str, float]:

@@ -178,13 +178,7 @@ def sweep(
     costs = adapter_costs(device)
     chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
     accuracy = chosen.accuracy  # that of a time is found
-    # The others have its bank, know no more of the lens, and do not wait for it.
-    known = SimpleNamespace(
-        title=camera.title,
-        sensor=camera.sensor,
-        bank=lambda *_, **__: chosen.bank,
-        lens=SimpleNamespace(title=camera.lens.title),
-    )
+    known = _known(camera, chosen)
 
     def renderer(asked: Accuracy, plan: Plan | None = None, method: str | None = None) -> Renderer:
         given = {"exposure_s": exposure_s, "plan": plan, "costs": costs, "method": method}
@@ -226,11 +220,22 @@ def sweep(
             turned().release()
     rounds = _time(runs, renderer, exposure_s, budget_s=budget_s, report=report, clock=clock)
     points = {run.variant: _point(run, runs) for run in runs}
-    for variant, why in obstacles.items():
-        asked = variant.accuracy.tolerance
-        points[variant] = Point(variant.family, variant.name, False, asked, obstacle=why)
+    points |= {variant: _missing(variant, why) for variant, why in obstacles.items()}
     in_order = tuple(points[variant] for variant in everything if variant in points)
     return Sweep(in_order, first.certificate, runs[0].plan.shortfall, rounds)
+
+
+def _known(camera: Camera, chosen: Renderer) -> SimpleNamespace:
+    """Return a camera with the bank of the chosen plan.
+
+    Other plans know no more of the lens, and do not wait for it.
+    """
+    return SimpleNamespace(
+        title=camera.title,
+        sensor=camera.sensor,
+        bank=lambda *_, **__: chosen.bank,
+        lens=SimpleNamespace(title=camera.lens.title),
+    )
 
 
 def _made(
@@ -373,3 +378,8 @@ def _point(run: _Run, runs: Sequence[_Run]) -> Point:
         reach_samples=" + ".join(str(grid.half_size) for grid in grids),
         planes=plan.basis.coefficients.shape[1],
     )
+
+
+def _missing(variant: Variant, why: str) -> Point:
+    """Return the point of a variant that cannot be rendered."""
+    return Point(variant.family, variant.name, False, variant.accuracy.tolerance, obstacle=why)

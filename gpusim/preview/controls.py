@@ -62,6 +62,7 @@ class Controls:
         label: str,
         name: str,
         value: float,
+        *,
         least: float,
         most: float,
         form: str,
@@ -85,7 +86,13 @@ class Controls:
             self._changes["exposure_s"] = None if auto else 0.01
         if shown is not None:
             self._slider(
-                "exposure, s", "exposure_s", shown, SHORTEST_S, LONGEST_S, "%.3g", log=True
+                "exposure, s",
+                "exposure_s",
+                shown,
+                least=SHORTEST_S,
+                most=LONGEST_S,
+                form="%.3g",
+                log=True,
             )
         sensor = self.sensor(knobs)
         speeds = sorted({step.iso for step in sensor.analogue_gains or () if step.iso is not None})
@@ -98,14 +105,16 @@ class Controls:
                 self._changes["iso"] = int(names[new])
         celsius = knobs.temperature_c
         celsius = sensor.reference_temperature_c if celsius is None else celsius
-        self._slider("temperature, C", "temperature_c", celsius, -40.0, 85.0, "%.0f")
+        self._slider(
+            "temperature, C", "temperature_c", celsius, least=-40.0, most=85.0, form="%.0f"
+        )
         turned, noise = imgui.checkbox("noise", knobs.noise)
         if turned:
             self._changes["noise"] = noise
         imgui.same_line()
         if imgui.small_button("new seed"):
             self._changes["seed"] = knobs.seed + 1
-        self._slider("shown at, EV", "ev", knobs.ev, -6.0, 6.0, "%+.1f")
+        self._slider("shown at, EV", "ev", knobs.ev, least=-6.0, most=6.0, form="%+.1f")
 
     def _lens(self, knobs: Knobs) -> None:
         camera, widest, _ = bare_camera(knobs.bare)
@@ -116,15 +125,15 @@ class Controls:
             return
         self._slider(
             "focus shift, um", "focus_shift_um", knobs.focus_shift_um or 0.0,
-            -FOCUS_UM, FOCUS_UM, "%+.1f",
+            least=-FOCUS_UM, most=FOCUS_UM, form="%+.1f",
         )  # fmt: skip
         self._slider(
             "f-number",
             "f_number",
             knobs.f_number or widest,
-            widest,
-            SMALLEST_STOP,
-            "f/%.2g",
+            least=widest,
+            most=SMALLEST_STOP,
+            form="f/%.2g",
             log=True,
         )
         far = knobs.focus_distance_m or 1000.0
@@ -140,7 +149,7 @@ class Controls:
         )
         self._slider(
             "white, cd/m2", "luminance_cd_m2", knobs.luminance_cd_m2 or 300.0,
-            0.01, 1e5, "%.3g", log=True,
+            least=0.01, most=1e5, form="%.3g", log=True,
         )  # fmt: skip
 
     def _parts(self, knobs: Knobs) -> None:

@@ -124,7 +124,7 @@ def _on_rings(
     spokes = 2 * np.pi * np.arange(SPOKES) / SPOKES
 
     def land(field: tuple[float, float]) -> tuple[float, float]:
-        found = sample_rays(system, index, np.radians(field[0]), MIDDLE, MIDDLE, field[1])
+        found = sample_rays(system, index, np.radians(field[0]), MIDDLE, MIDDLE, azimuth=field[1])
         return 1e3 * found.chief_x_mm[0], 1e3 * found.chief_y_mm[0]
 
     fields = [(0.0, 0.0)]

@@ -58,6 +58,7 @@ def crosstalk_at(
     row: np.ndarray,
     col: np.ndarray,
     signal: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    *,
     pattern: Sequence[Sequence[str]],
     between: Callable[[str, str], np.ndarray],
     frame: tuple[int, int, int, int],

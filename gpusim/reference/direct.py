@@ -10,6 +10,7 @@ import numpy as np
 def direct(
     planes: np.ndarray,
     taps: Sequence[np.ndarray],
+    *,
     low: int,
     first: tuple[float, float],
     step: tuple[float, float],

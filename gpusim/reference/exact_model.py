@@ -116,9 +116,19 @@ class ExactCore:
             )
             step = bank.pitch_um / divide
             ends = [(-1.0, 0.0), *([inner] if 2 * inner[1] < reach else []), (reach, reach)]
-            zones = [Zone(step, CHANGE_SPLIT, CHANGE_DEGREE, ends[0], change, boxes, True)]
+            zones = [
+                Zone(
+                    step,
+                    CHANGE_SPLIT,
+                    CHANGE_DEGREE,
+                    rises=ends[0],
+                    falls=change,
+                    boxes=boxes,
+                    change=True,
+                )
+            ]
             zones += [
-                Zone(step / cells, split, degree, rises, falls, boxes)
+                Zone(step / cells, split, degree, rises=rises, falls=falls, boxes=boxes)
                 for cells, split, degree, rises, falls in zip(
                     CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
                 )

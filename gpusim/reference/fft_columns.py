@@ -10,6 +10,7 @@ import numpy as np
 def fft_columns(
     spectra: np.ndarray,
     kernels: Sequence[np.ndarray],
+    *,
     first_s: float,
     step_s: float,
     sites: Sequence[tuple[int, int, int]],

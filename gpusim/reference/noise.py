@@ -73,7 +73,7 @@ def poisson(
 ) -> np.ndarray:
     """Return the Poisson count of each pixel, from the same words as the stage."""
     mean = np.asarray(mean, np.float64)
-    high, low = (shared_word(row, col, frame, SHOT, seed, draw) for draw in (0, 1))
+    high, low = (shared_word(row, col, frame, SHOT, seed, draw=draw) for draw in (0, 1))
     with np.errstate(divide="ignore"):
         sums = (mean < SUMS_BELOW) | (
             deviate(row, col, frame, SHOT, seed) / np.sqrt(mean) < SUMS_BEYOND

@@ -112,6 +112,7 @@ def paint(
     primitives: list[dict],
     materials: np.ndarray,
     background: int,
+    *,
     origin_xy: tuple[float, float],
     shape: tuple[int, int],
     sigma: float,

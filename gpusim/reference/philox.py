@@ -35,7 +35,7 @@ def philox(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
 
 
 def shared_word(
-    row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int, draw: int = 0
+    row: np.ndarray, col: np.ndarray, frame: int, purpose: int, key: int, *, draw: int = 0
 ) -> np.ndarray:
     """Return one word for each pixel, one call serving four neighbours of a row."""
     last = np.uint64(purpose << 16 | draw)

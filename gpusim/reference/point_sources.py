@@ -9,12 +9,12 @@ from scipy.ndimage import map_coordinates
 def point_sources(
     pixels: np.ndarray,
     channels: np.ndarray,
+    *,
     centres: np.ndarray,
     axes: np.ndarray,
     radiance: np.ndarray,
     near: list[np.ndarray],
     far: list[np.ndarray],
-    *,
     radius: float,
     step: float,
 ) -> np.ndarray:

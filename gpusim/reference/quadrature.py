@@ -51,6 +51,7 @@ class Zone:
         step_um: float,
         split: int,
         degree: int,
+        *,
         rises: tuple[float, float],
         falls: tuple[float, float],
         boxes: list[tuple[float, float, float, float, float]],

@@ -14,6 +14,7 @@ def warp(
     shape: tuple[int, int],
     centre_xy: tuple[float, float],
     scale: float,
+    *,
     distortion: np.ndarray,
     radius: float,
     circle: tuple[float, float] = (0.0, 0.0),
@@ -56,9 +57,9 @@ def warp(
                 shape,
                 centre_xy,
                 scale,
-                distortion,
-                radius,
-                circle,
+                distortion=distortion,
+                radius=radius,
+                circle=circle,
             )
             for j in range(-reach, reach + 1)
             for i in range(-reach, reach + 1)

@@ -73,7 +73,10 @@ def patch_facts(capture: Capture, developed: np.ndarray) -> dict[str, Any] | Non
         "mean_delta_e_2000": float(colours.delta_e["2000"][used].mean()),
         "largest_delta_e_2000": float(colours.delta_e["2000"][used].max()),
         "patches": [
-            _patch(at, names, boxes, clipped, colours, chart_xyz, back) for at in range(len(names))
+            _patch(
+                at, names, boxes, clipped=clipped, colours=colours, chart_xyz=chart_xyz, to_rgb=back
+            )
+            for at in range(len(names))
         ],
     }
 
@@ -82,6 +85,7 @@ def _patch(
     at: int,
     names: tuple[str, ...],
     boxes: tuple[tuple[int, int, int, int], ...],
+    *,
     clipped: np.ndarray,
     colours: Colours,
     chart_xyz: np.ndarray,

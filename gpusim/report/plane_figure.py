@@ -45,8 +45,8 @@ def draw_plane(page: PlanePage, *, titled: bool = True) -> Figure:
                 panel(figure, 7.85, 7.25 - 3.3 * row, 3.5, 2.5),
                 bank,
                 page.mtf[row],
-                f"MTF at {page.frequency:g} cycles/mm along {axis}",
-                "{:.2f}",
+                title=f"MTF at {page.frequency:g} cycles/mm along {axis}",
+                form="{:.2f}",
                 limits=(0.0, 1.0),
             )
         _chief_rays(panel(figure, 0.8, 0.95, 2.9, 2.2), page)
@@ -54,13 +54,13 @@ def draw_plane(page: PlanePage, *, titled: bool = True) -> Figure:
             panel(figure, 4.55, 0.95, 2.9, 2.2),
             bank,
             page.lateral_um,
-            f"Lateral colour [{_MICRO}]",
-            "{:.1f}" if page.lateral_um.max() >= 10 else "{:.2f}",
+            title=f"Lateral colour [{_MICRO}]",
+            form="{:.1f}" if page.lateral_um.max() >= 10 else "{:.2f}",
         )
         light = bank.relative_illumination[..., bank.reference]
         limits = (0.9 * float(light.min()), float(light.max()))
         axes = panel(figure, 8.35, 0.95, 2.9, 2.2)
-        _map(axes, bank, light, "Relative illumination", "{:.2f}", limits)
+        _map(axes, bank, light, title="Relative illumination", form="{:.2f}", limits=limits)
         write(figure, 0.55, 0.28, _FOOT, fontsize=7, color=SOFT, va="center")
     return figure
 
@@ -139,6 +139,7 @@ def _map(
     axes: Axes,
     bank: PlaneBank,
     values: np.ndarray,
+    *,
     title: str,
     form: str,
     limits: tuple[float, float] | None = None,

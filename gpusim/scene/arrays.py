@@ -25,7 +25,7 @@ def rgb_scene(
             "impossible luminance", field="white_cd_m2", value=white_cd_m2, allowed="above 0"
         )
     planes = np.ascontiguousarray(np.moveaxis(pixels, 2, 0))
-    return lit_rgb(name, planes, np.ones(3), white_cd_m2, ())
+    return lit_rgb(name, planes, np.ones(3), scale_cd_m2=white_cd_m2, notes=())
 
 
 def spectral_scene(

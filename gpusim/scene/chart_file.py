@@ -138,7 +138,7 @@ def read_chart(
     materials = _Materials(data.fills, path)
     background = materials.number(data.background, "background")
     if data.pattern is not None:
-        drawn = _drawn(data.pattern, materials, background, scale, frame, path)
+        drawn = _drawn(data.pattern, materials, background, scale=scale, frame=frame, path=path)
         fills = tuple(materials.fills[number] for number in drawn.materials)
         source = Raster(drawn.planes, half_um=drawn.half_um)
         return Laid(data.title, source, fills, (drawn.note,))
@@ -236,6 +236,7 @@ def _drawn(
     given: dict[str, Any],
     materials: _Materials,
     background: int,
+    *,
     scale: float,
     frame: Frame,
     path: Path,

@@ -121,4 +121,6 @@ def _photograph(
     if not known:
         notes += (f"the file gives no whiteLuminance: RGB (1, 1, 1) taken as {scale:g} cd/m^2",)
     white = np.asarray(photograph.white_rgb)
-    return lit_rgb(path.name, photograph.rgb, white, scale, notes, method)
+    return lit_rgb(
+        path.name, photograph.rgb, white, scale_cd_m2=scale, notes=notes, upsampling=method
+    )

@@ -67,6 +67,7 @@ def lit_rgb(
     name: str,
     planes: np.ndarray,
     white_rgb: np.ndarray,
+    *,
     scale_cd_m2: float,
     notes: tuple[str, ...],
     upsampling: str = MALLETT,

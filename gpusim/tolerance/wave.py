@@ -150,7 +150,7 @@ def _rays(
     y: np.ndarray,
 ) -> Samples:
     index = system.index(wavelengths_nm)
-    return sample_rays(system, index, theta, x, y, azimuth, whole=True)
+    return sample_rays(system, index, theta, x, y, azimuth=azimuth, whole=True)
 
 
 def _lateral(samples: Samples, reference: int) -> np.ndarray:

@@ -112,6 +112,7 @@ def kept(frequency: np.ndarray, knots_px: np.ndarray) -> np.ndarray:
 def sfr_deviation(
     distance_px: np.ndarray,
     lsf: np.ndarray,
+    *,
     dark_e: float,
     bright_e: float,
     read_noise_e: float,

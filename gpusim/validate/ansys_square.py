@@ -139,7 +139,7 @@ class Square:
         """Return an edge without noise, measured and predicted."""
         place, target = self.edges[number]
         picture, band = self.region(number, self.rate), band_of(self.sensor)
-        return compare(place, target, band, picture, self.sensor, self.predictor)
+        return compare(place, target, band, picture, sensor=self.sensor, predictor=self.predictor)
 
     def noise(self, number: int, frames: list[np.ndarray]) -> Noise:
         """Return an edge in frames of electrons, and what the closed form says of it."""
@@ -155,11 +155,11 @@ class Square:
         expected = sfr_deviation(
             clean.distance_px,
             np.interp(clean.distance_px, edge.distance_px, edge.predicted_lsf),
-            float(levels[:outer].mean()),
-            float(levels[-outer:].mean()),
-            self.sensor.temporal_dark_noise_e,
-            length_px / math.cos(TILT_RAD),
-            clean.rise_px,
+            dark_e=float(levels[:outer].mean()),
+            bright_e=float(levels[-outer:].mean()),
+            read_noise_e=self.sensor.temporal_dark_noise_e,
+            pixels_per_px=length_px / math.cos(TILT_RAD),
+            rise_px=clean.rise_px,
         )
         curves = np.array([sfr_of(frame)[1].sfr for frame in frames])
         return Noise(number, curves, clean.sfr, expected, float(clean.distance_px[-1]))

@@ -141,6 +141,7 @@ def compare(
     target: Target,
     band: Band,
     picture: np.ndarray,
+    *,
     sensor: Sensor,
     predictor: Predictor,
 ) -> Found:
@@ -152,7 +153,9 @@ def compare(
     sfr = measure_sfr(picture, (0, 0, *region[2:]))
     at = sfr.distance_px
     fine = np.arange(at[0] - 2, at[-1] + 2, 1 / 32)
-    shape, normal = predicted_lsf(place, target, band, sensor, predictor, fine)
+    shape, normal = predicted_lsf(
+        place, target, band, sensor=sensor, predictor=predictor, distance_px=fine
+    )
     own = slice(None) if target.axis == "vertical" else slice(None, None, -1)
     x, y = np.array([place.x, place.y])[own]
     nx, ny = normal[own]
@@ -185,6 +188,7 @@ def predicted_lsf(
     place: Place,
     target: Target,
     band: Band,
+    *,
     sensor: Sensor,
     predictor: Predictor,
     distance_px: np.ndarray,

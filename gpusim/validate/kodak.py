@@ -278,8 +278,9 @@ def measure_edges(
             for place in (place for place in TABLE_1 if place.number in target.ideal_um):
                 region = region_of(place, target.axis, renders.sensor)
                 picture = cut(light, region) / cut(flat, region)
-                given = place, target, own, picture, renders.sensor, predictor
-                found[band, target.axis, place.number] = compare(*given)
+                found[band, target.axis, place.number] = compare(
+                    place, target, own, picture, sensor=renders.sensor, predictor=predictor
+                )
     progress("renders", total, total)
     tracer = predictor.tracer
     return Edges(found, captures, tracer.name, tracer.independent)

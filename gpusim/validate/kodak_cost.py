@@ -156,7 +156,7 @@ def measure_costs(
 
     def error(k: int, picture: np.ndarray) -> Error:
         shown = picture / cut(flat, regions[k])
-        edge = compare(places[k], target, band, shown, sensor, predictor)
+        edge = compare(places[k], target, band, shown, sensor=sensor, predictor=predictor)
         rms = float(np.sqrt(np.mean((picture / finest[k] - 1) ** 2)))
         return Error(rms, float(edge.error_px), edge.mtf_error)
 

@@ -147,7 +147,7 @@ def edges_of(
     found = []
     for (name, place), capture in zip(places.items(), captures, strict=True):
         for channel in LINES_NM:
-            one = edge_of(place, target, channel, capture.rate, sensor, predictor)
+            one = edge_of(place, target, channel, capture.rate, sensor=sensor, predictor=predictor)
             found.append(Edge(optics, name, channel, *one))
     return found, Certified(captures[0].certificate, TOLERANCE)
 
@@ -188,6 +188,7 @@ def edge_of(
     target: Target,
     channel: str,
     rate: np.ndarray,
+    *,
     sensor: Sensor,
     predictor: Predictor,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -204,7 +205,9 @@ def edge_of(
     for diffracts in (True, False):
         other = copy(predictor)
         other.diffracts, other.found = diffracts, {}
-        lsf, normal = predicted_lsf(place, target, band, sensor, other, far)
+        lsf, normal = predicted_lsf(
+            place, target, band, sensor=sensor, predictor=other, distance_px=far
+        )
         curves.append(step_of(np.interp(at, far, cumulative_trapezoid(lsf, far, initial=0))))
     # The measured edge crosses the row in the middle of the region; the predicted one the place.
     row = sfr.line.middle_px

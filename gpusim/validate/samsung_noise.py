@@ -120,7 +120,9 @@ def measure_noise(lens: Prescription, predictor: Predictor) -> Noise:
                 expected = _expected(own, rates[name], exposure)
                 if expected is not None:
                     sites = [pair[k][_sites(letters, name, pair[k].shape)] for k in (0, 1)]
-                    readings.append(_read(name, iso, exposure, sites, own, expected))
+                    readings.append(
+                        _read(name, iso, exposure, sites=sites, sensor=own, expected=expected)
+                    )
     light.release()
     return Noise(readings, Certified(light.certificate, TOLERANCE))
 
@@ -145,6 +147,7 @@ def _read(
     name: str,
     iso: int,
     exposure_s: float,
+    *,
     sites: Sequence[np.ndarray],
     sensor: Sensor,
     expected: tuple[float, float],

@@ -116,7 +116,9 @@ class OwnTracer:
         margin = found.margin[bounded, 0][:, ok]
         launch = field_launch(self.system, index, field_rad)
         close = AIM_TOLERANCE * self.system.stop_radius_mm
-        aimed = aim(self.system.geometry, index, launch, radius * px, radius * py, close)
+        aimed = aim(
+            self.system.geometry, index, launch, radius * px, radius * py, tolerance_mm=close
+        )
         entered = np.stack([aimed[0][0], aimed[1][0]])[:, ok]
         chief = float(found.chief_y_mm[0]), float(found.chief_direction[0, 1])
         return Bundle(*chief, *(part[ok] for part in parts), margin, entered)

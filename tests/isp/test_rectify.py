@@ -37,7 +37,7 @@ def test_planes_are_those_of_the_reference(device: Device, maps: tuple, shape: t
     found = through(
         device,
         planes,
-        lambda rec, one: record_rectify(rec, one, made, shape, (0, 0), (0, shape[0])),
+        lambda rec, one: record_rectify(rec, one, made, shape, first=(0, 0), rows=(0, shape[0])),
     )
     # Places of up to 40 pixels, some 20 ULP of 40 off, on slopes of 0.3 a pixel; and 16 products.
     assert_close(found, rectify(planes, maps, made.axis), atol=20 * 40 * 0.3 * ULP + 32 * ULP)
@@ -52,7 +52,7 @@ def test_a_band_is_that_of_the_whole(device: Device):
     found = through(
         device,
         np.ascontiguousarray(part),
-        lambda rec, one: record_rectify(rec, one, made, (40, 44), (first, -4), (8, 12)),
+        lambda rec, one: record_rectify(rec, one, made, (40, 44), first=(first, -4), rows=(8, 12)),
     )
     assert_close(found[..., 4:-4], whole[:, 8:20], atol=20 * 44 * 0.3 * ULP + 32 * ULP)
 
@@ -60,7 +60,9 @@ def test_a_band_is_that_of_the_whole(device: Device):
 def test_the_map_of_nothing_changes_nothing(device: Device):
     planes, made = smooth(12, 16), Rectification(((1.0, 0, 0, 0, 0, 0),), (0.5, 0.5))
     found = through(
-        device, planes, lambda rec, one: record_rectify(rec, one, made, (12, 16), (0, 0), (0, 12))
+        device,
+        planes,
+        lambda rec, one: record_rectify(rec, one, made, (12, 16), first=(0, 0), rows=(0, 12)),
     )
     assert_close(found, planes, atol=20 * 16 * 0.3 * ULP)
 

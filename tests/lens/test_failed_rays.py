@@ -130,7 +130,7 @@ def test_aiming_through_wild_surfaces_finds_the_point_or_says_that_it_did_not():
         if not found.all():
             continue
         x, y = rng.uniform(-4, 4, (2, 12))
-        px, py, aimed = aim(geometry, index, launch, x, y, 1e-8)
+        px, py, aimed = aim(geometry, index, launch, x, y, tolerance_mm=1e-8)
         rays = trace(geometry, index, launch, px, py, through=geometry.stop + 1)
         miss = np.hypot(rays.own_x[-1] - x, rays.own_y[-1] - y)
         assert (miss[aimed] < 1e-8).all()

@@ -147,7 +147,7 @@ def test_a_lens_turned_about_its_first_vertex_sees_another_field(degrees):
         x, y = stop_points(build(still))
         launch, found = launch_field(geometry, index, np.radians(field), 1e-9)
         assert found.all()
-        px, py, found = aim(geometry, index, launch, x, y, 1e-9)
+        px, py, found = aim(geometry, index, launch, x, y, tolerance_mm=1e-9)
         assert found.all()
         bundles.append(trace(geometry, index, launch, px, py))
     centred, turned = bundles

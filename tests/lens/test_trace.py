@@ -178,7 +178,7 @@ def test_aimed_rays_land_where_they_were_sent(double_gauss, field):
     radius = system.stop_radius_mm
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     launch, reached = launch_field(system.geometry, index, np.radians(field), 1e-9 * radius)
-    px, py, found = aim(system.geometry, index, launch, x, y, 1e-9 * radius)
+    px, py, found = aim(system.geometry, index, launch, x, y, tolerance_mm=1e-9 * radius)
     rays = trace(system.geometry, index, launch, px, py)
     assert reached.all()
     assert found.all()
@@ -265,7 +265,7 @@ def test_rays_of_a_fisheye_start_on_a_wavefront_and_land_where_they_were_sent(fi
     assert reached.all()
     angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     x, y = np.append(radius * np.cos(angle), 0.0), np.append(radius * np.sin(angle), 0.0)
-    px, py, found = aim(system.geometry, index, launch, x, y, tolerance)
+    px, py, found = aim(system.geometry, index, launch, x, y, tolerance_mm=tolerance)
     assert found.all()
     rays = trace(system.geometry, index, launch, px, py)
     assert rays.ok.all()

@@ -87,8 +87,16 @@ def case(device, grid: SimGrid, support, planes, needed, origin, size, weighted=
 
     def summed(planes: np.ndarray, kernels: list[np.ndarray]) -> np.ndarray:
         used = [of_node[:needed, outputs.of_site] for of_node in kernels]
-        geometry = (layout.low, first, step, offsets, grid.stride, grid.half_size)
-        return direct(planes[:needed], used, *geometry)
+        return direct(
+            planes[:needed],
+            used,
+            low=layout.low,
+            first=first,
+            step=step,
+            sites=offsets,
+            stride=grid.stride,
+            reach=grid.half_size,
+        )
 
     largest = [np.max(np.abs(taps), axis=0)] * 4
     n = needed * layout.lines * 4 * layout.groups

@@ -98,7 +98,9 @@ def case(
     spectra, kernels = spectra[:needed], [one[:needed].transpose(1, 0, 2, 3) for one in kernels]
     if nodes < 4:  # no weights: the upper nodes of a block on their line
         first_s = step_s = 0.0
-    expected = fft_columns(spectra, kernels, first_s, step_s, sites, stride)
+    expected = fft_columns(
+        spectra, kernels, first_s=first_s, step_s=step_s, sites=sites, stride=stride
+    )
     s = first_s + step_s * np.arange(height)
     # |A_0| and |A_1| are at most the mean of |Z[k]| and |Z[T-k]|, which are at most sqrt 2.
     norm = sum(np.sqrt(length * np.sum(2 * weight**2)) for weight in (1 - s, 1 - s, s, s)) * needed

@@ -142,7 +142,17 @@ def reference(
         }
         for one, under in zip(shapes, materials_under(shapes, background), strict=True)
     ]
-    return paint(rows, table, background, origin, shape, sigma, distortion, radius, circle)
+    return paint(
+        rows,
+        table,
+        background,
+        origin_xy=origin,
+        shape=shape,
+        sigma=sigma,
+        distortion=distortion,
+        radius=radius,
+        circle=circle,
+    )
 
 
 def check(shapes, table, *place, **more) -> np.ndarray:

@@ -136,11 +136,11 @@ def random_case(period, spectra, count, rect, seed=0):
     expected = before + point_sources(
         pixels.reshape(-1, 2) + 0.5,
         site_channels[site].ravel(),
-        centres,
-        rows["axis"].astype(float),
-        colours,
-        list(fine.astype(F32)[rows["kernel"]]),
-        list(coarse.astype(F32)[rows["kernel"]]),
+        centres=centres,
+        axes=rows["axis"].astype(float),
+        radiance=colours,
+        near=list(fine.astype(F32)[rows["kernel"]]),
+        far=list(coarse.astype(F32)[rows["kernel"]]),
         radius=radius,
         step=step,
     ).reshape(before.shape)

@@ -87,6 +87,13 @@ def on_device(
     return result["planes"]
 
 
+def reference(
+    samples, origin, shape, centre, scale, distortion, radius, circle=(0.0, 0.0), **given
+) -> np.ndarray:
+    given |= {"distortion": distortion, "radius": radius, "circle": circle}
+    return warp(samples, origin, shape, centre, scale, **given)
+
+
 def bound(samples, origin, shape, centre, scale, distortion) -> float:
     """Return the tolerance of the header, at its largest over the block, with r2 <= 1."""
     largest = np.abs(spline_filter(samples, order=3, mode="mirror")).max()
@@ -110,7 +117,7 @@ def test_samples_are_those_of_the_reference(case):
     side, size, *place = case
     samples = raster(*size)
     found = on_device(samples, *place, side=side)[0]
-    expected = warp(samples, *place)
+    expected = reference(samples, *place)
     assert_close(found, expected, atol=bound(samples, *place[:5]))
     # Control: where twice as many share a patch, they do not all find in it what they read.
     crowded = on_device(samples, *place, side=2 * side)[0]
@@ -142,7 +149,7 @@ def test_planes_that_are_made_at_once_are_apart(count: int):
         found = on_device(each[0], *place, **given, plane=1, count=count + 2, others=each[1:])
         assert unwritten(found[[0, -1]]).all()
         for one, samples in zip(found[1:-1], each, strict=True):
-            expected = warp(samples, *place, **given)
+            expected = reference(samples, *place, **given)
             # As below: a step of 4 roundings each way, and nine weighted sums.
             allowed = 1.3 * bound(samples, *place[:5]) * np.abs(weights).sum() ** 2
             assert_close(one, expected, atol=allowed + 9 * ULP * np.abs(expected).max())
@@ -155,7 +162,7 @@ def test_a_lens_without_an_axis_has_a_map_in_both_coordinates(cells: int):
     terms = bent(cells, cells, radius)
     place = ((-20.5, -13.5), (37, 45), (14.3, 10.6), 0.37, terms, radius, circle)
     found = on_device(samples, *place)[0]
-    expected = warp(samples, *place)
+    expected = reference(samples, *place)
     # Forty roundings of the net, at most 0.1 radii, and of a place in it where that changes by 0.3
     # radii; four of u.
     off = ULP * ((40 * 0.4 + 4) * radius * 0.37 + 4 * 14.3)
@@ -164,7 +171,7 @@ def test_a_lens_without_an_axis_has_a_map_in_both_coordinates(cells: int):
     assert 0.2 < np.mean(expected == 0) < 0.9
     # Controls: the terms of x and y, and what they give, told apart.
     for wrong in (terms.swapaxes(0, 1), terms[..., ::-1]):
-        assert np.abs(warp(samples, *place[:4], wrong, *place[5:]) - expected).max() > 0.01
+        assert np.abs(reference(samples, *place[:4], wrong, *place[5:]) - expected).max() > 0.01
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 1), (1, 9), (7, 1), (2, 2), (3, 4)])
@@ -172,7 +179,7 @@ def test_rasters_of_few_samples(size: tuple[int, int]):
     samples = raster(*size)
     place = ((-7.5, -5.5), (12, 17), ((size[1] - 1) / 2, (size[0] - 1) / 2), 0.77, IDENTITY)
     found = on_device(samples, *place, 1000.0)[0]
-    assert_close(found, warp(samples, *place, 1000.0), atol=bound(samples, *place))
+    assert_close(found, reference(samples, *place, 1000.0), atol=bound(samples, *place))
 
 
 def test_at_its_samples_the_spline_is_the_raster():
@@ -194,7 +201,7 @@ def test_one_plane_of_several_is_written():
     place = ((-2.5, -2.5), (9, 20), (2.5, 2.0), 0.5, IDENTITY)
     found = on_device(samples, *place, 1000.0, plane=1, count=3)
     assert unwritten(found[[0, 2]]).all()
-    assert_close(found[1], warp(samples, *place, 1000.0), atol=bound(samples, *place))
+    assert_close(found[1], reference(samples, *place, 1000.0), atol=bound(samples, *place))
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
@@ -298,7 +305,7 @@ def test_a_sum_over_points_is_that_of_the_reference():
     place = ((-20.5, -13.5), (21, 25), (14.3, 10.6), 0.37, BENT, 40.0)
     weights = np.array([-0.25, 0.5, 0.75, 0.375, -0.375])  # lopsided: none is taken for another
     found = on_device(samples, *place, weights=weights, step=0.625)[0]
-    expected = warp(samples, *place, weights=weights, step=0.625)
+    expected = reference(samples, *place, weights=weights, step=0.625)
     # One more step of 4 roundings each way, and 25 weighted sums.
     allowed = bound(samples, *place[:5]) * np.abs(weights).sum() ** 2
     assert_close(found, expected, atol=1.3 * allowed + 25 * ULP * np.abs(expected).max())

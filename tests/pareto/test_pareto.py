@@ -198,7 +198,9 @@ class Clock:
 
     def time(self, runs: list[_Run], budget_s: float = 0.0) -> int:
         """Time some runs by this clock."""
-        return turns._time(runs, self, 0.01, budget_s, lambda *step: None, lambda: self.now)
+        return turns._time(
+            runs, self, 0.01, budget_s=budget_s, report=lambda *step: None, clock=lambda: self.now
+        )
 
 
 def run_of(name: str, frame_s: float, rms: float = 0.0, family: str = "knob") -> _Run:
@@ -396,7 +398,7 @@ def swept(monkeypatch: pytest.MonkeyPatch, found: Sweep) -> dict[str, object]:
     """Put the sweep from above in place of the work; return what it was asked for."""
     given: dict[str, object] = {"met": True}
 
-    def instead(camera: object, scene: object, accuracy: Accuracy, *rest: object) -> Sweep:
+    def instead(camera: object, scene: object, accuracy: Accuracy, *_: object, **__) -> Sweep:
         given["accuracy"] = accuracy
         certificate = replace(found.certificate, met=given["met"])
         return replace(found, certificate=certificate, shortfall=given.get("shortfall", ""))

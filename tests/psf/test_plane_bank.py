@@ -262,7 +262,7 @@ def test_the_map_meets_chief_rays_that_took_no_part_in_the_fit(bank):
     none = np.zeros(1)
     for _ in range(12):
         theta, azimuth = np.radians(2.9 * np.sqrt(rng.uniform())), rng.uniform(0, 2 * np.pi)
-        rays = sample_rays(system, system.index(GREEN), theta, none, none, azimuth)
+        rays = sample_rays(system, system.index(GREEN), theta, none, none, azimuth=azimuth)
         x, y = 1e3 * rays.chief_x_mm, 1e3 * rays.chief_y_mm
         u, v, inside = bank.ideal_points(x, y)
         assert inside.all()

@@ -72,9 +72,9 @@ def test_the_reference_of_pixels_alone_is_that_of_the_whole(pattern, side: int, 
         row,
         col,
         lambda row, col: signal[row - first[0], col - first[1]].astype(float),
-        camera.cfa.pattern,
-        kernels.between,
-        (*first, 13, 17),
+        pattern=camera.cfa.pattern,
+        between=kernels.between,
+        frame=(*first, 13, 17),
     )
     assert_close(found, expected, rtol=1e-12)
 

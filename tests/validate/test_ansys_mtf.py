@@ -107,7 +107,9 @@ def drawn(sensor, predictor, number, seen=None):
     y, x = np.mgrid[top : top + height, left : left + width] + 0.5
     fine = np.arange(-60.0, 60.0, 1 / 32)
     band = ansys_square.band_of(sensor)
-    lsf, normal = predicted_lsf(place, target, band, seen or sensor, predictor, fine)
+    lsf, normal = predicted_lsf(
+        place, target, band, sensor=seen or sensor, predictor=predictor, distance_px=fine
+    )
     rise = np.cumsum(lsf) / lsf.sum()
     way = (x - sensor.cols / 2 - place.x) * normal[0] + (y - sensor.rows / 2 - place.y) * normal[1]
     return place, target, band, 1 + np.interp(way, fine + 1 / 64, rise)
@@ -116,18 +118,19 @@ def drawn(sensor, predictor, number, seen=None):
 @pytest.mark.parametrize("number", [1, 3])
 def test_edges_as_predicted_are_found_so(sensor, predictor, number):
     place, target, band, picture = drawn(sensor, predictor, number)
-    found = compare(place, target, band, picture, sensor, predictor)
+    found = compare(place, target, band, picture, sensor=sensor, predictor=predictor)
     assert found.mtf_error < 0.002 and abs(found.error_px) < 0.002
 
 
 def test_a_wrong_aperture_and_a_wrong_focus_are_seen(sensor, predictor):
     smaller = sensor.model_copy(update={"fill_factor": 0.9})
     given = drawn(sensor, predictor, 3, smaller)
-    found = compare(*given, sensor, predictor)
+    found = compare(*given, sensor=sensor, predictor=predictor)
     assert found.mtf_error > ansys_mtf.SFR_BAR
     moved = ansys_square.predictor_of(READING.lens.defocused(15.0), sensor, 104)
     *others, picture = drawn(sensor, predictor, 3)
-    assert compare(*others, picture, sensor, moved).mtf_error > ansys_mtf.SFR_BAR
+    found = compare(*others, picture, sensor=sensor, predictor=moved)
+    assert found.mtf_error > ansys_mtf.SFR_BAR
 
 
 def test_simpler_models_lie_where_optics_puts_them(sensor, predictor):

@@ -44,7 +44,9 @@ def drawn(place, target, band, sensor, predictor, moved_px=0.0):
     """Return the picture of an edge as a lens is predicted to show it, moved by some pixels."""
     x, y, width, height = region_of(place, target.axis, sensor)
     at = np.arange(-60, 60, 1 / 32)
-    spread, normal = predicted_lsf(place, target, band, sensor, predictor, at)
+    spread, normal = predicted_lsf(
+        place, target, band, sensor=sensor, predictor=predictor, distance_px=at
+    )
     response = np.cumsum(spread) / 32
     col, row = np.arange(width) + 0.5 + x, np.arange(height)[:, None] + 0.5 + y
     across = col - sensor.cols / 2 - place.x - moved_px, row - sensor.rows / 2 - place.y
@@ -69,8 +71,9 @@ def bars(true, predictor, monkeypatch, moved_px=0.0, rms=1e-4):
             for name in kodak.BANDS:
                 band, moved = kodak.band_of(name), moved_px * (name == "R")
                 picture = drawn(place, target, band, sensor, true, moved)
-                given = place, target, band, picture, sensor, predictor
-                found[name, target.axis, place.number] = compare(*given)
+                found[name, target.axis, place.number] = compare(
+                    place, target, band, picture, sensor=sensor, predictor=predictor
+                )
     captures = {"R": SimpleNamespace(certificate=SimpleNamespace(total_rms=rms))}
     return {bar.name: bar for bar in kodak.Edges(found, captures, "ours", False).bars()}
 

@@ -156,7 +156,9 @@ def test_signal_and_noise_hold_as_the_equations_have_them(planted, lost):
         electrons += random.poisson(true.dark_current_e_per_s * exposure, (2, *shape))
         pair = np.rint(true.black_level_dn + true.system_gain_dn_per_e * electrons)
         expected = noise._expected(sensor, rate, exposure)
-        readings.append(noise._read("G", 100, exposure, pair, sensor, expected))
+        readings.append(
+            noise._read("G", 100, exposure, sites=pair, sensor=sensor, expected=expected)
+        )
     found = noise.Noise(readings, CERTIFIED).bars()
     assert {bar.name.split()[0] for bar in found if not bar.held} == lost
 
@@ -181,14 +183,14 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
     left, top, width, height = edges.region_of(place, sensor)
     far = np.arange(-80, 80, 1 / 32)
     band = edges.band_of("G")
-    lsf, normal = predicted_lsf(place, target, band, sensor, true, far)
+    lsf, normal = predicted_lsf(place, target, band, sensor=sensor, predictor=true, distance_px=far)
     y, x = np.mgrid[top : top + height, left : left + width] + 0.5
     away = (x - sensor.cols / 2 - place.x) * normal[0] + (y - sensor.rows / 2 - place.y) * normal[1]
     pitch = sensor.pixel_pitch_um
     radius = np.hypot(x - sensor.cols / 2, y - sensor.rows / 2) * pitch
     step = 0.05 + 0.75 * np.interp(away - 1 / 64, far, np.cumsum(lsf) / 32)
     rate = step * predictor.flat_field(radius, band)
-    one = edges.edge_of(place, target, "G", rate, sensor, predictor)
+    one = edges.edge_of(place, target, "G", rate, sensor=sensor, predictor=predictor)
     found = edges.Edges([edges.Edge(STANDARD, "radial", "G", *one)], {}, "ours", False)
     (bar,) = found.bars()
     assert bar.held is not planted, bar

@@ -79,7 +79,7 @@ def preview(
         "illuminant": illuminant,
         "tolerance": tolerance,
     }
-    run(camera, scene, given, out, screenshot, script)
+    run(camera, scene, given, out=out, screenshot=screenshot, script=script)
 
 
 def chart(

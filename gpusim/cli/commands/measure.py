@@ -286,7 +286,17 @@ def texture(
     """Measure texture: the MTF of dead leaves, what is left of fine detail after denoising."""
     from gpusim.cli.texture import texture as run
 
-    run(path, roi, leaves, second, even, channel, out, linear=linear, as_json=as_json)
+    run(
+        path,
+        roi=roi,
+        leaves=leaves,
+        second=second,
+        even=even,
+        channels=channel,
+        out=out,
+        linear=linear,
+        as_json=as_json,
+    )
 
 
 @measure.command()

@@ -85,7 +85,13 @@ def rays_at(
     radius = system.stop_radius_mm
     index = system.index(wavelengths_nm)
     return sample_rays(
-        system, index, field.theta, radius * stop_x, radius * stop_y, field.azimuth, whole=True
+        system,
+        index,
+        field.theta,
+        radius * stop_x,
+        radius * stop_y,
+        azimuth=field.azimuth,
+        whole=True,
     )
 
 
