@@ -56,16 +56,8 @@ def launch_field(
     zero = np.zeros((index.shape[1], 1))
 
     def chief(guess: Launch) -> tuple[Launch, np.ndarray]:
-        px, py, found = _newton(
-            geometry,
-            index,
-            guess,
-            zero,
-            zero,
-            wanted_x=0.0,
-            wanted_y=0.0,
-            tolerance_mm=tolerance_mm,
-        )
+        start, axis = (zero, zero), (0.0, 0.0)
+        px, py, found = _newton(geometry, index, guess, start, axis, tolerance_mm=tolerance_mm)
         return replace(guess, base=guess.points(px, py)[:, :, 0]), found[:, 0]
 
     def field(angle: float) -> Launch:
@@ -131,9 +123,7 @@ def aim(
         geometry, index, launch, zero, zero, tolerance_mm=tolerance_mm
     )
     px, py, _ = _correction(slopes, stop_x - chief_x, stop_y - chief_y)
-    return _newton(
-        geometry, index, launch, px, py, wanted_x=stop_x, wanted_y=stop_y, tolerance_mm=tolerance_mm
-    )
+    return _newton(geometry, index, launch, (px, py), (stop_x, stop_y), tolerance_mm=tolerance_mm)
 
 
 def _at_stop(geometry, index, launch, px, py, *, tolerance_mm):
@@ -169,10 +159,10 @@ def _correction(slopes, need_x, need_y):
     return (d * need_x - b * need_y) / det, (a * need_y - c * need_x) / det, usable
 
 
-def _newton(geometry, index, launch, px, py, *, wanted_x, wanted_y, tolerance_mm):
+def _newton(geometry, index, launch, start, wanted, *, tolerance_mm):
     """Return px, py and success of the rays to wanted points of the stop, from a first guess."""
-    px, py = px.copy(), py.copy()
-    wanted_x, wanted_y = (np.broadcast_to(w, px.shape) for w in (wanted_x, wanted_y))
+    px, py = (p.copy() for p in start)
+    wanted_x, wanted_y = (np.broadcast_to(w, px.shape) for w in wanted)
     found = np.zeros(px.shape, dtype=bool)
     for _ in range(AIM_ITERATIONS):
         open_ = ~found.all(axis=0)

@@ -90,20 +90,27 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
         "dsnu_e": of["pixel"],
         "prnu_percent": prnu["pixel"],
         "veiling_glare": 0.0,
-        "lines": {
-            "prnu_row_percent": prnu["row"],
-            "prnu_column_percent": prnu["column"],
-            "dsnu_row_e": of["row"],
-            "dsnu_column_e": of["column"],
-            "row_noise_e": scale * math.sqrt(noise2["row"]),
-            "column_noise_e": scale * math.sqrt(noise2["column"]),
-        },
+        "lines": _lines(prnu, of, {part: scale * math.sqrt(noise2[part]) for part in noise2}),
         "sources": _sources(frames, first.wavelength_nm, says),
     }
     if bent is not None:
         fields["linearity"] = bent
         fields["sources"]["linearity"] = f"{MEASURED}: the mean signal against the light"
     return Sensor.model_validate(fields)
+
+
+def _lines(
+    prnu_percent: dict[str, float], dsnu_e: dict[str, float], noise_e: dict[str, float]
+) -> dict[str, float]:
+    """Return what whole rows and columns have."""
+    return {
+        "prnu_row_percent": prnu_percent["row"],
+        "prnu_column_percent": prnu_percent["column"],
+        "dsnu_row_e": dsnu_e["row"],
+        "dsnu_column_e": dsnu_e["column"],
+        "row_noise_e": noise_e["row"],
+        "column_noise_e": noise_e["column"],
+    }
 
 
 def _sources(frames: Frames, wavelength_nm: float | None, full_well: str) -> dict[str, str]:

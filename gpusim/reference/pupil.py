@@ -38,6 +38,56 @@ def edge_share(h: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(flat, np.clip(middle, 0, 1), mean)
 
 
+def _interpolated(
+    nodes: np.ndarray,
+    exponent: np.ndarray,
+    place: tuple[np.ndarray, np.ndarray],
+    low: tuple[np.ndarray, np.ndarray],
+    step: tuple[float, float],
+) -> tuple[np.ndarray, ...]:
+    """Interpolate by cubics at points of the pupil; what is not said is as for `pupil`.
+
+    Parameters
+    ----------
+    nodes, exponent
+    place : two ndarrays (P,)
+        Along alpha and beta, in nodes from node (0, 0).
+    low : two ndarrays of int (P,)
+        Numbers of the nodes below.
+    step
+
+    Returns
+    -------
+    value, d_alpha, d_beta : ndarray (P, 2)
+        W and reach, and their slopes.
+    known : ndarray of bool (P,)
+        Whether all nodes around are.
+    filtered : ndarray (P,)
+        The exponent.
+    """
+    whole, half = np.concatenate([nodes[::-1], nodes]), len(nodes)
+    (x, y), (low_a, low_b) = place, low
+    cubic = _lagrange()
+    slope = [one.deriv() for one in cubic]
+    value, d_alpha, d_beta = np.zeros((3, len(x), 2))
+    known = np.ones(len(x), dtype=bool)
+    for m, node_a in enumerate(_NODES):
+        for n, node_b in enumerate(_NODES):
+            node = whole[half + low_a + node_a, low_b + node_b]
+            known &= node[:, 1] != 0
+            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
+            value += (in_a * in_b)[:, None] * node
+            d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
+            d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
+    filtered = np.zeros(len(x))
+    mirrored = np.concatenate([exponent[::-1], exponent]).astype(np.float64)
+    for m, node_a in enumerate(_NODES):
+        for n, node_b in enumerate(_NODES):
+            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
+            filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
+    return value, d_alpha, d_beta, known, filtered
+
+
 def pupil(
     nodes: np.ndarray,
     *,
@@ -81,7 +131,6 @@ def pupil(
         Sums over each row: of the light that each cell passes; of that whose rays fold.
     """
     nodes = np.asarray(nodes, np.float64)
-    whole = np.concatenate([nodes[::-1], nodes])
     half, across = nodes.shape[:2]
     alpha = ((np.arange(rows) + 0.5) * cell)[:, None]
     beta = (centre + (np.arange(length) - length / 2 + 0.5) * cell)[None]
@@ -91,24 +140,9 @@ def pupil(
     x, y, low_a, low_b = (np.broadcast_to(one, here.shape)[here] for one in (x, y, low_a, low_b))
     alpha, beta = np.broadcast_to(alpha, here.shape)[here], np.broadcast_to(beta, here.shape)[here]
 
-    cubic = _lagrange()
-    slope = [one.deriv() for one in cubic]
-    value, d_alpha, d_beta = np.zeros((3, len(x), 2))
-    known = np.ones(len(x), dtype=bool)
-    for m, node_a in enumerate(_NODES):
-        for n, node_b in enumerate(_NODES):
-            node = whole[half + low_a + node_a, low_b + node_b]
-            known &= node[:, 1] != 0
-            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
-            value += (in_a * in_b)[:, None] * node
-            d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
-            d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
-    filtered = np.zeros(len(x))
-    mirrored = np.concatenate([exponent[::-1], exponent]).astype(np.float64)
-    for m, node_a in enumerate(_NODES):
-        for n, node_b in enumerate(_NODES):
-            in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
-            filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
+    value, d_alpha, d_beta, known, filtered = _interpolated(
+        nodes, exponent, (x, y), (low_a, low_b), step
+    )
     passed = np.exp(-filtered)
     share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)
 
