@@ -291,8 +291,8 @@ def test_a_decentred_lens_flares_where_its_rays_land(bank):
 def test_distortion_that_folds_the_image_is_refused(monkeypatch):
     real = chief_rays.sample_rays
 
-    def folding(system, index, theta, x, y, azimuth):
-        found = real(system, index, theta, x, y, azimuth)
+    def folding(system, index, theta, x, y, *, azimuth):
+        found = real(system, index, theta, x, y, azimuth=azimuth)
         stretch = 1 - 0.5 * (np.degrees(theta) / 2.5) ** 2  # r (1 - r^2 / 2) turns back at 0.82
         return dataclasses.replace(
             found, chief_x_mm=found.chief_x_mm * stretch, chief_y_mm=found.chief_y_mm * stretch
