@@ -156,14 +156,15 @@ def pupils(
         Least number of nodes across the pupil, even.
     """
     return [
-        _pupil(samples, line, wavelength, window_um, nodes)
+        line_pupil(samples, line, wavelength, window_um, nodes)
         for line, wavelength in enumerate(wavelengths_nm)
     ]
 
 
-def _pupil(
+def line_pupil(
     samples: Samples, line: int, wavelength_nm: float, window_um: float, nodes: int
 ) -> Pupil:
+    """Return the pupil of one wavelength of a field, the `line`-th of the samples: see `pupils`."""
     margin = samples.margin[:, line]
     inside = samples.inside[line]
     # Far outside a rim the rays only spoil the fit: keep what is within RAY_OVERSIZE of every

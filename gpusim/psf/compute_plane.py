@@ -12,14 +12,14 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import OVERSIZE, pupils
+from gpusim.lens.wavefront import OVERSIZE, Pupil
 from gpusim.parallel import each
 from gpusim.psf.chief_rays import rays_on_rings
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import distances_um, fall, field_halo, wave_of, whole_halo
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.provenance import of_lens
-from gpusim.psf.psf import intensity, losses_of
+from gpusim.psf.psf import intensity, losses_of, unfolded_pupil
 from gpusim.psf.sampling import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
@@ -184,46 +184,52 @@ def plane_field_of(
     """
     largest_deg = system.prescription.max_field_deg
     theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
-    index = system.index(wavelengths)
-    samples = sample_field(system, index, theta, azimuth)
-    grids = pupils(samples, wavelengths, size * pitch_um, nodes)
-    psf = np.empty((len(wavelengths), size, size), dtype=np.float32)
-    outside, core = np.zeros((2, len(wavelengths)))
+    samples = sample_field(system, system.index(wavelengths), theta, azimuth)
     # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
     radius_um = size / 2 * pitch_um
     distance_um = distances_um(size, pitch_um)
     inside, within = distance_um < radius_um, fall(distance_um, radius_um)
-    for w, (pupil, wavelength) in enumerate(zip(grids, wavelengths, strict=True)):
-        width = max((2 if pupil.half else 1) * np.ptp(pupil.alpha), np.ptp(pupil.beta))
-        if pitch_um > wavelength * 1e-3 / (2 * width) * OVERSIZE:
-            raise UserError(
-                f"the PSF pitch is too coarse for this aperture at {wavelength:g} nm",
-                file=system.prescription.file,
-                field="pitch_um",
-                value=pitch_um,
-                allowed=f"<= {wavelength * 1e-3 / (2 * width) * OVERSIZE:.3g}",
-            )
+    lines, waves = [], []
+    for line, wavelength in enumerate(wavelengths):
+        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, nodes)
+        _check_pitch(system, pupil, wavelength, pitch_um)
         window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-        outside[w], core[w] = 1 - window.sum(), (window * within).sum()
-        psf[w] = window.T
-    levels, beyond = field_halo(
-        lambda line: wave_of(grids[line], 2), wavelengths, pitch_um, radius_um
-    )
-    return {
-        "core": core,
-        # Rows are x in the pupil, and y in the image.
+        waves.append(wave_of(pupil, 2 * len(pupil.beta) // nodes))
+        lines.append(
+            {
+                "outside_energy": 1 - window.sum(),
+                "core": (window * within).sum(),
+                # Rows are x in the pupil, and y in the image.
+                "psf": window.T.astype(np.float32),
+                "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half),
+                "light_sr": pupil.entered,
+                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
+            }
+        )
+    levels, beyond = field_halo(waves.__getitem__, wavelengths, pitch_um, radius_um)
+    stacked = {name: np.stack([one[name] for one in lines]) for name in lines[0]}
+    stacked["light_sr"] /= stretch(system, reference_nm, theta, azimuth).area()
+    return stacked | {
         "levels": levels.swapaxes(-1, -2),
         "beyond": beyond,
         "chief_x_um": 1e3 * samples.chief_x_mm,
         "chief_y_um": 1e3 * samples.chief_y_mm,
         "chief": samples.chief_direction,
-        "cone": np.stack([cone_of(g.alpha, g.beta, g.arriving, g.half) for g in grids]),
-        "psf": psf,
-        "light_sr": np.array([g.entered for g in grids])
-        / stretch(system, reference_nm, theta, azimuth).area(),
-        "outside_energy": outside,
-        **losses_of(samples, grids, wavelengths, size, pitch_um),
     }
+
+
+def _check_pitch(system: System, pupil: Pupil, wavelength_nm: float, pitch_um: float) -> None:
+    """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
+    width = max((2 if pupil.half else 1) * np.ptp(pupil.alpha), np.ptp(pupil.beta))
+    limit = wavelength_nm * 1e-3 / (2 * width) * OVERSIZE
+    if pitch_um > limit:
+        raise UserError(
+            f"the PSF pitch is too coarse for this aperture at {wavelength_nm:g} nm",
+            file=system.prescription.file,
+            field="pitch_um",
+            value=pitch_um,
+            allowed=f"<= {limit:.3g}",
+        )
 
 
 def _check(

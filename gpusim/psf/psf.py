@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.lens.samples import Samples
-from gpusim.lens.wavefront import Pupil
+from gpusim.lens.wavefront import Pupil, line_pupil
 from gpusim.psf.halo import rim_lost, wave_of
 
-RIM_STEP = 4  # nodes of the pupil to one that the rim is followed on: it is smooth
+# The rim is followed on every fourth node of the pupil, and on no more than these: it is smooth.
+RIM_STEP, RIM_NODES = 4, 128
+# A pupil is sampled twice as finely while more than this share of its light folds into the window.
+FOLDED, MOST_NODES = 1e-5, 2048
 
 
 def intensity(
@@ -58,7 +61,8 @@ def intensity(
     total = wavelength_um**2 * pupil.light_sr / pupil.cell**2
     period = [wavelength_um / (side[1] - side[0]) for side in (pupil.alpha, pupil.beta)]
     psf = whole * pitch_um**2 / total
-    lost = rim_lost(wave_of(pupil, RIM_STEP), wavelength_um, size, pitch_um, period)
+    step = max(RIM_STEP, len(pupil.beta) // RIM_NODES)
+    lost = rim_lost(wave_of(pupil, step), wavelength_um, size, pitch_um, period)
     psf += mirrored(lost) if pupil.half else lost
     return psf, 1.0 - float(psf.sum())
 
@@ -84,29 +88,49 @@ def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float)
     return float((folds * pupil.light).sum() / pupil.light.sum())
 
 
+def unfolded_pupil(
+    samples: Samples, line: int, wavelength_nm: float, size: int, pitch_um: float, nodes: int
+) -> Pupil:
+    """Return a pupil that is sampled so finely that no light folds into a window.
+
+    Parameters
+    ----------
+    samples : Samples
+        Rays of a field.
+    line, wavelength_nm : int, float
+        Which of its wavelengths.
+    size, pitch_um : int, float
+        The window's.
+    nodes : int
+        Across the pupil, at least. `MOST_NODES` are the most: with these some light may fold still.
+    """
+    while True:
+        pupil = line_pupil(samples, line, wavelength_nm, size * pitch_um, nodes)
+        nodes = 2 * len(pupil.beta)
+        if nodes > MOST_NODES or folded_share(pupil, wavelength_nm, size, pitch_um) < FOLDED:
+            return pupil
+
+
 def losses_of(
-    samples: Samples, grids: list[Pupil], wavelengths_nm: np.ndarray, size: int, pitch_um: float
-) -> dict[str, np.ndarray]:
-    """Return how good the PSFs (L,) of a field are, by the names of a bank's variables.
+    samples: Samples, line: int, pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float
+) -> dict[str, float]:
+    """Return how good the PSF of a field and wavelength is, by the names of a bank's variables.
 
     Parameters
     ----------
     samples : Samples
         Rays of the field.
-    grids : list of Pupil
-        What `gpusim.lens.wavefront.pupils` makes of them.
-    wavelengths_nm : ndarray (L,)
+    line : int
+        Which of their wavelengths.
+    pupil : Pupil
+        What `unfolded_pupil` makes of them.
+    wavelength_nm : float
     size, pitch_um : int, float
         The window's.
     """
-    folded = [
-        folded_share(pupil, wavelength, size, pitch_um)
-        for pupil, wavelength in zip(grids, wavelengths_nm, strict=True)
-    ]
-    residual_mm = np.array([pupil.fit_residual_mm for pupil in grids])
-    in_stop = samples.margin[-1] < 0
+    in_stop = samples.margin[-1, line] < 0
     return {
-        "folded_energy": np.array(folded),
-        "fit_residual_waves": residual_mm / (wavelengths_nm * 1e-6),
-        "failed_rays": (~samples.ok & in_stop).sum(axis=1).astype(np.int32),
+        "folded_energy": folded_share(pupil, wavelength_nm, size, pitch_um),
+        "fit_residual_waves": pupil.fit_residual_mm / (wavelength_nm * 1e-6),
+        "failed_rays": np.int32((~samples.ok[line] & in_stop).sum()),
     }

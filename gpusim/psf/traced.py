@@ -15,7 +15,6 @@ from gpusim.lens.entering import stretch
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import pupils
 from gpusim.parallel import each
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute_plane import plane_bank_of, plane_field_of
@@ -24,12 +23,13 @@ from gpusim.psf.field_map import ideal_height_um
 from gpusim.psf.halo import distances_um, fall, halo_of, wave_of
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.provenance import of_lens
-from gpusim.psf.psf import intensity, losses_of
+from gpusim.psf.psf import intensity, losses_of, unfolded_pupil
 from gpusim.psf.store import from_cache
 
 # Nodes across the pupil. With 512, PSFs of the double Gauss at f/2.8 differ from those of 1024 by
 # 5e-4 of the peak, and their edge responses by 5e-5.
 NODES = 512
+WAVE_NODES = 256  # across what the halo is made of: it is smooth
 
 
 def traced_bank(
@@ -169,23 +169,29 @@ def field_of(
     reference_nm: float,
 ) -> dict[str, object]:
     """Return all wavelengths of one field, by the names of the bank's variables."""
-    index, theta = system.index(lines), float(np.radians(theta_deg))
-    samples = sample_field(system, index, theta)
-    grids = pupils(samples, lines, size * pitch_um, NODES)
+    theta = float(np.radians(theta_deg))
+    samples = sample_field(system, system.index(lines), theta)
     inside = distances_um(size, pitch_um) < size / 2 * pitch_um
-    psf = np.empty((len(lines), size, size), np.float32)
-    for line, (pupil, wavelength) in enumerate(zip(grids, lines, strict=True)):
-        psf[line] = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-    return {
-        "psf": psf,
+    rows = []
+    for line, wavelength in enumerate(lines):
+        # One after the other, because finely sampled pupils are large.
+        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, NODES)
+        psf = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+        rows.append(
+            {
+                "psf": psf.astype(np.float32),
+                "outside_energy": 1 - psf.sum(),
+                "light_sr": pupil.entered,
+                "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half)[:, [1, 0, 2]],
+                "waves": wave_of(pupil, len(pupil.beta) // WAVE_NODES),
+                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
+            }
+        )
+    waves = [row.pop("waves") for row in rows]
+    stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
+    stacked["light_sr"] /= stretch(system, reference_nm, theta).area()
+    return stacked | {
+        "waves": waves,
         "real_height_um": 1e3 * samples.chief_y_mm,
-        "light_sr": np.array([one.entered for one in grids])
-        / stretch(system, reference_nm, theta).area(),
-        "outside_energy": 1 - psf.sum(axis=(1, 2), dtype=float),
         "chief": samples.chief_direction[:, ::-1],
-        "cone": np.stack(
-            [cone_of(p.alpha, p.beta, p.arriving, p.half)[:, [1, 0, 2]] for p in grids]
-        ),
-        "waves": [wave_of(pupil, 2) for pupil in grids],
-        **losses_of(samples, grids, lines, size, pitch_um),
     }

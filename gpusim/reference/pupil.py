@@ -99,6 +99,7 @@ def pupil(
     waves_per_mm: float,
     length: int,
     rows: int,
+    fade_um: float,
     fold_um: float,
     focus_mm: float,
     exponent: np.ndarray,
@@ -118,8 +119,11 @@ def pupil(
         Direction cosine of the chief ray behind the lens; 1 / wavelength.
     length, rows : int
         T, and the rows that are wanted.
-    fold_um, focus_mm : float
-        Rays that land farther out than this in x or y fold; shift of the image plane.
+    fade_um, fold_um : float
+        Rays that land farther out than the latter in x or y are left out of the field; from the
+        former on they fade, as the quintic with two derivatives of 0 at both ends does.
+    focus_mm : float
+        Shift of the image plane.
     exponent : ndarray (A, B)
         -ln of the amplitude at the nodes: of what enters there, and of what passes of it.
 
@@ -128,7 +132,7 @@ def pupil(
     field : ndarray (rows, T), complex128
         A exp(2 pi i W).
     sums : ndarray (rows, 2), float64
-        Sums over each row: of the light that each cell passes; of that whose rays fold.
+        Sums over each row: of the light that each cell passes; of that whose rays are left out.
     """
     nodes = np.asarray(nodes, np.float64)
     half, across = nodes.shape[:2]
@@ -158,9 +162,13 @@ def pupil(
     land_x = focus_mm * alpha / gamma - d_alpha[:, 0] / waves_per_mm
     land_y = focus_mm * (beta / gamma - chief_slope) - d_beta[:, 0] / waves_per_mm
     folds = 1e3 * np.maximum(abs(land_x), abs(land_y)) > fold_um
+    fading = Polynomial([0, 0, 0, 10, -15, 6])
+    kept = np.ones(len(x))
+    for land in (land_x, land_y):
+        kept *= 1 - fading(np.clip((1e3 * abs(land) - fade_um) / (fold_um - fade_um), 0, 1))
 
     field = np.zeros(here.shape, np.complex128)
-    field[here] = share * passed * np.exp(2j * np.pi * w)
+    field[here] = share * passed * kept * np.exp(2j * np.pi * w)
     light, folded = np.zeros((2, *here.shape))
     light[here], folded[here] = share * passed**2, share * passed**2 * folds
     return field, np.stack([light.sum(axis=1), folded.sum(axis=1)], axis=-1)

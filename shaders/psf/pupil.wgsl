@@ -5,11 +5,12 @@
 // there and that stop, surfaces and glass pass of it, exp(-exponent), interpolated like W.
 // A shift of the image plane moves the chief ray's point along the chief ray, (0, beta_c / gamma_c, 1) per mm:
 //   W += focus (gamma + beta beta_c / gamma_c - 1 / gamma_c) / lambda
+// A ray that lands farther out than `fold` would come back into the window, as the transform is periodic. It counts
+// less from `fade` on, and from `fold` not at all: smoothly, so that what is left out ends in no rim that diffracts.
 // Cells of a row share their alpha: the nodes are interpolated along it once for the row, and along beta for each cell.
 // nodes (P, NA, NB): see wavefront; exponent (P, NA, NB)
 // -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell, beta = centre + (j - T/2 + 1/2) cell
-// -> sums (P, A, 2), over j: of the light, share exp(-2 exponent); of the light whose ray lands beyond `fold`, so that
-// the transform folds it back.
+// -> sums (P, A, 2), over j: of the light, share exp(-2 exponent), wherever it lands; of that which lands beyond `fold`.
 // Dispatch: (A, P, 1) workgroups of 64 invocations, each a row.
 #include "grid"
 #include "turn"
@@ -19,6 +20,7 @@ override NB: u32 = 128u;      // nodes along beta
 
 struct Params {
     na: u32,
+    fade_um: f32,
     fold_um: f32,
     focus_mm: f32,
 }
@@ -68,6 +70,12 @@ fn half_plane_share(h: f32, a: f32, b: f32) -> f32 {
         beyond = 0.5 * (corner / wide) * (corner / narrow);
     }
     return select(beyond, 1.0 - beyond, h > 0.0);
+}
+
+// 1 until 0 and 0 from 1 on, two times differentiable.
+fn left_over(t: vec2f) -> vec2f {
+    let s = clamp(t, vec2f(0.0), vec2f(1.0));
+    return 1.0 - s * s * s * (10.0 + s * (6.0 * s - 15.0));
 }
 
 struct Cell {
@@ -124,11 +132,13 @@ fn cell_at(grid: Grid, at: vec2f) -> Cell {
     let farther = gamma + at.y * chief - sqrt(1.0 + chief * chief);
     let slope = vec2f(value.z, along_b.x) / (grid.step * grid.waves_per_mm)
         + params.focus_mm * (vec2f(0.0, chief) - at / gamma);
-    let folds = any(1e3 * abs(slope) > vec2f(params.fold_um));
+    let lands_um = 1e3 * abs(slope);
+    let folds = any(lands_um > vec2f(params.fold_um));
+    let kept = left_over((lands_um - params.fade_um) / (params.fold_um - params.fade_um));
     let waves = value.x + params.focus_mm * farther * grid.waves_per_mm;
     let passed = exp(-lost.x);
     let light = share * passed * passed;
-    return Cell(share * passed * turn(waves), vec2f(light, select(0.0, light, folds)));
+    return Cell(share * passed * kept.x * kept.y * turn(waves), vec2f(light, select(0.0, light, folds)));
 }
 
 @compute @workgroup_size(64, 1, 1)

@@ -143,6 +143,30 @@ def test_far_out_of_focus_light_folds_and_is_reported(generator):
     np.testing.assert_allclose(share, 1 - 4 * half**2 / np.pi, atol=0.03)
 
 
+def test_light_that_lands_beyond_the_period_does_not_come_back(generator, system):
+    """7 mm out of focus rays land up to 1250 um away, and the transform repeats after 512."""
+    focus_mm = 7.0
+    moved = replace(system, image_z_mm=system.image_z_mm + focus_mm)
+    samples = sample_field(moved, moved.index(LINES[1:]), 0.0)
+    # 4096 nodes across: their PSFs repeat after 8 mm, so that nothing folds.
+    (pupil,) = pupils(samples, LINES[1:], SIZE * PITCH, 4096)
+    assert folded_share(pupil, LINES[1], SIZE, PITCH) == 0
+    psf, _ = intensity(pupil, LINES[1], SIZE, PITCH)
+    found = generator.spread(0, focus_mm).psf[1]
+    # The window's light is 0.3 % of all; what fades ends over 430 um, softly.
+    print(
+        "ERR",
+        np.abs(found.cumsum(0) - psf.cumsum(0)).max() / psf.sum(),
+        found.sum() / psf.sum(),
+        psf.sum(),
+    )
+    assert np.abs(found.cumsum(0) - psf.cumsum(0)).max() < 2e-2 * psf.sum()
+    # Nodes as far apart as the transform's cells let it come back.
+    (coarse,) = pupils(samples, LINES[1:], SIZE * PITCH, 512)
+    back, _ = intensity(coarse, LINES[1], SIZE, PITCH)
+    assert np.abs(back.cumsum(0) - psf.cumsum(0)).max() > 0.1 * psf.sum()
+
+
 def test_the_wavefront_meets_the_aimed_rays(generator):
     # The requirement of the wavefront is 1e-3 waves.
     assert (generator.residual_waves < 1e-4).all()

@@ -18,7 +18,7 @@ from gpusim.gpu.wgsl import shaders_root
 from gpusim.reference.pupil import edge_share, pupil
 
 T, ROWS, NA, NB = 200, 70, 5, 28
-FAR = 1e9  # um: nothing folds
+FAR = 1e9  # um: nothing fades and nothing folds
 WAVES = 1 / 512e-6
 
 
@@ -45,7 +45,8 @@ def packed(grids: list[dict]) -> np.ndarray:
     return np.array(rows, np.float32)
 
 
-def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0, exponent=None):
+def on_device(nodes, grids, *, rows=ROWS, pairs=None, fade_um=None, fold_um=FAR, focus_mm=0.0,
+              exponent=None):  # fmt: skip
     """Return field and sums of P beams; of an even amplitude without ``exponent``."""
     count = len(grids)
     exponent = np.zeros(nodes.shape[:3]) if exponent is None else exponent
@@ -54,6 +55,7 @@ def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0,
         (rows, count if pairs is None else pairs, 1),
         {
             "na": nodes.shape[1],
+            "fade_um": fold_um / 2 if fade_um is None else fade_um,
             "fold_um": fold_um,
             "focus_mm": focus_mm,
         },
@@ -72,13 +74,14 @@ def on_device(nodes, grids, *, rows=ROWS, pairs=None, fold_um=FAR, focus_mm=0.0,
     return found["field"], found["sums"].astype(float)
 
 
-def twin(nodes, grids, *, rows=ROWS, fold_um=FAR, focus_mm=0.0):
+def twin(nodes, grids, *, rows=ROWS, fade_um=None, fold_um=FAR, focus_mm=0.0):
     results = [
         pupil(
             one,
             **place,
             length=T,
             rows=rows,
+            fade_um=fold_um / 2 if fade_um is None else fade_um,
             fold_um=fold_um,
             focus_mm=focus_mm,
             exponent=np.zeros(one.shape[:2]),
@@ -275,8 +278,8 @@ def test_an_exponent_darkens_the_rim():
     exponent = 1.5 * (a * a + (b - 0.01) ** 2)[None] / 0.05**2  # not about the rim's middle
     found, sums = on_device(nodes, [place], exponent=exponent)
     field, light = pupil(
-        nodes[0].astype(np.float32), **place, length=T, rows=ROWS, fold_um=FAR, focus_mm=0.0,
-        exponent=exponent[0].astype(np.float32),
+        nodes[0].astype(np.float32), **place, length=T, rows=ROWS, fade_um=FAR / 2, fold_um=FAR,
+        focus_mm=0.0, exponent=exponent[0].astype(np.float32),
     )  # fmt: skip
     bound = rim_bound(place["cell"] / 0.05, 4.0) + amplitude_bound(0.25) + filtered_bound(3.0)
     assert_close(found[0], field, atol=bound)
@@ -345,6 +348,37 @@ def test_what_folds_follows_the_image_plane(focus_mm: float):
     assert 0.1 < sums[..., 1].sum() / sums[..., 0].sum() < 0.9
     _, planted = on_device(nodes, TWO, fold_um=61.0, focus_mm=focus_mm)
     assert not (fewer <= planted).all()
+
+
+@pytest.mark.parametrize("landing", [(0, 150.0), (0, -150.0), (0, 199.0), (0, 201.0), (0, 99.0)])
+def test_rays_fade_towards_the_fold(landing):
+    place = grid()
+    nodes = tilted(place, landing)
+    found, sums = on_device(nodes, [place], fade_um=100.0, fold_um=200.0)
+    lit = known(place)
+    # The quintic that leads from 1 to 0 with two derivatives of 0: t^3 (10 - 15 t + 6 t^2) less.
+    t = np.clip(abs(landing[1]) / 100 - 1, 0, 1)
+    kept = 1 - t**3 * (10 - 15 * t + 6 * t * t)
+    # The landing is W's slope: 30 u of nodes of up to 150 waves, over a node's step, is 1e-3 um;
+    # the quintic has slopes of up to 1.9 / 100 um.
+    assert_close(np.abs(found[0][lit]).astype(float), np.full(lit.sum(), kept), atol=1e-4)
+    # The light is all of it, wherever it lands.
+    assert_close(sums[0, :, 0], on_device(nodes, [place])[1][0, :, 0], atol=0)
+    late, _ = on_device(nodes, [place], fade_um=101.0, fold_um=200.0)
+    if 0.01 < kept < 0.99:
+        assert np.abs(np.abs(late[0][lit]) - kept).min() > 1e-3
+
+
+def test_fading_is_that_of_the_reference_in_both_directions():
+    nodes = noise(12) * [0.1, 1]
+    given = {"fade_um": 20.0, "fold_um": 60.0, "focus_mm": 1.0}
+    found, _ = on_device(nodes, TWO, **given)
+    expected, _ = twin(nodes, TWO, **given)
+    # Landings err by 6 nm (below), and the quintic's slope is 1.9 / 40 um: 3e-4.
+    assert_close(found, expected, atol=amplitude_bound(0.2, WAVES) + 3e-4)
+    with pytest.raises(AssertionError, match="elements are bad"):
+        none = twin(nodes, TWO, focus_mm=1.0)[0]
+        assert_close(found, none, atol=amplitude_bound(0.2, WAVES) + 3e-4)
 
 
 def test_the_folded_part_of_a_cell_on_the_rim_is_its_share():
