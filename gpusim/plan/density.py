@@ -64,12 +64,12 @@ FEW = (0, 2, 4, 7, 9, 11)
 TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judged in float64
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
 STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
-ROUNDS = 3  # of halving
+ROUNDS = 5  # of halving
 # Cells of the pupil each way for what is compared with itself alone: half of what a bank takes, a
 # quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
 # the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
 COARSE = 512
-MOST_SAMPLES = 2**28  # of all PSFs: a GiB
+MOST_SAMPLES = 3 * 2**27  # of all PSFs: 1.5 GiB
 # Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
 # t = -1/2 and 1/2 over that half-way.
 MEAN = 0.5167
@@ -150,7 +150,7 @@ class Density:
         fields, lines = len(self.field_deg), len(self.wavelengths_nm)
         return (
             f"between {fields} fields and {lines} wavelengths the lens's PSFs are interpolated, "
-            f"which errs by {self.worst:.1e}, and a bank takes no more than a GiB"
+            f"which errs by {self.worst:.1e}, and a bank takes no more than 1.5 GiB"
         )
 
     @property
