@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.fields import Grid, Heights, lateral_um
 from gpusim.reference.landing import landed
 from gpusim.reference.outlines import Outlines
 from gpusim.reference.pixel_aperture import boxes_of, points_in, side_um_of
@@ -44,7 +44,7 @@ DEGREES = (5, 3)
 # steps of a sample are enough, and beyond some um it is below 1e-6.
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
 FINE_PITCH_UM = 0.5  # of banks; of coarser ones the zones are wider, by as much
-MARGIN_UM = 4.0  # around the bank's PSFs: lateral colour is less
+MARGIN_UM = 4.0  # around the bank's PSFs, at least: as far as lateral colour moves them
 # Nodes across an aperture, and across a square as large; and samples of the bank between two nodes
 # next to a highlight: the defocused PSFs of an f/2 lens have fringes 1 um apart, and four nodes
 # across pixels of 4 um were 3 % off there.
@@ -86,6 +86,8 @@ class ExactCore:
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
         self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
         self.spread = self.spreads[0][1]
+        of_all = [self.fields, *([] if less is None else [less[1]])]
+        self.margin_um = max(MARGIN_UM, *(lateral_um(one) for one in of_all))
         self.side_um = side_um_of(sensor)
         self.boxes = boxes_of(sensor)
         self.half_um = np.abs(np.array(self.boxes)[:, :4]).reshape(-1, 2, 2).max(axis=(0, 2))
@@ -110,7 +112,7 @@ class ExactCore:
         if zones is None:
             bank, boxes = self.bank, self.boxes
             wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
-            reach = bank.psf.shape[-1] * bank.pitch_um / 2 + MARGIN_UM
+            reach = bank.psf.shape[-1] * bank.pitch_um / 2 + self.margin_um
             inner, change = (
                 tuple(wide * end for end in falls) for falls in (FALLS_UM, CHANGE_FALLS_UM)
             )
@@ -283,7 +285,7 @@ class ExactCore:
         middles = squares[0][0].mean(axis=1)
         far_um = highlights.size_um + FAR_UM * max(1.0, self.bank.pitch_um / FINE_PITCH_UM)
         # To the corners of the PSFs' window, and as far as lateral colour.
-        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + 4.0
+        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / np.sqrt(2) + self.margin_um
         for number, (row, col) in enumerate(pixels):
             centre = self._position(row, col)
             far = np.hypot(*(middles - centre).T) > far_um

@@ -118,6 +118,13 @@ class Heights:
         return real * np.where(radius > 0, ideal / np.maximum(radius, 1e-9), 1.0)[..., None]
 
 
+def lateral_um(fields: Heights | Grid) -> float:
+    """Return how far PSFs of any wavelength lie from the reference's chief ray, at most."""
+    lines = range(len(fields.bank.wavelengths_nm))
+    shifts = [fields.light(field, line)[2] for field in fields.used for line in lines]
+    return float(np.hypot(*np.transpose(shifts)).max())
+
+
 class OneHeight(Heights):
     """What a bank makes of one height, taken for every source point: turned, and not changed."""
 
