@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,11 @@ import scipy.fft
 from scipy.ndimage import shift, spline_filter
 
 from gpusim.reference.b_splines import between, moved_by
-from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.fields import Grid, Heights, lateral_um
 from gpusim.reference.quadrature import Zone
 from gpusim.reference.rates import Rates
 
-PAD = 32  # samples around the bank's PSFs, room for their shifts
+PAD = 32  # samples around the bank's PSFs, at least: room for their shifts, and what these ring
 KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 a sample
 # With banks of 256 samples and 13 wavelengths, kernels take 0.04 MiB, and one in three 0.8 MiB;
 # fields take 10 MiB. Probes come by height. Each needs four or five heights, or 16 fields of a
@@ -65,6 +64,8 @@ class PointSpread:
     ) -> None:
         self.bank, self.fields = bank, fields
         self.sigma = aperture_um / np.sqrt(12) / bank.pitch_um
+        moved = math.ceil(lateral_um(fields) / bank.pitch_um)  # samples, at most
+        self.pad, self.spline_pad = max(PAD, moved + KERNEL_PAD), moved + SPLINE_PAD
         self.kept_fields = KEPT_HEIGHTS if isinstance(fields, Heights) else KEPT_FIELDS
         self.rates = Rates(bank, sensor, fields, spectra, wavelengths_nm)
         self.lights: dict[int, tuple[np.ndarray, np.ndarray | None, np.ndarray | None]] = {}
@@ -82,11 +83,13 @@ class PointSpread:
         """
         found = self.lights.get(field)
         if found is None:
-            pitch, n = self.bank.pitch_um, self.bank.psf.shape[-1] + 2 * PAD
+            pitch, n = self.bank.pitch_um, self.bank.psf.shape[-1] + 2 * self.pad
             images, shifts = np.zeros((len(self.rates.splines), n, n)), []
             for place, image in enumerate(images):
                 psf, illumination, shift = self.fields.light(field, place)
-                image[PAD:-PAD, PAD:-PAD] = psf * np.float64(illumination / pitch**2)
+                image[self.pad : -self.pad, self.pad : -self.pad] = psf * np.float64(
+                    illumination / pitch**2
+                )
                 shifts.append(shift)
             found = images, None, None
             if np.any(shifts):
@@ -117,7 +120,7 @@ class PointSpread:
         return kernel
 
     def _density(self, channel: int, spectrum: int, field: int, node: int) -> np.ndarray:
-        """Return H (n, n) at one bank field and azimuth, in its PSFs' frame, with PAD around."""
+        """Return H (n, n) at one bank field and azimuth, in its PSFs' frame, padded."""
         key = (channel, spectrum, field, node)
         density = self.densities.get(key)
         if density is None:
@@ -140,7 +143,7 @@ class PointSpread:
 
     def _half(self, zone: Zone) -> int:
         """Return half the width of a zone's kernels, samples."""
-        most = self.bank.psf.shape[-1] // 2 + PAD
+        most = self.bank.psf.shape[-1] // 2 + self.pad
         return min(int(zone.reach_um / self.bank.pitch_um) + KERNEL_PAD, most)
 
     def _turned(self, t: np.ndarray, source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -251,7 +254,7 @@ class PointSpread:
         pitch, lines = self.bank.pitch_um, len(self.bank.wavelengths_nm)
         if self.wide_splines is None:
             count = math.prod(self.bank.psf.shape[:-3])
-            half = self.bank.psf.shape[-1] // 2 + self._pad
+            half = self.bank.psf.shape[-1] // 2 + self.spline_pad
             side = 2 * scipy.fft.next_fast_len(half, real=True)
             self.wide_splines = np.zeros((count, side, side, lines)), set()
         table, there = self.wide_splines
@@ -277,29 +280,19 @@ class PointSpread:
         """Return the transfer of the mean over the aperture, at frequencies in cycles a sample."""
         return np.exp(-2 * (np.pi * self.sigma * frequencies) ** 2)
 
-    @cached_property
-    def _pad(self) -> int:
-        """Samples around PSFs: room for their splines, and for lateral colour."""
-        most = max(
-            np.abs(self.fields.light(field, line)[2]).max()
-            for field in self.fields.used
-            for line in range(len(self.bank.wavelengths_nm))
-        )
-        return SPLINE_PAD + math.ceil(most / self.bank.pitch_um)
-
     def _lamp(self, field: int, node: int) -> np.ndarray:
         """Return spline coefficients (C, n * n, M) of H at one bank field and azimuth, per um^2."""
         found = self.lamps.get((field, node))
         if found is None:
             pitch = self.bank.pitch_um
             weights = self.rates.weights(field, node)
-            side = self.bank.psf.shape[-1] + 2 * self._pad
+            side = self.bank.psf.shape[-1] + 2 * self.spline_pad
             down, across = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
             averaged = np.multiply.outer(self._averaged(down), self._averaged(across))
             total = np.zeros((*weights.shape[:2], side, side))
             for line in range(len(self.bank.wavelengths_nm)):
                 psf, illumination, (x, y) = self.fields.light(field, line)
-                image = np.pad(psf * np.float64(illumination / pitch**2), self._pad)
+                image = np.pad(psf * np.float64(illumination / pitch**2), self.spline_pad)
                 if self.sigma:
                     image = scipy.fft.irfft2(scipy.fft.rfft2(image) * averaged, image.shape)
                 if x or y:

@@ -78,6 +78,21 @@ def test_an_even_field_gives_the_weights(fill_factor: float):
     assert_close(found[1:], np.full(2, even_rate(lens, fill_factor)), rtol=5e-6)
 
 
+def test_lateral_colour_takes_no_light_however_large_it_is():
+    """One wavelength is larger by 0.6 %, so that an even field has 1 / 1.006^2 of its light there.
+
+    3.7 mm off the axis PSFs land 22 um off by it, and their window ends at 16 um.
+    """
+    plain = bank(**PLAIN, circle_um=4500.0)
+    wide = bank(**PLAIN | {"lateral": (0.0, 0.0, 0.006)}, circle_um=4500.0)
+    camera, line = grey_sensor(rows=3000, cols=4000), plain.wavelengths_nm[2]
+    spectra = np.stack([FLAT * (line == WAVELENGTHS_NM), 0 * FLAT])
+    pixel = np.array([[2900, 3900]])  # of 3000 x 4000, 1.55 um apart
+    assert 0.006 * np.hypot(1400, 1900) * PITCH > 16 + 4
+    found, even = (exact(one, camera, spectra).chart(chart(), pixel)[0] for one in (wide, plain))
+    assert found == pytest.approx(even / 1.006**2, rel=5e-6)
+
+
 def test_channels_have_their_own_efficiency():
     lens, camera = bank(**PLAIN), sensor()
     # Rows of B G / G R.
