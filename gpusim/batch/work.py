@@ -21,6 +21,7 @@ import numpy as np
 import gpusim
 from gpusim.batch.labels import in_frame, labels_of
 from gpusim.errors import UserError
+from gpusim.gpu import held
 from gpusim.library.again import recipe_of_frame
 from gpusim.library.expose import expose
 from gpusim.library.frame import TOGETHER, read_frames
@@ -132,12 +133,13 @@ def _taken(
     frames: Sequence[Frame], light: Light
 ) -> Iterator[tuple[Frame, library.Frame | UserError]]:
     """Yield what frames of one light are, or why there is none."""
-    for first in range(0, len(frames), TOGETHER):
-        chunk = frames[first : first + TOGETHER]
-        ready = [_ready(frame, light) for frame in chunk]
-        taken = iter(read_frames([one for one in ready if isinstance(one, tuple)]))
-        for frame, one in zip(chunk, ready, strict=True):
-            yield frame, next(taken) if isinstance(one, tuple) else one
+    with held():
+        for first in range(0, len(frames), TOGETHER):
+            chunk = frames[first : first + TOGETHER]
+            ready = [_ready(frame, light) for frame in chunk]
+            taken = iter(read_frames([one for one in ready if isinstance(one, tuple)]))
+            for frame, one in zip(chunk, ready, strict=True):
+                yield frame, next(taken) if isinstance(one, tuple) else one
 
 
 def _ready(frame: Frame, light: Light) -> tuple[Light, Shot] | library.Frame | UserError:

@@ -43,9 +43,10 @@ class Clear:
 
 @dataclass(frozen=True)
 class Download:
-    """Copy a buffer to the host, under its label."""
+    """Copy a buffer to the host, under its label, as numbers of a kind."""
 
     source: Array
+    dtype: np.dtype
 
 
 @dataclass(frozen=True)

@@ -356,15 +356,16 @@ class Device:
             else:
                 encoder.copy_buffer_to_buffer(resident.buffer, 0, staging, 0, result.nbytes)
             self.gpu.queue.submit([encoder.finish()])
-            self.fetch(staging, result)
+            self.fetch(staging, result, result.dtype)
             self.pool.release(staging)
         return result
 
-    def fetch(self, staging: wgpu.GPUBuffer, into: np.ndarray) -> None:
-        """Wait for ``staging`` and copy its first bytes into a contiguous array."""
-        staging.map_async("READ", 0, into.nbytes).sync_wait()
-        view = staging.read_mapped(0, into.nbytes, copy=False)
-        into.reshape(-1).view(np.uint8)[:] = view
+    def fetch(self, staging: wgpu.GPUBuffer, into: np.ndarray, dtype: np.dtype) -> None:
+        """Wait for ``staging`` and copy its first numbers, of a dtype, into a contiguous array."""
+        nbytes = into.size * dtype.itemsize
+        staging.map_async("READ", 0, nbytes).sync_wait()
+        view = staging.read_mapped(0, nbytes, copy=False)
+        into.reshape(-1)[:] = np.frombuffer(view, dtype)
         del view  # a view past unmap() may point nowhere
         staging.unmap()
 

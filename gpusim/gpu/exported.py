@@ -75,7 +75,7 @@ def exported(rec: Recording) -> Exported:
                 write(target, values)
             case Clear(target):
                 found.steps.append({"do": "clear", "buffer": number(target)})
-            case Download(source):
+            case Download(source, _):
                 found.steps.append({"do": "read", "buffer": number(source), "label": source.label})
             case Dispatch():
                 _dispatch(command, found, number)

@@ -133,17 +133,22 @@ class Recording:
         self._check((), (target,))
         self._segments[-1].append(Clear(target))
 
-    def download(self, source: Array) -> str:
+    def download(self, source: Array, dtype: type | None = None) -> str:
         """Copy a buffer to the host; return its label, the key in the result.
 
-        Texels are not downloaded.
+        Parameters
+        ----------
+        source : Array
+            No texels.
+        dtype : type, optional
+            Of the numbers on the host, which hold those of the buffer; by default the buffer's own.
         """
         if source.use is Use.TEXELS:
             raise ShaderError(f"{source} is what a buffer was copied into: download that")
         if source.label in self._downloads:
             raise ShaderError(f"buffer {source.label!r} is downloaded twice")
         self._check((source,), ())
-        self._segments[-1].append(Download(source))
+        self._segments[-1].append(Download(source, np.dtype(dtype or source.dtype)))
         self._downloads.add(source.label)
         return source.label
 

@@ -83,14 +83,14 @@ class Run:
             match command:
                 case Dispatch():
                     self._dispatch(command)
-                case Download(source):
-                    self.arrays[source.label] = np.empty(source.shape, source.dtype)
+                case Download(source, dtype):
+                    self.arrays[source.label] = np.empty(source.shape, dtype)
                     if source.nbytes:
                         staging = self._acquire("download", source.nbytes, Use.READBACK)
                         self._copying().copy_buffer_to_buffer(
                             self._buffer(source), 0, staging, 0, source.nbytes
                         )
-                        fetches.append((staging, self.arrays[source.label]))
+                        fetches.append((staging, self.arrays[source.label], source.dtype))
                 case Copy(source, target):
                     buffer, texture = self._buffer(source), self._buffer(target).texture
                     for origin, in_buffer, size in texel_rows(source.nbytes):
@@ -107,8 +107,8 @@ class Run:
         self._submit()
         self._device.wait()
         self._account(time.perf_counter() - started)
-        for staging, array in fetches:
-            self._device.fetch(staging, array)
+        for fetched in fetches:
+            self._device.fetch(*fetched)
         self.release(held)
 
     def _buffer(self, array: Array) -> Memory:
@@ -208,7 +208,7 @@ class Run:
         spans = []
         for stages, staging in self._timed:
             ticks = np.empty((len(stages), 2), np.uint64)
-            self._device.fetch(staging, ticks)
+            self._device.fetch(staging, ticks, ticks.dtype)
             spans += zip(stages, spans_s(ticks, self._device.tick_s), strict=True)
         self._timed.clear()
         if not all(0 <= span <= elapsed_s for _, span in spans):

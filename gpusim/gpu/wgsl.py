@@ -76,7 +76,8 @@ class Source:
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
 
 
-_HELD: dict[tuple, dict[str, object]] | None = None
+_HELD: dict[tuple, dict[str, object]] = {}
+_holders = 0  # who holds shaders now, one within the other or in several threads
 
 
 @contextmanager
@@ -85,17 +86,19 @@ def held() -> Iterator[None]:
 
     For the four kernels of a CMOS frame that takes 4 of the 5 ms that the host spends on it.
     """
-    global _HELD
-    before, _HELD = _HELD, {}
+    global _holders
+    _holders += 1
     try:
         yield
     finally:
-        _HELD = before
+        _holders -= 1
+        if not _holders:
+            _HELD.clear()
 
 
 def kept(key: tuple) -> dict[str, object]:
     """Return what is kept of a kernel as long as shaders are `held`; else an empty dict."""
-    return {} if _HELD is None else _HELD.setdefault(key, {})
+    return _HELD.setdefault(key, {}) if _holders else {}
 
 
 def load(path: str) -> Source:

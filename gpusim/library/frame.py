@@ -356,7 +356,8 @@ def taken(
     with held():
         for first in range(0, count, TOGETHER):
             chunk = slice(first, min(first + TOGETHER, count))
-            raw[chunk] = light.raws(sensors[chunk], shots[chunk])
+            for number, one in enumerate(light.raws(sensors[chunk], shots[chunk]), first):
+                raw[number] = one
             if progress is not None:
                 progress("burst", chunk.stop, count)
     clean = None

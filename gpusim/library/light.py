@@ -339,8 +339,13 @@ class Light:
         """
         budget, planes = default_device().pool.budget, planes_of(self.sensor)
         tiles = tiles_of(self.rect, planes.period, budget, None, planes.layers)
+        # What the frames share, half of what one needs, is there once.
         fit = max(
-            (n for n in range(1, len(shots) + 1) if len(strips(self.rect, budget // n)) == 1),
+            (
+                n
+                for n in range(1, len(shots) + 1)
+                if len(strips(self.rect, 2 * budget // (n + 1))) < 2
+            ),
             default=1,
         )
         if self.sensor.is_ccd or len(tiles) > 1 or fit == 1:

@@ -170,19 +170,51 @@ def record_readout(
         pixels that collect charge for it, and ``rate``, electrons/s, f32, of those whose light they
         take: see `rects_of`.
     """
-    frame = sensor.frame
-    optical, electrical = _kernels(sensor, runs)
+    rate, mean = record_charge(rec, sites, glare, sensor, rect, lit, shot, runs)
+    read = record_read(rec, mean, sensor, rect, shot, runs)
+    return {"rate": rate, "mean": mean, **read}
+
+
+def record_charge(
+    rec: Recording,
+    sites: Array,
+    glare: Array,
+    sensor: Sensor,
+    rect: Rect,
+    lit: Rect,
+    shot: Shot,
+    runs: Callable[[str], bool],
+) -> tuple[Array, Array]:
+    """Record ``rate`` and ``mean`` of `record_readout`, which all frames of an exposure share.
+
+    Neither depends on seed and frame, nor on what a step of the sensor's gain changes.
+    """
+    optical, _ = _kernels(sensor, runs)
     collecting, taking = rects_of(rect, sensor, runs)
     spread = rate = record_light(rec, sites, glare, sensor, taking, lit, runs)
     if optical:
         spread = record_crosstalk(rec, rate, optical, sensor, taking, collecting)
-    origin = frame.on_chip(collecting)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
-    warm = {"origin": origin, "temperature_c": shot.temperature_c}
+    warm = {"origin": sensor.frame.on_chip(collecting), "temperature_c": shot.temperature_c}
     mean = record_exposure(rec, spread, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
     if runs("defects"):
         record_defects(rec, mean, sensor, shot.exposure_s, **warm, **clipped)
-    electrons, light = mean, {"rate": rate, "mean": mean}
+    return rate, mean
+
+
+def record_read(
+    rec: Recording,
+    mean: Array,
+    sensor: Sensor,
+    rect: Rect,
+    shot: Shot,
+    runs: Callable[[str], bool],
+) -> dict[str, Array]:
+    """Record ``electrons`` and ``dn`` of `record_readout` from the mean electrons."""
+    frame, (_, electrical) = sensor.frame, _kernels(sensor, runs)
+    collecting, _ = rects_of(rect, sensor, runs)
+    origin, electrons = frame.on_chip(collecting), mean
+    warm = {"origin": origin, "temperature_c": shot.temperature_c}
 
     def once(name: str) -> bool:
         return runs(name) and not (runs("merge") and name in EACH_READ)
@@ -203,11 +235,11 @@ def record_readout(
         if runs("noise") and any(map(once, READ_OUT.values())):
             electrons = record_noise(rec, electrons, sensor, shot=False, **keyed, **warm)
     if runs("merge"):
-        return light | _two_reads(rec, electrons, sensor, shot, origin, runs)
+        return _two_reads(rec, electrons, sensor, shot, origin, runs)
     if runs("defects"):
         record_stuck(rec, electrons, sensor, origin=origin)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
-    return light | {"electrons": electrons, "dn": dn}
+    return {"electrons": electrons, "dn": dn}
 
 
 def _two_reads(

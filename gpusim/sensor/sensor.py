@@ -27,6 +27,8 @@ from gpusim.sensor.frame import Frame, Overscan
 from gpusim.sensor.misregistration import mixed
 from gpusim.sensor.strict import wrong
 
+# What a step of the analogue gain changes: all of it acts when the charge is read.
+OF_GAIN = ("analogue_gain", "system_gain_dn_per_e", "temporal_dark_noise_e")
 HOTTEST_C = 200.0  # silicon conducts by itself well above; the doubling of dark current ends before
 
 Value = TypeVar("Value", float, np.ndarray)
@@ -180,6 +182,14 @@ class Sensor(DataSheet):
                 allowed=", ".join(map(str, steps)) or "none: its file lists no speeds; see --gain",
             )
         return self.at_gain(steps[iso].gain)
+
+    def collects_as(self, other: Sensor) -> bool:
+        """Return whether it is the same sensor, or another step of its gain: see `at_gain`."""
+        return other is self or all(
+            getattr(self, name) is getattr(other, name)
+            for name in type(self).model_fields
+            if name not in OF_GAIN
+        )
 
     def at_low_gain(self) -> Sensor:
         """Return the sensor as it reads at the low gain of two."""
