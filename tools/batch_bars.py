@@ -172,8 +172,9 @@ def small(folder: Path) -> list[Found]:
 def workers_of(process: subprocess.Popen) -> list[psutil.Process]:
     """Return the worker processes of a batch."""
     try:
-        children = psutil.Process(process.pid).children(recursive=True)
-        return [one for one in children if "spawn_main" in " ".join(one.cmdline())]
+        children = psutil.Process(process.pid).children()
+        servers = [one for one in children if "forkserver" in " ".join(one.cmdline())]
+        return [worker for server in servers for worker in server.children()]
     except psutil.Error:  # ended meanwhile
         return []
 

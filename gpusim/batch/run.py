@@ -13,6 +13,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gpusim.batch.cluster import connected
 from gpusim.batch.work import LIGHT_TOPIC, LIGHTS, SIDECAR, Task, whole, work
 from gpusim.errors import UserError
 
@@ -183,7 +184,7 @@ def run(
     report("frames", there, total)
     tasks = tasks_of(sweep, out, taken)
     if tasks:
-        with _client(workers, scheduler, client) as dask:
+        with connected(workers, scheduler, client) as dask:
             with _told(dask, report):
                 _work(dask, tasks, outcome, fail_fast, lambda: report("frames", *_count(outcome)))
     outcome.done.sort(key=lambda one: one["number"])
@@ -241,46 +242,3 @@ def _work(
         if fail_fast and outcome.failed:
             dask.cancel(futures)
             return
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None, client: Client | None) -> Iterator[Client]:
-    """Yield the caller's cluster, one at an address, or one of this machine's processes."""
-    if client is not None:
-        yield client
-        return
-    import dask
-    from distributed import Client, LocalCluster
-
-    # A light lies where its first frames went: moving tasks about would bring it elsewhere too.
-    settings = {
-        "distributed.scheduler.work-stealing": False,
-        "distributed.worker.daemon": True,
-        "distributed.admin.log-format": "",
-    }
-    with dask.config.set(settings):
-        if scheduler is not None:
-            try:
-                with Client(scheduler, timeout=10) as made:
-                    yield made
-            except (OSError, TimeoutError) as error:
-                raise UserError(
-                    "the scheduler does not answer",
-                    field="--scheduler",
-                    value=scheduler,
-                    allowed="the address of a running dask scheduler: tcp://host:8786",
-                ) from error
-            return
-        with (
-            LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
-                memory_limit=0,
-                silence_logs="ERROR",
-            ) as cluster,
-            Client(cluster) as made,
-        ):
-            yield made

@@ -6,17 +6,17 @@ import json
 import math
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from gpusim.batch.cost import Cost, cost_of
-from gpusim.batch.page import batch_page
 from gpusim.batch.run import Outcome, run, status
 from gpusim.batch.sweep import Sweep
-from gpusim.batch.table import write_table
 from gpusim.cli import screen
 from gpusim.errors import UserError
+
+if TYPE_CHECKING:
+    from gpusim.batch.cost import Cost
 
 # Bytes a pixel of each output, upper bounds: PNG of noise hardly compresses.
 BYTES = {"raw": 2, "npz": 11, "exr": 4, "developed": 3, "truth": 4}
@@ -40,6 +40,8 @@ def run_batch(
         raise UserError("no worker", field="--workers", value=workers, allowed="1 or more")
     sweep = Sweep.load(path)
     if dry_run:
+        from gpusim.batch.cost import cost_of
+
         with screen.progress_bar(show != "nothing") as progress:
             cost = cost_of(sweep, progress)
         _say(_plan(sweep, out, cost), show)
@@ -58,6 +60,10 @@ def run_batch(
             fail_fast=fail_fast,
             progress=progress,
         )
+        # Once the frames are there: workers need not wait for what tables and pages need.
+        from gpusim.batch.page import batch_page
+        from gpusim.batch.table import write_table
+
         progress("table, page", 0, 1)
         write_table(outcome, out / "frames.parquet")
         (out / "batch.html").write_text(batch_page(outcome), encoding="utf-8")

@@ -7,11 +7,12 @@ import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib import metadata
+from typing import Any
 
 import numpy as np
 import wgpu
-from wgpu.backends.wgpu_native import ffi, lib
 
 from gpusim.errors import UserError
 
@@ -27,8 +28,6 @@ from .pool import (
     Pool,
     Use,
 )
-
-parse_few(ffi)
 
 # Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
 # not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.
@@ -82,7 +81,20 @@ def runtime_dir() -> Iterator[None]:
             os.environ.pop("XDG_RUNTIME_DIR", None)
 
 
+@cache
+def native() -> Any:
+    """Return wgpu's native library, once its types are declared.
+
+    That takes 0.2 s of the processor, which who opens no device need not wait for.
+    """
+    from wgpu.backends.wgpu_native import ffi, lib
+
+    parse_few(ffi)
+    return lib
+
+
 def _usable() -> list[wgpu.GPUAdapter]:
+    native()
     with runtime_dir():
         return [
             adapter
@@ -221,7 +233,7 @@ class Device:
         self.pool = Pool(self.gpu, budget)
         self.timestamps = bool(features)
         self.lost = False
-        self.tick_s = lib.wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
+        self.tick_s = native().wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
         self.double_float: bool | None = None  # not tested yet: see exact.py
         self.compiled: dict[object, Compiled] = {}  # by run.py, in order of time

@@ -288,8 +288,9 @@ def test_a_worker_that_is_killed_costs_no_frame(folder: Path):
         time.sleep(0.02)
     workers = [
         one
-        for one in psutil.Process(process.pid).children(recursive=True)
-        if "spawn_main" in " ".join(one.cmdline())
+        for server in psutil.Process(process.pid).children()
+        if "forkserver" in " ".join(server.cmdline())
+        for one in server.children()
     ]
     assert workers
     for one in workers:

@@ -56,9 +56,13 @@ def batch(
     What a run leaves when it is interrupted or killed, --resume goes on with. Exit code 1 where
     frames failed or a certificate does not meet the tolerance.
     """
+    choose_adapter(adapter)
+    if scheduler is None and not dry_run and not status:
+        from gpusim.batch.cluster import prepare_workers
+
+        prepare_workers()  # while the rest is imported here
     from gpusim.cli.batch import run_batch
 
-    choose_adapter(adapter)
     if code := run_batch(
         sweep,
         folder_of(out, needed=not dry_run),
