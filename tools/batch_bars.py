@@ -78,10 +78,10 @@ class Batch:
     def start(self, out: Path, *words: str) -> subprocess.Popen:
         """Start the command in a session of its own, so that all of it can be killed."""
         command = [sys.executable, "-m", "gpusim", "batch", str(self.folder / "sweep.yaml")]
+        environment = os.environ | {"SOURCE_DATE_EPOCH": str(TAKEN)}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)  # an installed package has it written
         return subprocess.Popen(
-            [*command, "--out", str(out), "-q", *words],
-            env=os.environ | {"SOURCE_DATE_EPOCH": str(TAKEN)},
-            start_new_session=True,
+            [*command, "--out", str(out), "-q", *words], env=environment, start_new_session=True
         )
 
     def whole(self, out: Path) -> None:

@@ -339,15 +339,12 @@ class Light:
         """
         budget, planes = default_device().pool.budget, planes_of(self.sensor)
         tiles = tiles_of(self.rect, planes.period, budget, None, planes.layers)
-        # What the frames share, half of what one needs, is there once.
-        fit = max(
-            (
-                n
-                for n in range(1, len(shots) + 1)
-                if len(strips(self.rect, 2 * budget // (n + 1))) < 2
-            ),
-            default=1,
-        )
+
+        def fits(count: int) -> bool:
+            # What the frames share, half of what one needs, is there once.
+            return len(strips(self.rect, 2 * budget // (count + 1))) == 1
+
+        fit = max(filter(fits, range(1, len(shots) + 1)), default=1)
         if self.sensor.is_ccd or len(tiles) > 1 or fit == 1:
             return [
                 self.at(sensor=sensor).read({"dn": np.uint16}, shot)["dn"]
