@@ -23,7 +23,7 @@ trap 'kill $(jobs -p) 2>/dev/null; wait; rm -f "$address_file"' EXIT
 
 dask scheduler --port 0 --no-dashboard --scheduler-file "$address_file" &
 scheduler=$!
-srun dask worker --nthreads 1 --nworkers 1 --no-dashboard --scheduler-file "$address_file" &
+srun dask worker --nthreads 2 --nworkers 1 --no-dashboard --scheduler-file "$address_file" &
 until [ -s "$address_file" ]; do
     kill -0 $scheduler 2>/dev/null || { echo "the Dask scheduler did not start" >&2; exit 1; }
     sleep 1

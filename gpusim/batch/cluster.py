@@ -18,6 +18,7 @@ from gpusim.errors import UserError
 if TYPE_CHECKING:
     from distributed import Client
 
+THREADS = 2  # tasks at a time of a worker: one on its device, one that writes files
 FORKS = sys.platform == "linux"  # elsewhere drivers and system libraries may not outlive a fork
 # What Dask gives a worker that it starts anew (distributed.nanny.pre-spawn-environ): processes of
 # one thread, whose allocator gives memory back.
@@ -93,7 +94,7 @@ def connected(workers: int, scheduler: str | None, client: Client | None) -> Ite
         with (
             LocalCluster(
                 n_workers=workers,
-                threads_per_worker=1,
+                threads_per_worker=THREADS,
                 processes=True,
                 host="127.0.0.1",
                 dashboard_address=None,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -48,11 +50,14 @@ KINDS = {
     "crops": "crops.npz",
 }
 LABELLED = {"labels", "crops"}  # outputs that hold labels
+COMPUTED = {"npz", "exr", "developed", "truth", "crops"}  # outputs that take the device once more
 NOT_MEASURED = ".not_measured"  # after a measure's name: why it has no figures
 LIGHT_TOPIC = "gpusim-light"  # of Dask's events: how far workers are with their lights
 TOLD_S = 0.2  # between two of them: a screen shows no more
 KEPT_LIGHTS = 2  # in a worker's memory: frames come light after light
 
+# Tasks of one worker, two of them at a time, take turns on its device and with what it keeps.
+_DEVICE = threading.Lock()
 _SWEEPS: dict[str, Sweep] = {}  # of this worker, with their frames
 _LIGHTS: OrderedDict[tuple[str, str], Light] = OrderedDict()
 _LABELS: OrderedDict[tuple[str, str], dict[str, np.ndarray]] = OrderedDict()
@@ -86,7 +91,8 @@ def work(task: Task) -> list[dict[str, Any]]:
     A frame that fails has ``error`` in place of its figures, and no sidecar.
     """
     out = Path(task.out)
-    frames = _SWEEPS.setdefault(task.sweep.digest, task.sweep).frames
+    with _DEVICE:
+        frames = _SWEEPS.setdefault(task.sweep.digest, task.sweep).frames
     found, left = [], []
     for frame in (frames[number] for number in task.numbers):
         sidecar = out / f"{frame.name}{SIDECAR}"
@@ -105,13 +111,15 @@ def rendered(frames: Sequence[Frame]) -> Iterator[tuple[Frame, library.Frame]]:
     UserError
         A frame that cannot be rendered.
     """
-    for _, group in groupby(frames, key=lambda frame: frame.light_key):
-        own = list(group)
-        light = exposed(own[0])
-        for frame, taken in _taken(own, light):
-            if isinstance(taken, UserError):
-                raise taken
-            yield frame, taken
+    with held():
+        for _, group in groupby(frames, key=lambda frame: frame.light_key):
+            own = list(group)
+            light = exposed(own[0])
+            for chunk in _chunks(own):
+                for frame, taken in _taken(chunk, light):
+                    if isinstance(taken, UserError):
+                        raise taken
+                    yield frame, taken
 
 
 def exposed(frame: Frame, progress: Callable[[str, int, int], None] | None = None) -> Light:
@@ -129,17 +137,18 @@ def exposed(frame: Frame, progress: Callable[[str, int, int], None] | None = Non
     )
 
 
-def _taken(
-    frames: Sequence[Frame], light: Light
-) -> Iterator[tuple[Frame, library.Frame | UserError]]:
-    """Yield what frames of one light are, or why there is none."""
-    with held():
-        for first in range(0, len(frames), TOGETHER):
-            chunk = frames[first : first + TOGETHER]
-            ready = [_ready(frame, light) for frame in chunk]
-            taken = iter(read_frames([one for one in ready if isinstance(one, tuple)]))
-            for frame, one in zip(chunk, ready, strict=True):
-                yield frame, next(taken) if isinstance(one, tuple) else one
+def _chunks(frames: Sequence[Frame]) -> Iterator[Sequence[Frame]]:
+    """Yield frames of one light as many at a time as are read together."""
+    for first in range(0, len(frames), TOGETHER):
+        yield frames[first : first + TOGETHER]
+
+
+def _taken(frames: Sequence[Frame], light: Light) -> list[tuple[Frame, library.Frame | UserError]]:
+    """Return what frames of one light are, or why there is none."""
+    ready = [_ready(frame, light) for frame in frames]
+    taken = iter(read_frames([one for one in ready if isinstance(one, tuple)]))
+    found = [next(taken) if isinstance(one, tuple) else one for one in ready]
+    return list(zip(frames, found, strict=True))
 
 
 def _ready(frame: Frame, light: Light) -> tuple[Light, Shot] | library.Frame | UserError:
@@ -156,27 +165,35 @@ def _ready(frame: Frame, light: Light) -> tuple[Light, Shot] | library.Frame | U
 
 
 def _rendered(frames: Sequence[Frame], out: Path, taken_at: datetime) -> list[dict[str, Any]]:
-    """Render frames of one light into files; return what is in their sidecars."""
+    """Render frames of one light into files; return what is in their sidecars.
+
+    Another task takes its turn on the device while the files of this one are written.
+    """
     if not frames:
         return []
-    started = time.perf_counter()
-    try:
-        light = _light(frames[0], out)
-    except (UserError, OSError) as error:
-        return [_failed(frame, error) for frame in frames]
-    lit_s = time.perf_counter() - started
     accounts: list[Callable[[], dict[str, Any]]] = []
+    lit_s = 0.0
     # The disk makes files last while the next frames are made.
-    with ThreadPoolExecutor(1) as disk:
-        for frame, taken in _taken(frames, light):
-            try:
-                if isinstance(taken, UserError):
-                    raise taken
-                written = _written(frame, taken, out, taken_at, lit_s, started)
-                accounts.append(disk.submit(_kept, frame, *written).result)
-            except (UserError, OSError) as error:
-                accounts.append(partial(_failed, frame, error))
-            started, lit_s = time.perf_counter(), 0.0
+    with held(), ThreadPoolExecutor(1) as disk:
+        for chunk in _chunks(frames):
+            with _DEVICE:
+                started = time.perf_counter()
+                try:
+                    light = _light(frames[0], out)
+                except (UserError, OSError) as error:
+                    return [_failed(frame, error) for frame in frames]
+                if chunk[0] is frames[0]:
+                    lit_s = time.perf_counter() - started
+                made = _taken(chunk, light)
+            for frame, taken in made:
+                try:
+                    if isinstance(taken, UserError):
+                        raise taken
+                    written = _written(frame, taken, out, taken_at, lit_s, started)
+                    accounts.append(disk.submit(_kept, frame, *written).result)
+                except (UserError, OSError) as error:
+                    accounts.append(partial(_failed, frame, error))
+                started, lit_s = time.perf_counter(), 0.0
         return [account() for account in accounts]
 
 
@@ -208,14 +225,16 @@ def _written(
         When the work on it began.
     """
     wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
-    labels = in_frame(_labels(frame, out), taken) if wanted else {}
+    with _DEVICE:
+        labels = in_frame(_labels(frame, out), taken) if wanted else {}
     places: dict[Path, Path] = {}
     try:
         files = [f"{frame.name}.{KINDS[kind]}" for kind in frame.sweep.outputs]
         for kind, name in zip(frame.sweep.outputs, files, strict=True):
             part = beside(out / name)
             places[part] = out / name
-            _write(kind, part, frame, taken, taken_at, labels)
+            with _DEVICE if kind in COMPUTED else nullcontext():
+                _write(kind, part, frame, taken, taken_at, labels)
         facts = _facts(frame, taken, out, taken_at)
         facts |= {"files": files, "light_s": lit_s, "seconds": time.perf_counter() - started}
         sidecar = out / f"{frame.name}{SIDECAR}"
@@ -276,9 +295,8 @@ def _facts(frame: Frame, taken: library.Frame, out: Path, taken_at: datetime) ->
         "iso": taken.iso,
         "seed": taken.shot.seed,
         "frame": taken.shot.frame,
-        "mean_dn": float(taken.raw.mean()),
-        "std_dn": float(taken.raw.std()),
-        "saturated": float(taken.saturated.mean()),
+        **_level(taken.raw),
+        "saturated": np.count_nonzero(taken.saturated) / taken.raw.size,
         **_measured(frame, out),
         "certificate_rms": None if certificate is None else certificate.total_rms,
         "certificate_met": None if certificate is None else certificate.met,
@@ -286,6 +304,15 @@ def _facts(frame: Frame, taken: library.Frame, out: Path, taken_at: datetime) ->
         "sweep": frame.sweep.digest,
         **made,
     }
+
+
+def _level(raw: np.ndarray) -> dict[str, float]:
+    """Return mean and standard deviation of a raw, DN."""
+    deviation = raw.astype(np.float64)
+    mean = float(deviation.mean())
+    deviation -= mean  # once: NumPy's own functions convert the raw three times
+    np.square(deviation, out=deviation)
+    return {"mean_dn": mean, "std_dn": math.sqrt(deviation.mean())}
 
 
 def crops_of(

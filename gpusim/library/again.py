@@ -7,6 +7,7 @@ one, and with it how the light was read and what the file says.
 from __future__ import annotations
 
 import hashlib
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -40,6 +41,17 @@ DIGESTS = {
     "plan": "the plan is not that of then",
     "scene": "the scene is not that of then",
 }
+_FIGURES: deque[tuple[Sensor, dict[str, Any]]] = deque(maxlen=8)  # of the last sensors
+
+
+def _figures(sensor: Sensor) -> dict[str, Any]:
+    """Return a sensor in JSON types; frames one after the other mostly share theirs."""
+    for known, figures in tuple(_FIGURES):
+        if known is sensor:
+            return figures
+    figures = exact(sensor.model_dump(mode="json"))
+    _FIGURES.append((sensor, figures))
+    return figures
 
 
 def recipe_of_raw(
@@ -75,7 +87,7 @@ def recipe_of_raw(
         As of `gpusim.isp.dng.write_dng`.
     """
     row, col, rows, cols = rect
-    own = exact(sensor.model_dump(mode="json"))
+    own = _figures(sensor)
     return {
         "format": FORMAT,
         "light": light,

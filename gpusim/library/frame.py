@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 SHOWN_PX = 960  # longest side of a frame's picture in a notebook
 HISTOGRAM_BINS = 96
 # Frames in one recording: what submitting and fetching cost is shared, and memory stays small.
-TOGETHER = 8
+TOGETHER = 10
 
 
 @dataclass(frozen=True, eq=False)
