@@ -224,9 +224,10 @@ def _written(
     started : float
         When the work on it began.
     """
-    wanted = frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs)
-    with _DEVICE:
-        labels = in_frame(_labels(frame, out), taken) if wanted else {}
+    labels: dict[str, np.ndarray] = {}
+    if frame.sweep.labels and not LABELLED.isdisjoint(frame.sweep.outputs):
+        with _DEVICE:
+            labels = in_frame(_labels(frame, out), taken)
     places: dict[Path, Path] = {}
     try:
         files = [f"{frame.name}.{KINDS[kind]}" for kind in frame.sweep.outputs]

@@ -7,11 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import dask
 import pytest
 import typer
 import yaml
 from distributed.cli import dask_scheduler, dask_worker
 
+from gpusim.batch import cluster
 from gpusim.batch.run import status
 from gpusim.batch.sweep import Sweep
 from gpusim.cli.app import app
@@ -139,3 +141,17 @@ def test_the_script_renders_a_sweep_and_goes_on_with_it(tmp_path: Path):
         for path in out.glob("frame-*5*"):
             path.unlink()
     assert len(raws[0]) == 12 and raws[0] == raws[1]
+
+
+def test_workers_are_forked_from_a_process_of_one_thread(monkeypatch):
+    """What Dask gives a worker that it starts anew holds for the process that others come from."""
+    seen = {}
+    monkeypatch.setattr(cluster, "FORKS", True)
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    monkeypatch.setattr(cluster.forkserver, "ensure_running", lambda: seen.update(os.environ))
+    cluster.prepare_workers()
+    assert all(seen[name] == value for name, value in cluster.ENVIRONMENT.items())
+    assert os.environ["OMP_NUM_THREADS"] == "7" and "MKL_NUM_THREADS" not in os.environ
+    known = dask.config.get("distributed.nanny.pre-spawn-environ")
+    assert {name: str(value) for name, value in known.items()} == cluster.ENVIRONMENT

@@ -50,6 +50,15 @@ def test_upload_dispatch_download(device: Device):
     assert np.array_equal(result["b"], 2 * RAMP + 1)
 
 
+def test_what_is_downloaded_as_other_numbers_has_the_same_values(device: Device):
+    rec = Recording(device)
+    a, _ = pair(rec)
+    rec.upload(a, RAMP)
+    label = rec.download(a, np.uint16)
+    found = rec.run()[label]
+    assert found.dtype == np.uint16 and np.array_equal(found, RAMP.astype(np.uint16))
+
+
 def test_each_dispatch_sees_the_one_before_and_its_own_params(device: Device):
     rec = Recording(device)
     a, b = pair(rec)

@@ -290,6 +290,21 @@ def test_frames_in_one_recording_are_those_one_by_one(bayer: Light, monkeypatch)
     assert together.tobytes() == bayer.burst(7, EXPOSURE_S, seed=SEED).raw.tobytes()
 
 
+def test_frames_that_are_read_together_are_those_one_by_one(bayer: Light):
+    """Steps of the gain share the mean charge, other exposures and other sensors have their own."""
+    warm = bayer.sensor.model_copy(update={"dark_current_e_per_s": 500.0})
+    lights = [bayer, bayer.at(iso=400), bayer.at(sensor=warm), bayer]
+    times = [EXPOSURE_S, EXPOSURE_S, EXPOSURE_S, 2 * EXPOSURE_S]
+    shots = [one.shot(time, SEED) for one, time in zip(lights, times, strict=True)]
+    for found, light, shot in zip(
+        frames.read_frames(list(zip(lights, shots, strict=True))), lights, shots, strict=True
+    ):
+        alone = light.capture(shot.exposure_s, seed=SEED)
+        assert found.raw.dtype == alone.raw.dtype == np.uint16
+        assert found.raw.tobytes() == alone.raw.tobytes()
+    assert bayer.sensor.collects_as(lights[1].sensor) and not bayer.sensor.collects_as(warm)
+
+
 def test_a_light_that_errs_shows_in_the_frame(bayer: Light):
     """A planted error of 1 % in one plane is seen: the read-out takes the planes it is given."""
     wrong = bayer.rates.copy()
