@@ -68,6 +68,7 @@ def connected(workers: int, scheduler: str | None, client: Client | None) -> Ite
         yield client
         return
     import dask
+    import distributed.utils
     from distributed import Client, LocalCluster
 
     # A light lies where its first frames went: moving tasks about would bring it elsewhere too.
@@ -91,6 +92,8 @@ def connected(workers: int, scheduler: str | None, client: Client | None) -> Ite
                 ) from error
             return
         prepare_workers()
+        # Else Dask names what is imported for workers, and imports that here: pandas, 0.25 s.
+        distributed.utils._forkserver_preload_set = True
         with (
             LocalCluster(
                 n_workers=workers,
