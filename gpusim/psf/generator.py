@@ -75,8 +75,8 @@ class Spread:
         What a point of the scene sends through the vignetted pupil: mm^2 across the beam, or sr
         along the object plane where that is near. See `gpusim.lens.entering`.
     folded_energy : ndarray, shape (L,)
-        Share of rays so far out that the transform would fold them back into the window: they are
-        left out of the PSFs, and the halo's levels hold them.
+        Share of rays that land beyond the transform's period, which would bring them back into the
+        window: the PSFs leave them to the halo's levels.
     """
 
     psf: np.ndarray

@@ -18,7 +18,7 @@ def _shared(fields: tuple[str, ...]) -> Variables:
         "folded_energy": (
             lines,
             "1",
-            "share of rays so far out that the sampled pupil folds them back into the window",
+            "share of rays beyond the sampled pupil's period, which the PSFs leave to the halo",
         ),
         "fit_residual_waves": (
             lines,

@@ -70,7 +70,7 @@ def _image_facts(bank: Bank) -> list[tuple[str, str]]:
         ("transmission", f"{bank.transmission[reference]:.3f} at {bank.reference_nm:g} nm"),
         (
             "light beyond the PSFs' window",
-            f"up to {percent(bank.outside_energy)}; folded back {percent(bank.folded_energy)}",
+            f"up to {percent(bank.outside_energy)}; past the period {percent(bank.folded_energy)}",
         ),
         (
             "rays that failed",
@@ -118,7 +118,7 @@ def plane_facts(bank: PlaneBank, system: System | None) -> list[tuple[str, str]]
         ),
         (
             "light beyond the PSFs' window",
-            f"up to {percent(bank.outside_energy)}; folded back {percent(bank.folded_energy)}",
+            f"up to {percent(bank.outside_energy)}; past the period {percent(bank.folded_energy)}",
         ),
         ("rays that failed", f"{bank.failed_rays.sum():.0f}"),
     ]

@@ -131,7 +131,7 @@ def test_a_refocus_of_nothing_is_the_same(generator):
     np.testing.assert_array_equal(generator.spread(1).psf, generator.spread(1, 0.0).psf)
 
 
-def test_far_out_of_focus_light_folds_and_is_reported(generator):
+def test_light_far_out_of_focus_lands_beyond_the_period_and_is_reported(generator):
     # 2 mm out of focus at f/2.8, rays land up to 350 um away: the transform repeats after 512 um,
     # so beyond 480 none would, and 4 mm gives 710 um.
     assert (generator.spread(0, 2.0).folded_energy == 0).all()

@@ -131,7 +131,9 @@ def test_facts_have_the_first_order_data(page: LensPage, demo_lens):
     assert facts["back focal length"] == f"{order.bfl_mm:.4f} mm"
     assert facts["f-number"] == "f/2.8"
     assert "NA 0.17" in facts["working f-number, NA"]
-    beyond = re.fullmatch(r"up to (.*) %; folded back 0 %", facts["light beyond the PSFs' window"])
+    beyond = re.fullmatch(
+        r"up to (.*) %; past the period 0 %", facts["light beyond the PSFs' window"]
+    )
     assert float(beyond[1]) == pytest.approx(100 * page.bank.outside_energy.max(), rel=0.05)
     assert facts["rays that failed"] == "0"
     for name in ("T-stop", "entrance pupil", "exit pupil", "image circle", "transmission"):
@@ -308,7 +310,7 @@ def test_what_a_bank_does_not_know_is_said(ready: BankPage):
     bank = replace(ready.bank, folded_energy=unknown, failed_rays=unknown)
     facts = dict(ready_facts(bank))
     assert facts["rays that failed"] == "not known"
-    assert "folded back not known" in facts["light beyond the PSFs' window"]
+    assert "past the period not known" in facts["light beyond the PSFs' window"]
     assert facts["fields, wavelengths"] == "5, 5"
     assert "length, vertex to vertex" not in facts
 
