@@ -65,7 +65,7 @@ FEW = (0, 2, 4, 7, 9, 11)
 TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judged in float64
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
 STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
-ROUNDS = 5  # of halving
+ROUNDS = 8  # of halving
 # Cells of the pupil each way for what is compared with itself alone: half of what a bank takes, a
 # quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
 # the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
