@@ -1,6 +1,7 @@
 """How densely a bank is sampled: where the lens asks for it, and what is known of its error."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from optics.made import FLAT, monochrome, scene
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
-from gpusim.plan.density import FIELDS_SHARE, LINES_SHARE, Density, LensShare, bank_density
+from gpusim.plan.density import FIELDS_SHARE, LINES_SHARE, Density, LensShare, _Survey, bank_density
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.places import half_turned
 from gpusim.psf.sampling import default_fields_deg
@@ -158,3 +159,19 @@ def test_what_cannot_be_met_is_refused_with_the_nearest_that_can(lens, monkeypat
     assert bank_density(lens, SENSOR, EDGE, Accuracy(nearest)).worst <= 0.85 * nearest
     best = bank_density(lens, SENSOR, EDGE, Accuracy(1e-4, best_effort=True))
     assert best.worst > 0.85e-4
+
+
+def test_what_wide_psfs_do_to_black_far_from_an_edge_counts():
+    """Light that lands 40 to 44 um off in place of nowhere: seen by black pixels there alone."""
+    size, pitch_um, contrast, share = 256, 0.5, 20.0, 1e-3
+    own, off = np.zeros((2, 1, 2, size))
+    own[..., size // 2] = 1.0
+    off[..., size // 2 + 80], off[..., size // 2 + 88] = share, -share
+    middle = (-1.0) ** np.arange(size // 2 + 1)
+    survey = SimpleNamespace(
+        contrast=contrast, size=size, sensor=SENSOR, few=SimpleNamespace(pitch_um=pitch_um)
+    )
+    found = _Survey._error(survey, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
+    # 8 of the 2 x 128 samples of the widest stretch, black one way round and white the other.
+    black, white = (share * (1 - 1 / contrast) / level for level in (1 / contrast, 1.0))
+    assert found == pytest.approx(np.sqrt((black**2 + white**2) / 2 * 8 / size), rel=1e-6)
