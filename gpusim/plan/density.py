@@ -76,7 +76,7 @@ MOST_SAMPLES = 2**29  # of all PSFs: 2 GiB
 MEAN = 0.5167
 # Pixels are judged within this distance from an edge, and within twice, four times it and so on:
 # the worst RMS counts. The Tessar at f/2.8 between 19.6 and 20.4 deg errs by 1.2e-4 within a pixel,
-# by 3e-3 within 64.
+# by 3e-3 within 32.
 NEAR_PX = 1.0
 
 
