@@ -25,8 +25,8 @@ from gpusim.lens.prescription import Prescription
 from gpusim.parallel import each
 from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
+from gpusim.psf.beyond import landing_share
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.halo import LAST_FALLS_FROM
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.traced import cached_traced_bank, cached_traced_plane_field
 from gpusim.reference.exact_model import ExactCore
@@ -123,31 +123,31 @@ def beyond(
 ) -> tuple[float, tuple[str, ...]]:
     """Return what the light beyond the widest PSF costs, and a word on it.
 
-    So far out it is spread evenly: every pixel lacks its share of the mean signal. It costs nothing
-    where all of it lands beside the sensor: no pixel is farther from a point that sends light than
-    the sensor's corner from the far side of the image circle.
+    So far out it is spread evenly: every pixel lacks its share of the mean signal, as far as that
+    lands on it (`gpusim.psf.beyond`).
     """
     share = getattr(bank, "beyond_energy", None)
     if share is None:
         return 0.0, ("window: what lands beyond the PSFs is not known to the bank",)
     last = bank.levels[-1]
     reach_um = last.psf.shape[-1] / 2 * last.pitch_um
-    corner_um = sensor.pixel_pitch_um * np.hypot(sensor.rows, sensor.cols) / 2
-    farthest_um = corner_um + np.hypot(*bank.centre_um) + bank.rectilinear_circle_um
-    if bank.halo is not None and LAST_FALLS_FROM * reach_um >= farthest_um:
-        return 0.0, (f"window: light beyond {reach_um / 1e3:.3g} mm lands beside the sensor",)
     most = float(share.max())
-    even = most * float(rate.mean(dtype=np.float64))
     # Pixels beyond the image circle have no light to lose, and do not count.
     some = np.unravel_index(np.arange(0, rate.size, max(1, rate.size // 4096)), rate.shape)
-    inside = ~beyond_circle(bank, sensor, np.stack(some, axis=1) + origin)
-    lit = rate[some][inside].astype(np.float64)
-    lit = lit[lit > 0]
-    if not len(lit):
+    pixels = np.stack(some, axis=1) + origin
+    counts = ~beyond_circle(bank, sensor, pixels) & (rate[some] > 0)
+    if not counts.any():
         return 0.0, ()
-    lost = errors(sensor, lit + even, lit, exposure_s, accuracy)
+    middle = np.array([sensor.rows, sensor.cols]) / 2
+    at_um = (pixels[counts] + 0.5 - middle)[:, ::-1] * sensor.pixel_pitch_um
+    landing = landing_share(bank, np.hypot(*(at_um - bank.centre_um).T))
+    if not landing.any():
+        return 0.0, (f"window: light beyond {reach_um / 1e3:.3g} mm lands beside the sensor",)
+    lit = rate[some][counts].astype(np.float64)
+    lacking = most * landing * float(rate.mean(dtype=np.float64))
+    lost = errors(sensor, lit + lacking, lit, exposure_s, accuracy)
     words = f"window: {most:.1e} of the light lands more than {reach_um / 1e3:.3g} mm from its "
-    words += "chief ray"
+    words += f"chief ray, {landing.mean():.0%} of that on pixels"
     return float(np.sqrt(np.mean(lost**2))), (words,)
 
 

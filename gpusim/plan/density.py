@@ -27,6 +27,7 @@ from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.stage import PlanStage
+from gpusim.psf.beyond import landing_share
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.lines import CUBIC, line_shares
 from gpusim.psf.places import lagrange
@@ -78,6 +79,7 @@ MEAN = 0.5167
 # the worst RMS counts. The Tessar at f/2.8 between 19.6 and 20.4 deg errs by 1.2e-4 within a pixel,
 # by 3e-3 within 32.
 NEAR_PX = 1.0
+LOOKED_AT = 17  # distances from the middle to the corner at which light from far off may land
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,19 +175,27 @@ class LensShare:
     density : Density
     bank : FieldBank
         Bank that was made so.
+    corner_um : float
+        From the middle of the sensor to its corner.
     """
 
     density: Density
     bank: FieldBank
+    corner_um: float
 
     @cached_property
     def window(self) -> float:
         """What the light beyond the last level costs: it is spread evenly, and dark pixels lack it.
 
-        In a scene half black and half white, a black pixel lacks half of it times the contrast.
+        In a scene half black and half white, a black pixel lacks half of it times the contrast, as
+        far as it lands on the sensor.
         """
         beyond = getattr(self.bank, "beyond_energy", None)
-        share = 0.0 if beyond is None else float(beyond.max())
+        if beyond is None:
+            return 0.0
+        farthest = min(self.corner_um, self.bank.rectilinear_circle_um)
+        landing = landing_share(self.bank, np.linspace(0.0, farthest, LOOKED_AT))
+        share = float(beyond.max() * landing.max())
         contrast = self.density.ratio
         return share * (1 + 1 / contrast) / 2 * math.sqrt((contrast**2 + 1) / 2)
 

@@ -96,7 +96,8 @@ def plans_optics(
 
     At most `count` in all; all meet the tolerance that the first one is made for.
     """
-    lens = None if density is None else LensShare(density, bank)
+    corner_um = math.hypot(sensor.rows, sensor.cols) / 2 * sensor.pixel_pitch_um
+    lens = None if density is None else LensShare(density, bank, corner_um)
     levels, bank = bank.levels, bank.levels[0]
     check_method(method)
     methods = METHODS if method is None else (method,)

@@ -135,8 +135,10 @@ def test_what_is_expected_of_the_sensor_is_the_mean_square_over_its_area():
 def test_the_engine_gets_what_the_bank_leaves():
     class Beyond:
         beyond_energy = np.full((2, 1), 2e-5)
+        halo = None
+        rectilinear_circle_um = 300.0
 
-    share = LensShare(given(6e-4), Beyond())
+    share = LensShare(given(6e-4), Beyond(), 250.0)
     # Half white, half black at a quarter: a mean of 5/8 over signals 1 and 1/4, squares averaged.
     window = 2e-5 * 0.625 * np.sqrt((1 + 16) / 2)
     assert share.window == pytest.approx(window)
