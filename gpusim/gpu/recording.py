@@ -141,7 +141,7 @@ class Recording:
         source : Array
             No texels.
         dtype : type, optional
-            Of the numbers on the host, which hold those of the buffer; by default the buffer's own.
+            The kind of the numbers on the host, which hold the buffer's; by default its own.
         """
         if source.use is Use.TEXELS:
             raise ShaderError(f"{source} is what a buffer was copied into: download that")

@@ -31,7 +31,7 @@ def landing_share(bank: FieldBank, radius_um: np.ndarray) -> np.ndarray:
     Returns
     -------
     ndarray (P,)
-        Of b: 0 where all of it lands beside the circle, 1 at most.
+        Shares of b: 0 where all of it lands beside the circle, 1 at most.
     """
     radius = np.asarray(radius_um, float)
     if bank.halo is None:

@@ -73,7 +73,7 @@ class _Grids:
     at_um : ndarray (n,)
         Samples of the core, `pitch_um` apart.
     edges_um : ndarray (m + 1,)
-        Of the cells around it, to `half_um` each way.
+        Edges of the cells around it, to `half_um` each way.
     hole : slice
         The cells that the core covers.
     """

@@ -24,7 +24,7 @@ class Outlines:
         Placed: in um on the ideal plane.
     fields : Heights or Grid
     alike : list of (int, float)
-        Of each of the chart's spectra the one that stands for it, and as how many times that it
+        For each of the chart's spectra the one that stands for it, and as how many times that it
         counts.
     """
 

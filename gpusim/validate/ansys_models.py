@@ -85,7 +85,7 @@ def models_of(square: Square, lens: Prescription) -> dict[str, np.ndarray]:
 def _airy(nm: np.ndarray, f_number: float, f: np.ndarray) -> np.ndarray:
     """Return the transfer (K, F) of a perfect round pupil: Goodman 2005, eq. 6-32.
 
-    Of wavelengths (K,), at frequencies (F,) in cycles/um.
+    Wavelengths (K,) and frequencies (F,), cycles/um, are given.
     """
     at = np.clip(np.multiply.outer(1e-3 * nm * f_number, f), 0, 1)
     return 2 / np.pi * (np.arccos(at) - at * np.sqrt(1 - at**2))

@@ -42,7 +42,7 @@ ROIS = {1: "horizontal", 3: "vertical"}  # the upper and the right edge
 NODES_NM = np.arange(BAND_NM[0], BAND_NM[1] + 1, 50.0)  # every 25 nm: 2.5e-4 of MTF
 PUPILS, CHIEFS = 5, 9  # over 14 degrees: 9 pupils are 1.4e-5 of MTF
 FILLED = 0.6  # of the full well, by the brightest pixel of the noisy frames
-# Of the renders: planned for 3e-3 they miss MTFs by 0.012, for 1e-3 by 0.004, for this by 0.002.
+# Planned for 3e-3 renders miss MTFs by 0.012, for 1e-3 by 0.004, for this by 0.002.
 TOLERANCE = 5e-4
 
 
