@@ -500,7 +500,8 @@ class Generator:
             )
             for line in few
         ]
-        return mirrored(np.einsum("lf,fyx->lyx", basis, lost)).astype(np.float32)
+        few_lost = np.array(lost, np.float32)
+        return mirrored(np.tensordot(basis.astype(np.float32), few_lost, 1))
 
     def wave(self, field: int, line: int, focus_um: float = 0.0) -> Wave:
         """Return the wavefront of one field and wavelength in an image plane, both halves."""
@@ -526,6 +527,7 @@ class Generator:
             reach=both(np.where(reach > 0, reach, NO_RAY)),
             light=both(light),
             passed=both(passed),
+            mirrored=True,
         )
 
     def cones(self, field: int) -> np.ndarray:
