@@ -71,6 +71,7 @@ ROUNDS = 8  # of halving
 # quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
 # the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
 COARSE = 512
+ALONE = {"transform": COARSE, "rim": False}
 MOST_SAMPLES = 2**29  # of all PSFs: 2 GiB
 # Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
 # t = -1/2 and 1/2 over that half-way.
@@ -347,7 +348,7 @@ class _Survey:
         self.ends_nm = tuple(scene.wavelengths_nm[[0, -1]].tolist())
         lines = even_lines_nm(STEPS[0], *self.ends_nm)[_few(*self.ends_nm)]
         both = np.sort(np.concatenate([self.first_deg, middles_deg(lens, self.first_deg)]))
-        self.few = cached_spreads(lens, lines, both, progress, transform=COARSE)
+        self.few = cached_spreads(lens, lines, both, progress, **ALONE)
         self.axis = _Axis(
             lines,
             self.few.light_sr[0],
@@ -368,7 +369,7 @@ class _Survey:
         """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
         fields = self.first_deg[list(LINES_AT)]
         lines = even_lines_nm(2, *self.ends_nm)
-        many = cached_spreads(self.lens, lines, fields, self.progress, transform=COARSE)
+        many = cached_spreads(self.lens, lines, fields, self.progress, **ALONE)
         few = replace(
             many,
             wavelengths_nm=many.wavelengths_nm[::2],
@@ -419,7 +420,7 @@ class _Survey:
         if missing:
             lines = self.few.wavelengths_nm
             given = np.array(missing), self.progress
-            self._take(cached_spreads(self.lens, lines, *given, transform=COARSE))
+            self._take(cached_spreads(self.lens, lines, *given, **ALONE))
         seen = np.stack([self.seen[float(one)] for one in fields])
         # Beyond the axis lies the second field, turned by half a turn.
         both = np.concatenate([seen[1:2].conj(), seen])

@@ -137,6 +137,7 @@ def spreads(
     field_deg: np.ndarray,
     *,
     transform: int = TRANSFORM,
+    rim: bool = True,
     progress: Progress | None = None,
 ) -> Spreads:
     """Trace a lens and return the line spreads of its PSFs.
@@ -149,6 +150,9 @@ def spreads(
         See `Spreads`.
     transform : int
         Cells of the pupil each way, at least: twice the samples of a PSF where these are more.
+    rim : bool
+        Whether to add what these cells take from a rim. It changes evenly over field and
+        wavelength: where spreads are compared with one another alone it is of no account.
     progress : callable, optional
         Called with (fields done, fields in all).
 
@@ -164,7 +168,7 @@ def spreads(
     given["transform"] = transform if 2 * size <= transform else TRANSFORM
     generator = Generator(default_device(), system, lines, angles, **given)
     try:
-        found = [generator.spread(field) for field in range(len(angles))]
+        found = [generator.spread(field, rim=rim) for field in range(len(angles))]
         areas = [generator.stretch(field, REFERENCE_NM).area() for field in range(len(angles))]
         return _of(
             prescription,
@@ -244,10 +248,12 @@ def cached_spreads(
     progress: Progress | None = None,
     *,
     transform: int = TRANSFORM,
+    rim: bool = True,
 ) -> Spreads:
     """Return `spreads` from the disk cache, or store them there."""
     settings = {"wavelengths_nm": wavelengths_nm, "field_deg": field_deg, "transform": transform}
-    return from_cache(Spreads, spreads, prescription, settings | {"progress": progress})
+    given = settings | {"rim": rim, "progress": progress}
+    return from_cache(Spreads, spreads, prescription, given)
 
 
 def cached_traced_spreads(

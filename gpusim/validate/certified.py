@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from gpusim.camera import Camera
 from gpusim.certify import Certificate
+from gpusim.library.expose import lit
+from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer
+from gpusim.render.anew import Certified as WithCertificate
 from gpusim.render.anew import planned_anew
+from gpusim.render.checks import rectangle
 from gpusim.scene.scene import Scene
 from gpusim.validate.bars import Bar
 
@@ -79,12 +83,39 @@ def certified_tiles(
         renderer.release()
 
 
+def certified_lights(
+    camera: Camera, scene: Scene, accuracy: Accuracy, tiles: Sequence[Rect]
+) -> list[Light]:
+    """Return the light of rectangles; the first has the certificate.
+
+    Parameters
+    ----------
+    camera : Camera
+    scene : Scene
+    accuracy : Accuracy
+    tiles : sequence of (x, y, width, height)
+    """
+    first, *others = (rectangle(tile, camera.sensor) for tile in tiles)
+    renderer, light = certified(
+        accuracy,
+        lambda asked: Renderer(camera, scene, asked),
+        lambda renderer: lit(renderer, first),
+    )
+    try:
+        return [light, *(lit(renderer, one) for one in others)]
+    finally:
+        renderer.release()
+
+
+Taken = TypeVar("Taken", bound=WithCertificate)
+
+
 def certified(
     accuracy: Accuracy,
     make: Callable[[Accuracy], Renderer],
-    take: Callable[[Renderer], Capture],
-) -> tuple[Renderer, Capture]:
-    """Return a renderer and its first frame, planned anew while that misses the tolerance.
+    take: Callable[[Renderer], Taken],
+) -> tuple[Renderer, Taken]:
+    """Return a renderer and its first frame or light, planned anew while that misses the tolerance.
 
     The renderer's further frames have no certificate.
 
@@ -94,11 +125,11 @@ def certified(
     make : callable
         Makes the renderer for an accuracy.
     take : callable
-        Takes the frame.
+        Takes the frame, or the light.
     """
     kept: Renderer | None = None
 
-    def attempt(asked: Accuracy) -> Capture:
+    def attempt(asked: Accuracy) -> Taken:
         nonlocal kept
         renderer = make(asked)
         try:

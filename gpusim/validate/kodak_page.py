@@ -93,7 +93,7 @@ def numbers(edges: Edges) -> dict[str, Any]:
                 "met": one.certificate.met,
                 "probes": one.certificate.probes,
             }
-            for name, one in edges.captures.items()
+            for name, one in edges.lights.items()
         },
     }
 
