@@ -159,9 +159,11 @@ class OptilandTracer:
         given = {"distribution": SimpleNamespace(x=px, y=py)}
         waves = Wavefront(optic, [field], [1e-3 * wavelength_nm], **given)
         found = waves.get_data(waves.fields[0], waves.wavelengths[0])
-        rays = self._traced(wavelength_nm, np.full_like(px, np.degrees(field_rad)), px, py)
-        alpha, beta = np.abs(np.ravel(rays.L)), np.ravel(rays.M)
-        x, y = np.ravel(rays.x), np.ravel(rays.y) - height
+        # It traced these rays last, and aiming them is most of the work.
+        x, y, alpha, beta = (
+            np.asarray(getattr(optic.surfaces, name))[-1] for name in ("x", "y", "L", "M")
+        )
+        alpha, y = np.abs(alpha), y - height
         # Its sphere ends at the exit pupil, radius R: a ray through (x, y) has so much more.
         radius = float(np.ravel(found.radius)[0])
         along = x * alpha + y * beta
