@@ -245,12 +245,13 @@ class Read:
         ]
 
 
-def rate_of(camera: Camera, scene: Scene, *, probes: int = PROBES) -> tuple[Capture, np.ndarray]:
-    """Return a capture with its certificate, and the electrons/s (rows, cols)."""
-    accuracy = Accuracy(TOLERANCE, probes)
-    found = capture(
-        camera, scene, exposure_s=EXPOSURE_S, accuracy=accuracy, noise=False, keep=("rate",)
-    )
+def rate_of(
+    camera: Camera, scene: Scene, tile: tuple[int, int, int, int] | None = None
+) -> tuple[Capture, np.ndarray]:
+    """Return a capture of a rectangle with its certificate, and the electrons/s (rows, cols)."""
+    accuracy, kept = Accuracy(TOLERANCE, PROBES), ("rate",)
+    given = {"exposure_s": EXPOSURE_S, "accuracy": accuracy, "noise": False, "keep": kept}
+    found = capture(camera, scene, tile=tile, **given)
     return found, found.rate
 
 
@@ -293,12 +294,18 @@ def spectrum(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return frequency, size / size.max(), float(frequency[np.argmax(size)])
 
 
-def peak_of(picture: np.ndarray, reading: Reading, lens: LensData, period_px: int) -> Peak:
-    """Return a sinusoid's peak in a picture, and the one of rays."""
+def middle(reading: Reading) -> tuple[int, int, int, int]:
+    """Return the rectangle (x, y, width, height) that sinusoids are measured in."""
     count = reading.pixels
-    own = slice(round(count * (1 - CENTRAL) / 2), round(count * (1 + CENTRAL) / 2))
-    row = picture[count // 2 - 1 : count // 2 + 1, own].mean(axis=0)
-    places = (np.arange(count) + 0.5 - count / 2)[own] * 1e-3 * reading.pitch_um
+    first, last = (round(count * (1 + way * CENTRAL) / 2) for way in (-1, 1))
+    return first, count // 2 - 1, last - first, 2
+
+
+def peak_of(picture: np.ndarray, reading: Reading, lens: LensData, period_px: int) -> Peak:
+    """Return a sinusoid's peak in a picture of the middle, and the one of rays."""
+    first, _, width, _ = middle(reading)
+    row = picture.mean(axis=0)
+    places = (first + np.arange(width) + 0.5 - reading.pixels / 2) * 1e-3 * reading.pitch_um
     frequency, size, at = spectrum(row)
     _, expected, predicted = spectrum(lens.wave(places, 1e-3 * period_px * reading.pitch_um))
     shown = slice(None, None, 8)
@@ -320,7 +327,7 @@ def read(
         progress(reading.name, len(captures), total)
         wave = drawn(sinusoid(period), reading.sensor)
         name = f"1/{period} cycles/px"
-        captures[name], picture = rate_of(reading.camera, wave)
+        captures[name], picture = rate_of(reading.camera, wave, middle(reading))
         peaks.append(peak_of(picture, reading, lens, period))
     progress(reading.name, total, total)
     return Read(reading, lens, distortion, rate, peaks, captures)
