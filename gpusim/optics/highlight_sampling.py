@@ -86,12 +86,15 @@ def _every(table: np.ndarray, count: int, step: int) -> np.ndarray:
     return found
 
 
-def sampling(kernels: Tables, fields: Sequence[FieldPsfs], allowed: float) -> Sampling:
+def sampling(
+    kernels: Tables, fields: Sequence[FieldPsfs], allowed: float, alone: bool = False
+) -> Sampling:
     """Return the fewest samples of which far ones err by at most a share of the light around them.
 
     Root mean square over rings about the middle of a lamp of three by three squares, the largest
     ones, at the worst of some fields and channels, for light of all spectra together. A square
     alone has the PSF's rings, which far samples miss; beside each other squares have no such rings.
+    ``alone``: the lamp is one square, as points of light are.
     """
     side, square = kernels.side, kernels.largest_um * np.eye(2)
     of_all = kernels.weights.sum(axis=1, keepdims=True)
@@ -106,11 +109,11 @@ def sampling(kernels: Tables, fields: Sequence[FieldPsfs], allowed: float) -> Sa
         sums = np.stack([np.bincount(number, one) for one in values.reshape(-1, number.size)])
         return sums / np.maximum(np.bincount(number), 1)
 
-    apart = kernels.largest_um / kernels.bank.pitch_um
+    apart = 0.0 if alone else kernels.largest_um / kernels.pitch_um
     exact = _spread(tables, at, 1, apart)
     # What the window lets out, other levels of the bank take over. Beyond it there is as much as
     # within its last ring.
-    window = kernels.bank.psf.shape[-1] / 2
+    window = kernels.fine * kernels.bank.psf.shape[-1] / 2
     light = exact / np.maximum(fall(radius, window), LEAST)
     last = means(light)[:, int(window / RING) - 1]
     light = np.where(radius < window, light, last[:, None, None])

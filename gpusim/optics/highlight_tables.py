@@ -50,6 +50,8 @@ class Tables:
         Side of the squares on the real plane, where it is largest.
     wavelengths_nm : ndarray (K,)
         Samples of the spectra.
+    fine : int
+        Samples of a table along one of the bank's.
     """
 
     def __init__(
@@ -59,8 +61,11 @@ class Tables:
         spectra: np.ndarray,
         largest_um: float,
         wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
+        *,
+        fine: int = 1,
     ) -> None:
-        self.bank = bank
+        self.bank, self.fine = bank, fine
+        self.pitch_um = bank.pitch_um / fine
         self.largest_um = largest_um
         self.aperture_um = sensor.response_um
         per_radiance = spectral_weights(bank, sensor, wavelengths_nm=wavelengths_nm)
@@ -79,27 +84,33 @@ class Tables:
         n = bank.psf.shape[-1]
         at = np.arange(n) - n // 2
         psf_lit = bank.psf.reshape(-1, n, n).any(axis=0)
-        self.support = np.hypot(at, at[:, None])[psf_lit].max() + 2 + corner / bank.pitch_um
-        self.side = 2 * scipy.fft.next_fast_len(math.ceil(self.support + 5))
+        reach = np.hypot(at, at[:, None])[psf_lit].max() + 2
+        self.support = fine * reach + corner / self.pitch_um
+        self.side = 2 * fine * scipy.fft.next_fast_len(math.ceil((self.support + 5) / fine))
 
     @property
     def reach_um(self) -> float:
         """Distance beyond which a square gives no light."""
-        return self.support * self.bank.pitch_um
+        return self.support * self.pitch_um
 
     def spectra(self, field: FieldPsfs) -> np.ndarray:
         """Return the spectra (L, side, side / 2 + 1) of a field's PSFs, as density per um^2.
 
-        Samples of the cubic B-spline have the transform (2 + cos) / 3 in each direction. It is
-        divided out twice: once the PSF's samples become spline coefficients, and once what is
-        tabulated does.
+        Two transforms are divided out in each direction: that of the quintic B-spline's samples,
+        by which the PSF's own become coefficients, and that of the cubic one's, by which what is
+        tabulated does. A sharp PSF has detail that cubics miss; aperture and square blur it.
         """
         n, side = field.psf.shape[-1], self.side
-        before = side // 2 - n // 2
+        coarse = side // self.fine
+        before = coarse // 2 - n // 2
         psf = field.psf.astype(np.float64) / self.bank.pitch_um**2
-        padded = np.pad(psf, ((0, 0), *[(before, side - n - before)] * 2))
-        line = (2 + np.cos(2 * np.pi * scipy.fft.fftfreq(side))) / 3
-        return scipy.fft.rfft2(padded) / (line[:, None] * line[: side // 2 + 1]) ** 2
+        padded = np.pad(psf, ((0, 0), *[(before, coarse - n - before)] * 2))
+        turn = 2 * np.pi * scipy.fft.fftfreq(side)
+        cubic = (2 + np.cos(turn)) / 3
+        quintic = (33 + 26 * np.cos(turn) + np.cos(2 * turn)) / 60
+        line = cubic * quintic
+        found = _finer(scipy.fft.rfft2(padded), self.fine)
+        return found / (line[:, None] * line[: side // 2 + 1])
 
     @property
     def turns(self) -> int:
@@ -137,7 +148,7 @@ class Tables:
         square : ndarray (2, 2)
             Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
         """
-        shifts, pitch_um = field.shift_um / self.bank.pitch_um, self.bank.pitch_um
+        shifts, pitch_um = field.shift_um / self.pitch_um, self.pitch_um
         spread = spectra * boxes(self.side, pitch_um, self.aperture_um, shifts, angle, square)
         mixed = np.tensordot(weights * field.relative_illumination, spread, axes=1)
         table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
@@ -145,6 +156,18 @@ class Tables:
         # Beyond lies rounding; and where the PSF is cut off, its spline swings below zero.
         table[..., np.hypot(at, at[:, None]) > self.support] = 0.0
         return np.maximum(table, 0.0)
+
+
+def _finer(spectra: np.ndarray, fine: int) -> np.ndarray:
+    """Return the spectra (L, s, s / 2 + 1) of samples that lie so many times as densely."""
+    if fine == 1:
+        return spectra
+    count, half = len(spectra), spectra.shape[-1] - 1
+    side = 2 * half * fine
+    found = np.zeros((count, side, side // 2 + 1), spectra.dtype)
+    found[:, :half, :half] = fine**2 * spectra[:, :half, :half]
+    found[:, 1 - half :, :half] = fine**2 * spectra[:, 1 - half :, :half]
+    return found
 
 
 def boxes(
@@ -155,11 +178,11 @@ def boxes(
     angle: float,
     square: np.ndarray,
 ) -> np.ndarray:
-    """Return spectra of the cubic B-spline averaged over aperture and square.
+    """Return spectra of the quintic B-spline averaged over aperture and square.
 
     (L, side, side / 2 + 1), in the frame of the PSFs, whose samples are the pitch apart; each
     wavelength (L, 2) lies where lateral colour moves it, samples. What is known in between, the
-    transform of samples folds onto their own frequencies: sinc^4 of the spline, with a sinc for
+    transform of samples folds onto their own frequencies: sinc^6 of the spline, with a sinc for
     each side of aperture and square. ``angle`` and ``square``: see `Tables.table`.
     """
     fy, fx = scipy.fft.fftfreq(side), scipy.fft.rfftfreq(side)
@@ -174,7 +197,7 @@ def boxes(
     folded, aliases = [], []
     for down, across in itertools.product(ALIASES, ALIASES):
         y, x = fy + down, fx + across
-        of_y, of_x = np.sinc(y) ** 4, np.sinc(x) ** 4
+        of_y, of_x = np.sinc(y) ** 6, np.sinc(x) ** 6
         nearest = float(np.hypot(np.abs(y).min(), np.abs(x).min()))
         most = of_y.max() * of_x.max()
         if most * math.prod(_most(sides, nearest) for sides in parallelograms) < SLIGHT:

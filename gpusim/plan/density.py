@@ -25,6 +25,7 @@ from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
+from gpusim.plan.fringes import cycles, lone_points, steps_for_fringes
 from gpusim.plan.signal import brightest_e
 from gpusim.plan.stage import PlanStage
 from gpusim.psf.beyond import landing_share
@@ -80,6 +81,7 @@ MEAN = 0.5167
 # the worst RMS counts. The Tessar at f/2.8 between 19.6 and 20.4 deg errs by 1.2e-4 within a pixel,
 # by 3e-3 within 32.
 NEAR_PX = 1.0
+TINY = 1e-6  # of a line spread's peak: less is rounding
 LOOKED_AT = 17  # distances from the middle to the corner at which light from far off may land
 
 
@@ -266,6 +268,7 @@ def bank_density(
     tolerance = _class_of(asked)
     at_um, between = survey.lines_error()
     steps = next((n for n in STEPS if between.max() / n**4 <= LINES_SHARE * tolerance), STEPS[-1])
+    steps = max(steps, survey.fringe_steps)
     lines = even_lines_nm(steps, *survey.ends_nm)
     most_fields = MOST_SAMPLES // (len(lines) * survey.size**2)
     fields, errors = survey.refined(FIELDS_SHARE * tolerance, most_fields)
@@ -357,6 +360,7 @@ class _Survey:
         )
         self.size = self.few.spread.shape[-1]
         self.unit_sr = float(self.few.light_sr[0].mean())
+        self.points = lone_points(scene)
         self.seen: dict[float, np.ndarray] = {}
         self.heights: dict[float, float] = {}
         self._take(self.few)
@@ -364,6 +368,22 @@ class _Survey:
     def height_um(self, field_deg: float) -> float:
         """Return the image height of a field that was traced."""
         return self.heights[float(field_deg)]
+
+    @property
+    def fringe_steps(self) -> int:
+        """Lines in each eleventh that points of light ask for."""
+        if not self.points:
+            return STEPS[0]
+        reach_um = self.size / 2 * self.few.pitch_um
+        return steps_for_fringes(even_lines_nm(1, *self.ends_nm), reach_um, self.unit_sr)
+
+    @cached_property
+    def told(self) -> int:
+        """Samples from a point of light as far as the few lines tell its fringes apart."""
+        lines = self.few.wavelengths_nm
+        first = int(np.argmin(np.diff(1 / lines)))  # of those that are farthest apart
+        a_um = cycles(1.0, self.unit_sr, *lines[first : first + 2].tolist())
+        return min(max(int(1 / a_um / self.few.pitch_um), 1), self.size // 2)
 
     def lines_error(self) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
@@ -491,6 +511,12 @@ class _Survey:
             change, signal = (dark * a + (1 - dark) * b for a, b in zip(whole, step, strict=True))
             squares.append(np.square(change / signal))
         found = [np.mean(even**2)]
+        if self.points:
+            beside = slice(self.size // 2 - self.told, self.size // 2 + self.told)
+            change, signal = (
+                np.fft.irfft(one * middle, axis=-1)[..., beside] for one in (off, own)
+            )
+            found.append(np.mean(np.square(change / np.maximum(signal, TINY * signal.max()))))
         # The more of the neighbourhood counts the less is one edge in it; but wide PSFs may err
         # most far out, where black is lit by them alone.
         while True:

@@ -9,6 +9,7 @@ square of even radiance, as large as the sample's cell, added to what is left.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,6 +25,7 @@ OUTLIER = 500.0
 FEW = 1024
 DAZZLING = 1e5
 MOST = 65536
+SIDE_BY_SIDE = 1.5  # samples: as far are those that share a side or a corner
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,12 @@ class Highlights:
     def __len__(self) -> int:
         return len(self.centre_um)
 
+    @cached_property
+    def alone(self) -> bool:
+        """Whether most of their light is of those that have none next to them."""
+        light = self.excess.max(axis=1, initial=0.0)
+        return bool(light[_lone(self.centre_um / self.size_um)].sum() > light.sum() / 2)
+
 
 @dataclass(frozen=True, eq=False)
 class Split:
@@ -68,6 +76,25 @@ class Split:
     cols: np.ndarray
     excess: np.ndarray
     limit: float
+
+    @cached_property
+    def lone(self) -> float:
+        """Mean light of outliers that have none next to them, over the median of the rest."""
+        if len(self.rows) == 0:
+            return 0.0
+        lone = _lone(np.stack([self.rows, self.cols], axis=1))
+        light = self.excess.max(axis=1)[lone].sum()
+        rest = self.planes.max(axis=0)
+        return float(light / rest.size / np.median(rest[rest > 0]))
+
+
+def _lone(at: np.ndarray) -> np.ndarray:
+    """Return which of samples (N, 2) have no other of them next to them."""
+    from scipy.spatial import KDTree
+
+    if len(at) < 2:
+        return np.ones(len(at), bool)
+    return KDTree(at).query(at, k=2)[0][:, 1] > SIDE_BY_SIDE
 
 
 def split_outliers(planes: np.ndarray) -> Split:

@@ -16,6 +16,8 @@ from gpusim.psf.places import half_turned
 from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.spreads import even_lines_nm, middles_deg
 from gpusim.scene.chart import Rect
+from gpusim.scene.raster import Raster
+from gpusim.scene.scene import Scene
 
 SENSOR = monochrome(1520, 2028)
 GREY = scene((), FLAT[None])
@@ -63,6 +65,15 @@ def test_lines_are_as_many_as_the_tolerance_asks(lens, loose, monkeypatch):
     assert steps > 1 and found.lines_error.max() <= LINES_SHARE * 3e-5
     np.testing.assert_allclose(found.lines_error, loose.lines_error / steps**4)
     assert loose.lines_error.max() / (steps - 1) ** 4 > LINES_SHARE * 3e-5
+
+
+def test_points_of_light_ask_for_lines_that_tell_their_fringes(lens, loose):
+    sky = np.ones((1, 40, 50), np.float32)
+    sky[0, 5, 5] = 1e9
+    stars = Scene("stars", FLAT[None], Raster(sky), "E", FLAT)
+    found = bank_density(lens, SENSOR, stars, Accuracy(3e-2))
+    # 24.5 fringes at 64 um, of which lines are to be 1.6 times as many: 4 in each eleventh.
+    assert (len(loose.wavelengths_nm), len(found.wavelengths_nm)) == (12, 45)
 
 
 def test_a_grey_needs_no_more_than_its_illumination(lens, tight):
@@ -171,7 +182,11 @@ def test_what_wide_psfs_do_to_black_far_from_an_edge_counts():
     off[..., size // 2 + 80], off[..., size // 2 + 88] = share, -share
     middle = (-1.0) ** np.arange(size // 2 + 1)
     survey = SimpleNamespace(
-        contrast=contrast, size=size, sensor=SENSOR, few=SimpleNamespace(pitch_um=pitch_um)
+        contrast=contrast,
+        size=size,
+        sensor=SENSOR,
+        few=SimpleNamespace(pitch_um=pitch_um),
+        points=False,
     )
     found = _Survey._error(survey, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
     # 8 of the 2 x 128 samples of the widest stretch, black one way round and white the other.

@@ -116,3 +116,15 @@ def test_highlights_lie_where_their_samples_do_whatever_the_grid(min_pitch_um: f
     assert placed.highlights.size_um == pytest.approx(20.0, rel=1e-12)
     assert "2 samples brighter than" in placed.note
     assert len(Raster(room()).placed(400.0, 300.0, 1.0).highlights) == 0
+
+
+def test_lone_outliers_have_none_next_to_them():
+    planes = np.full((2, 20, 30), 2.0, np.float32)
+    planes[1] = 0.0
+    planes[0, 3, 4] = 1e6
+    planes[1, 9, 9] = 5e6
+    planes[0, 15, 20:22] = planes[0, 16, 22] = 7e6  # by their sides and corners
+    # The brightest plane counts; the median of what surrounds them is 2.
+    assert split_outliers(planes).lone == pytest.approx((1e6 + 5e6) / 600 / 2, rel=1e-5)
+    assert split_outliers(planes[:, :14, :8]).lone == pytest.approx(1e6 / 112 / 2, rel=1e-5)
+    assert split_outliers(np.ones((1, 4, 4), np.float32)).lone == 0.0
