@@ -68,7 +68,7 @@ def histogram_html(facts: Mapping[str, Any]) -> str:
         for letter, one in channels.items()
     )
     return f"""<h2>The raw</h2>
-<figure><svg class="map" viewBox="0 0 {WIDTH + 2 * LEFT} {HEIGHT + 24}" role="img"
+<figure><svg class="map narrow" viewBox="0 0 {WIDTH + 2 * LEFT} {HEIGHT + 24}" role="img"
 aria-label="Histogram of the raw by channel">{lines}
 <line x1="{at:.1f}" x2="{at:.1f}" y1="0" y2="{HEIGHT}" stroke="var(--bad)" stroke-dasharray="4 3"/>
 <line x1="{LEFT}" x2="{WIDTH + LEFT}" y1="{HEIGHT}" y2="{HEIGHT}" stroke="var(--line)"/>

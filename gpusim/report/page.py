@@ -224,8 +224,7 @@ def _stages(facts: Mapping[str, Any]) -> str:
         prepared += f"; kernels within the render, tile by tile: {duration(times['kernels'])}"
     memory = facts["memory"]
     held = f"{mebibytes(memory['peak_bytes'])} of a budget of {mebibytes(memory['budget_bytes'])}"
-    return f"""<h2>What was done, and what was left out</h2>
-<div class="scroll"><table>
+    return f"""<div class="scroll"><table>
 <thead><tr><th>Stage</th><th>Reason</th><th class="number">Predicted error</th>
 <th class="number">Predicted time</th><th class="number">Time</th><th></th></tr></thead>
 <tbody>{rows}</tbody>
@@ -297,7 +296,7 @@ def _certificate(facts: Mapping[str, Any]) -> str:
 evaluated for that one pixel in float64 by code that shares nothing with the shaders. The bank of
 PSFs is compared with PSFs traced anew. The total is {met} the tolerance of
 {escape(tolerance(facts["capture"]))}.</p>
-{_numbers(("Part of the error", f"RMS, {unit}", "worst"), parts)}
+{_numbers(("Part of the error", f"RMS, {unit}", "worst"), parts, named=True)}
 <ul class="soft">{notes}</ul>
 <div class="probes"><figure>{probe_map(probes, facts["capture"])}
 <figcaption>The probes on the sensor by relative error. The worst is ringed.</figcaption></figure>
@@ -363,12 +362,15 @@ def pairs(entries: Mapping[str, str]) -> str:
     return f'<div class="scroll"><table>{"".join(rows)}</table></div>'
 
 
-def _numbers(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of numbers."""
-    head = "".join(f'<th class="number">{escape(name)}</th>' for name in columns)
+def _numbers(columns: Sequence[str], rows: Iterable[Sequence[str]], named: bool = False) -> str:
+    """Return a table of numbers; `named`: the first column has words, which may take lines."""
+    styles = ["words" if named and n == 0 else "number" for n in range(len(columns))]
+    pairs = zip(styles, columns, strict=True)
+    head = "".join(f'<th class="{style}">{escape(name)}</th>' for style, name in pairs)
     body = ""
     for row in rows:
-        cells = "".join(f'<td class="number">{escape(cell)}</td>' for cell in row)
+        pairs = zip(styles, row, strict=True)
+        cells = "".join(f'<td class="{style}">{escape(cell)}</td>' for style, cell in pairs)
         body += f"<tr>{cells}</tr>"
     return f"""<div class="scroll"><table><thead><tr>{head}</tr></thead>
 <tbody>{body}</tbody></table></div>"""

@@ -57,8 +57,8 @@ def _scale(width: float, top: float, unit: float) -> str:
     for decade in range(_LOW, _HIGH + 1):
         anchor = {_LOW: "start", _HIGH: "end"}.get(decade, "middle")
         scale += (
-            f'<text x="{(decade - _LOW) / (_HIGH - _LOW) * width:.2f}" y="{top + 4.5 * unit:.2f}" '
-            f'font-size="{2.6 * unit:.2f}" text-anchor="{anchor}" fill="currentColor">'
+            f'<text x="{(decade - _LOW) / (_HIGH - _LOW) * width:.2f}" y="{top + 5 * unit:.2f}" '
+            f'font-size="{3.3 * unit:.2f}" text-anchor="{anchor}" fill="currentColor">'
             f"1e{decade}</text>"
         )
     return scale

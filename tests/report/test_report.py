@@ -203,6 +203,13 @@ def test_the_page_shows_stages_times_reasons_and_certificate(page: str):
         assert words in text, words
 
 
+def test_the_error_budget_fits_a_phone(page: str):
+    """Its words take lines, so that the numbers beside them stay on the page at 390 px."""
+    assert page.count('<td class="words">') == 5
+    assert '<td class="words">engine: ' in page and '<td class="words">total</td>' in page
+    assert "td.words, th.words { white-space: normal; }" in page
+
+
 def test_a_tolerance_in_sigmas_is_judged_in_sigmas():
     capture = replace(fake_capture(), accuracy=Accuracy(0.1, 2, "sigma"))
     judged = {"unit": "sigma", "engine_rms": 1e-2, "total_rms": 1.1e-2, "total_worst": 1.5e-2}
