@@ -7,7 +7,8 @@ light, in proportion to 1 / lambda. In the lens's light of all wavelengths they 
 are evenly spaced in 1 / lambda: where they are as many as the cycles, all of them meet the same
 phase, and the rings stay.
 
-Measured before the demonstration camera (double Gauss at f/2.8, 23 to 54 um from a point, RMS
+Measured before the demonstration camera (double Gauss at f/2.8, up to 1.3 mm from the axis, 23 to
+54 um from a point, RMS
 against PSFs traced between 34 lines): 12 lines 3.9e-2 of the light, 34 lines 2.4e-3.
 """
 
