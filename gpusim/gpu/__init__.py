@@ -1,7 +1,9 @@
 """The GPU layer: the only place that knows wgpu."""
 
+from .adapters import devices
+from .arrays import Array, Resident
 from .compiling import Compiled, compiling
-from .device import Array, Device, DeviceLostError, Resident, default_device, devices
+from .device import Device, DeviceLostError, default_device
 from .exact import need_double_float
 from .kernel import Kernel
 from .layout import ShaderError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .device import Array
+from .arrays import Array
 
 if TYPE_CHECKING:
     from .kernel import Kernel

@@ -1,22 +1,20 @@
-"""The adapter and the device: choice, explicit limits, report, buffers that stay."""
+"""The device: explicit limits, report, what goes there and comes back."""
 
 from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 from importlib import metadata
-from typing import Any
 
 import numpy as np
 import wgpu
 
 from gpusim.errors import UserError
 
-from .c_types import parse_few
+from .adapters import choose, described, native
+from .arrays import Resident
 from .compiling import Compiled
 from .layout import ShaderError
 from .pool import (
@@ -48,166 +46,15 @@ PORTABLE_LIMITS = {
     "max-compute-workgroups-per-dimension": 65535,
 }
 DEFAULT_BUDGET_BYTES = 1 << 30  # leaves room for a desktop on an adapter with 2 GiB
-# OpenGL lists the same llvmpipe again and lacks the compute features used here.
-_BACKENDS = ("Vulkan", "Metal", "D3D12")
-_PREFERENCE = ("DiscreteGPU", "IntegratedGPU", "CPU")
 # Uploads that may wait for the device. Each has memory of its own until it is done, and new memory
 # is dear: 100 uploads of 2.3 MB took 0.2 to 0.8 s together, 0.03 s where each found the memory of
 # those before it (lavapipe, 2 cores).
 ON_THE_WAY_BYTES = 16 << 20
 MAX_TICKS = 4096  # WebGPU's limit of one query set; two ticks a pass
 
-# NumPy dtypes that a buffer may have, and the WGSL scalar that they are.
-DTYPES = {
-    np.dtype(np.float32): "f32",
-    np.dtype(np.complex64): "f32",
-    np.dtype(np.uint32): "u32",
-    np.dtype(np.int32): "i32",
-}
-
-
-@contextmanager
-def runtime_dir() -> Iterator[None]:
-    """Name a folder for sockets while adapters are looked for, where the environment names none.
-
-    Mesa asks libwayland for a screen, which complains on stderr of every look without one.
-    """
-    given = "XDG_RUNTIME_DIR" in os.environ
-    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
-    try:
-        yield
-    finally:
-        if not given:
-            os.environ.pop("XDG_RUNTIME_DIR", None)
-
-
-@cache
-def native() -> Any:
-    """Return wgpu's native library, once its types are declared.
-
-    That takes 0.2 s of the processor, which who opens no device need not wait for.
-    """
-    from wgpu.backends.wgpu_native import ffi, lib
-
-    parse_few(ffi)
-    return lib
-
-
-def _usable() -> list[wgpu.GPUAdapter]:
-    native()
-    with runtime_dir():
-        return [
-            adapter
-            for adapter in wgpu.gpu.enumerate_adapters_sync()
-            if adapter.info["backend_type"] in _BACKENDS
-        ]
-
-
-def _described(adapter: wgpu.GPUAdapter) -> dict[str, str]:
-    info = adapter.info
-    return {
-        "adapter": info["device"],
-        # SwiftShader has an empty text, others do not say more than their vendor.
-        "driver": info["description"] or info["vendor"] or "driver of no name",
-        "backend": info["backend_type"],
-        "type": info["adapter_type"],
-    }
-
-
-def devices() -> list[dict[str, str]]:
-    """Return the usable adapters: adapter, driver, backend and type of each."""
-    return [_described(adapter) for adapter in _usable()]
-
 
 class DeviceLostError(UserError):
     """The device is gone, and everything on it: driver reset, unplugged, put to sleep."""
-
-
-class Array:
-    """A GPU buffer, or texture, seen as an array: what a kernel binds.
-
-    Attributes
-    ----------
-    label : str
-    shape : tuple of int
-    dtype : numpy.dtype
-        float32, complex64 (as vec2f), uint32 or int32.
-    nbytes : int
-    use : Use
-        DATA; or TEXELS, which has whole texels of float32.
-    """
-
-    def __init__(
-        self,
-        label: str,
-        shape: tuple[int, ...] | int,
-        dtype: np.dtype | type,
-        use: Use = Use.DATA,
-    ) -> None:
-        self.label, self.use = label, use
-        self.shape = (shape,) if isinstance(shape, int) else tuple(int(n) for n in shape)
-        self.dtype = np.dtype(dtype)
-        if self.dtype not in DTYPES:
-            allowed = ", ".join(str(known) for known in DTYPES)
-            raise ShaderError(f"buffer {label!r}: dtype {self.dtype}, allowed are {allowed}")
-        if min(self.shape, default=1) < 0:
-            raise ShaderError(f"buffer {label!r}: shape {self.shape}")
-        self.nbytes = int(np.prod(self.shape, dtype=np.int64)) * self.dtype.itemsize
-        if use is Use.TEXELS and (DTYPES[self.dtype] != "f32" or self.nbytes % TEXEL_BYTES):
-            raise ShaderError(f"{self}: texels are four float32 each")
-
-    def __repr__(self) -> str:
-        return f"{type(self).__name__}({self.label!r}, {self.shape}, {self.dtype})"
-
-    def checked(self, array: np.ndarray) -> np.ndarray:
-        """Return ``array``, contiguous, if it has this shape and dtype.
-
-        Raises
-        ------
-        ShaderError
-            Another shape or dtype: nothing is converted in silence.
-        """
-        if array.shape != self.shape or array.dtype != self.dtype:
-            raise ShaderError(
-                f"buffer {self.label!r} is {self.dtype} {self.shape}, "
-                f"got an array {array.dtype} {array.shape}"
-            )
-        return np.ascontiguousarray(array)
-
-
-class Resident(Array):
-    """An array that stays on the device until :meth:`destroy`; it counts against the budget."""
-
-    def __init__(
-        self,
-        device: Device,
-        label: str,
-        shape: tuple[int, ...] | int,
-        dtype: np.dtype | type,
-        use: Use = Use.DATA,
-    ) -> None:
-        super().__init__(label, shape, dtype, use)
-        self._pool = device.pool
-        self._buffer: Memory | None = device.pool.acquire(label, self.nbytes, use)
-
-    @property
-    def buffer(self) -> Memory:
-        """The GPU buffer, or the view of the texture.
-
-        Raises
-        ------
-        ShaderError
-            After :meth:`destroy`.
-        """
-        if self._buffer is None:
-            raise ShaderError(f"resident {self.label!r} is used after destroy()")
-        return self._buffer
-
-    def destroy(self) -> None:
-        """Give the memory back to the pool; a second call does nothing."""
-        if self._buffer is not None:
-            self._pool.release(self._buffer)
-            self._buffer = None
 
 
 class Device:
@@ -260,37 +107,12 @@ class Device:
         UserError
             No usable adapter, or none of that name.
         """
-        found = _usable()
-        if not found:
-            raise UserError(
-                "No GPU adapter was found (Vulkan, Metal or Direct3D 12)",
-                allowed="a GPU driver, or Mesa's software Vulkan driver: "
-                "apt-get install libvulkan1 mesa-vulkan-drivers",
-            )
-        wanted = [
-            one
-            for one in found
-            if adapter is None
-            or adapter.lower() in f"{one.info['device']} {one.info['description']}".lower()
-        ]
-        if not wanted:
-            raise UserError(
-                "No adapter of that name was found",
-                field="adapter",
-                value=adapter,
-                allowed="part of one of: " + ", ".join(one.info["device"] for one in found),
-            )
-
-        def rank(one: wgpu.GPUAdapter) -> int:
-            kind = one.info["adapter_type"]
-            return _PREFERENCE.index(kind) if kind in _PREFERENCE else len(_PREFERENCE)
-
-        return cls(min(wanted, key=rank), budget)
+        return cls(choose(adapter), budget)
 
     def report(self) -> dict[str, object]:
         """Return what runs here: adapter, driver, backend, versions, clock, limits, budget."""
         return {
-            **_described(self._adapter),
+            **described(self._adapter),
             "wgpu": metadata.version("wgpu"),
             "timestamps": self.timestamps,
             "budget_bytes": self.pool.budget,

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from .arrays import Array, Resident
 from .commands import Clear, Dispatch, Download, Upload
-from .device import Array, Resident
 from .layout import ShaderError
 from .pool import Use
 from .recording import Recording

@@ -13,7 +13,8 @@ import numpy as np
 import wgpu
 
 from . import wgsl
-from .device import DTYPES, PORTABLE_LIMITS, Array, Device
+from .arrays import DTYPES, Array
+from .device import PORTABLE_LIMITS, Device
 from .layout import SCALARS, ShaderError
 from .pool import Use
 from .recording import Recording

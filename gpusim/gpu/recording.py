@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .arrays import Array
 from .commands import Clear, Command, Copy, Dispatch, Download, Proxy, Upload
-from .device import Array, Device
+from .device import Device
 from .layout import ShaderError
 from .pool import Use
 from .run import Run

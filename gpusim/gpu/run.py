@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import wgpu
 
+from .arrays import Array, Resident
 from .commands import Clear, Command, Copy, Dispatch, Download, Proxy, Upload
 from .compiling import Compiled, tell_compiling
-from .device import MAX_TICKS, Array, Device, Resident, texel_rows
+from .device import MAX_TICKS, Device, texel_rows
 from .pool import Memory, Use
 
 

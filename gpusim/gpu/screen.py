@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import wgpu
 
-from .device import runtime_dir
+from .adapters import runtime_dir
 
 
 def drawing_on(canvas: Any) -> tuple[Any, Textures]:

@@ -15,6 +15,7 @@ from gpusim.gpu import (
     Kernel,
     Recording,
     ShaderError,
+    adapters,
     default_device,
     devices,
 )
@@ -63,7 +64,7 @@ def test_an_unknown_adapter_is_refused_with_the_known_ones(monkeypatch: pytest.M
 
 
 def test_without_an_adapter_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(device_module, "_usable", list)
+    monkeypatch.setattr(adapters, "usable", list)
     with pytest.raises(UserError, match="No GPU adapter") as caught:
         Device.open()
     assert "mesa-vulkan-drivers" in caught.value.allowed
@@ -83,7 +84,7 @@ def test_the_choice_is_by_name_then_by_kind(monkeypatch: pytest.MonkeyPatch):
         Listed("large", "DiscreteGPU", "other"),
         Listed("odd", "Unknown"),
     ]
-    monkeypatch.setattr(device_module, "_usable", lambda: listed)
+    monkeypatch.setattr(adapters, "usable", lambda: listed)
     monkeypatch.setattr(
         Device, "__init__", lambda self, adapter, budget: vars(self).update(a=adapter)
     )
