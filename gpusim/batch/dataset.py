@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from gpusim.batch.files import crops_of
 from gpusim.batch.labels import in_frame, labels_of
-from gpusim.batch.work import crops_of, rendered
+from gpusim.batch.work import rendered
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
-    from gpusim.batch.sweep import Frame, Sweep
+    from gpusim.batch.frame import Frame
+    from gpusim.batch.sweep import Sweep
     from gpusim.library import frame as library
 
 WAIT_S = 0.1  # between looks at whether anyone still reads

@@ -12,7 +12,7 @@ from gpusim.formats.label_map import read_labels
 from gpusim.library.labels import labels_on_sensor
 
 if TYPE_CHECKING:
-    from gpusim.batch.sweep import Frame
+    from gpusim.batch.frame import Frame
     from gpusim.library import frame as library
 
 SCENE = "{scene}"  # in a file's name: the scene's own, without its suffix

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from matplotlib.figure import Figure
 from PIL import Image
 
-from gpusim.batch.work import NOT_MEASURED
+from gpusim.batch.files import NOT_MEASURED
 from gpusim.isp.develop import develop
 from gpusim.metrics.summary import MEASURES
 from gpusim.report.drawing import svg

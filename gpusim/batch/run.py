@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.batch.cluster import connected
-from gpusim.batch.work import LIGHT_TOPIC, LIGHTS, SIDECAR, Task, whole, work
+from gpusim.batch.disk import whole
+from gpusim.batch.kept import LIGHT_TOPIC, LIGHTS, SIDECAR
+from gpusim.batch.work import Task, work
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -88,7 +90,7 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
                     field="--out",
                     allowed="--resume to go on with them, or a new folder",
                 )
-            # Workers that were killed while writing left these: see `gpusim.batch.work.whole`. The
+            # Workers that were killed while writing left these: see `gpusim.batch.disk.whole`. The
             # writer of EXR pictures puts another dot before the name.
             for left in out.glob(".[.0-9]*-*"):
                 left.unlink(missing_ok=True)

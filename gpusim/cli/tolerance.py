@@ -8,15 +8,16 @@ from typing import Any
 
 from rich.console import Console
 
+from gpusim.batch.disk import whole
 from gpusim.batch.table import write_rows
-from gpusim.batch.work import whole
 from gpusim.camera import load_camera
 from gpusim.cli import screen
 from gpusim.report.drawing import png
 from gpusim.tolerance.budget import Budget
+from gpusim.tolerance.found import run
 from gpusim.tolerance.page import facts_of, figure_of, page_of, raws_figure, rows_of
 from gpusim.tolerance.rendered import both
-from gpusim.tolerance.study import Study, run
+from gpusim.tolerance.study import Study
 
 FILES = ("tolerance.html", "tolerance.png", "tolerance.json", "cameras.parquet")
 RAWS = "raws.png"

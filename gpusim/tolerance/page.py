@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from gpusim.report.drawing import STYLE, svg
 from gpusim.report.page import document
+from gpusim.tolerance.found import Found
 from gpusim.tolerance.rendered import Rendered
-from gpusim.tolerance.study import Found
 
 Raws = tuple[Rendered, Rendered]  # of the design, and of the camera below which five percent lie
 OFFENDERS_SHOWN = 15

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from yaml import safe_dump
 
-from gpusim.batch.work import whole
+from gpusim.batch.disk import whole
 from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
@@ -28,8 +28,9 @@ from gpusim.metrics.sfr import measure_sfr
 from gpusim.plan import Accuracy
 from gpusim.render.renderer import Renderer
 from gpusim.scene import make_scene
+from gpusim.tolerance.found import Found
 from gpusim.tolerance.sfr import EDGE_DEG
-from gpusim.tolerance.study import PARTS, Found, Place, Study
+from gpusim.tolerance.study import PARTS, Place, Study
 
 SIDE_PX, AROUND_PX = 56, 24  # of a square, and of the raw around it
 # The region of an edge: so far to either side, and so much of the side's length, off the corners.

@@ -175,6 +175,7 @@ def through_focus(
     weight: np.ndarray,
     coefficients: np.ndarray,
     focus_mm: np.ndarray,
+    *,
     steps: int,
     step_mm: float,
     frequency_cy_mm: float,
@@ -186,7 +187,7 @@ def through_focus(
     wave, weight, coefficients, focus_mm
         As of `otfs`: the middle.
     steps : int
-        Of ``step_mm``, either way.
+        How many of ``step_mm``, either way.
     step_mm, frequency_cy_mm : float
     """
     found = np.zeros((2 * steps + 1, len(focus_mm), 2), complex)

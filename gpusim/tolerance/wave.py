@@ -91,7 +91,9 @@ class Wave:
             A ray of the unchanged lens's pupil does not pass the changed one.
         """
         system = build(lens)
-        now = _rays(system, self.wavelengths_nm, self.theta, self.azimuth, self.stop_x, self.stop_y)
+        now = _rays(
+            system, self.wavelengths_nm, self.theta, self.azimuth, x=self.stop_x, y=self.stop_y
+        )
         if not now.ok.all():
             raise UserError(
                 f"rays at {np.degrees(self.theta):.4g} deg do not pass the perturbed lens: "
@@ -129,13 +131,20 @@ def wave_of(lens: Prescription, theta: float, azimuth: float, wavelengths_nm: np
     x, y = (one.ravel() for one in np.meshgrid(*[np.linspace(-radius, radius, ACROSS)] * 2))
     inside = x**2 + y**2 <= radius**2
     x, y = x[inside], y[inside]
-    lit = _rays(system, wavelengths_nm, theta, azimuth, x, y).inside.all(axis=0)
+    lit = _rays(system, wavelengths_nm, theta, azimuth, x=x, y=y).inside.all(axis=0)
     x, y = x[lit], y[lit]
-    rays = _rays(system, wavelengths_nm, theta, azimuth, x, y)
+    rays = _rays(system, wavelengths_nm, theta, azimuth, x=x, y=y)
     reference = int(np.argmin(np.abs(wavelengths_nm - lens.reference_nm)))
     lateral, chief = _lateral(dense, reference), dense.chief_direction[reference]
     lines = tuple(
-        _line(pupil, rays.alpha[k], rays.beta[k], 1e-6 * wavelengths_nm[k], lateral[k], chief)
+        _line(
+            pupil,
+            rays.alpha[k],
+            rays.beta[k],
+            1e-6 * wavelengths_nm[k],
+            lateral=lateral[k],
+            chief=chief,
+        )
         for k, pupil in enumerate(pupils(dense, wavelengths_nm, WINDOW_UM, NODES))
     )
     return Wave(theta, azimuth, x, y, rays, lines, reference, wavelengths_nm)
@@ -146,6 +155,7 @@ def _rays(
     wavelengths_nm: np.ndarray,
     theta: float,
     azimuth: float,
+    *,
     x: np.ndarray,
     y: np.ndarray,
 ) -> Samples:
@@ -164,6 +174,7 @@ def _line(
     ray_alpha: np.ndarray,
     ray_beta: np.ndarray,
     wavelength_mm: float,
+    *,
     lateral: np.ndarray,
     chief: np.ndarray,
 ) -> Line:

@@ -16,11 +16,12 @@ import yaml
 from pyarrow import parquet
 from typer.testing import CliRunner
 
-from gpusim.batch import work as worker
+from gpusim.batch import kept
+from gpusim.batch.kept import LIGHTS
 from gpusim.batch.run import prepared, status, tasks_of
 from gpusim.batch.run import run as run_batch
 from gpusim.batch.sweep import Sweep
-from gpusim.batch.work import LIGHTS, rendered, work
+from gpusim.batch.work import rendered, work
 from gpusim.cli.app import app
 from gpusim.errors import UserError
 
@@ -62,8 +63,8 @@ def run(*words: object):
 
 def test_frames_that_share_a_light_are_exposed_once(folder: Path, monkeypatch):
     exposures = []
-    right = worker.exposed
-    monkeypatch.setattr(worker, "exposed", lambda *given: exposures.append(1) or right(*given))
+    right = kept.exposed
+    monkeypatch.setattr(kept, "exposed", lambda *given: exposures.append(1) or right(*given))
     axes = SWEEP["axes"] | {"luminance_cd_m2": [100, 300]}
     sweep = Sweep.load(written(folder, axes=axes, probes=4))
     assert len(sweep) == 24 and len({frame.light_key for frame in sweep.frames}) == 2
@@ -88,7 +89,7 @@ def test_the_frames_are_those_of_the_library(folder: Path):
         work(task)
     import rawpy
 
-    light = worker.exposed(sweep.frames[0])
+    light = kept.exposed(sweep.frames[0])
     pairs = list(rendered(sweep.frames))
     assert [frame.number for frame, _ in pairs] == list(range(8))
     for frame, taken in pairs:

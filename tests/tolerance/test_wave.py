@@ -73,7 +73,8 @@ def test_focus_moves_the_image_plane_away_from_the_lens(lens, wave, focus_um):
 
 def test_through_focus_is_the_mtf_at_each_focus(wave):
     zero = np.zeros((1, len(LINES_NM), len(wave.lines[0].basis)))
-    found = through_focus(wave, WEIGHT, zero, np.zeros(1), 2, 0.02, CY_MM[3])[:, 0]
+    steps = {"steps": 2, "step_mm": 0.02, "frequency_cy_mm": CY_MM[3]}
+    found = through_focus(wave, WEIGHT, zero, np.zeros(1), **steps)[:, 0]
     each = [mtf(wave, focus_mm=0.02 * step)[:, 3].mean() for step in range(-2, 3)]
     assert found == pytest.approx(each, abs=1e-9)
 
