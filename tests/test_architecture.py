@@ -25,6 +25,7 @@ DOMAIN = ("camera", "scene", "lens", "psf", "formats", "optics", "sensor", "isp"
 TOP = (
     "render",
     "library",
+    "calibrate",
     "plan",
     "certify",
     "pareto",
@@ -216,6 +217,14 @@ def test_lenses_know_nothing_of_point_spread_functions_and_files_of_others():
 def test_only_the_gpu_layer_knows_wgpu():
     others = tuple({name.split(".")[1] for name in MODULES if "." in name} - {"gpu"})
     assert offences(others, ("wgpu",)) == []
+
+
+def test_a_plan_is_made_without_a_device():
+    """What it may know of the layer below are sizes: how much one binding and one buffer hold."""
+    names = {
+        name for module in MODULES if inside(module, "gpusim.plan") for name in IMPORTS[module]
+    }
+    assert [n for n in names if inside(n, "gpusim.gpu") and not inside(n, "gpusim.gpu.pool")] == []
 
 
 def test_the_gpu_layer_knows_no_domain():

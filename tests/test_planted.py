@@ -32,7 +32,7 @@ from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.noise import record_noise
 from gpusim.sensor.noise_model import Defects
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, SiteLight, record_readout
 from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
@@ -77,14 +77,15 @@ def test_hot_pixels_follow_temperature_and_vary_between_frames(device: Device, k
         if kind == "ccd":
             rate = rec.buffer("rate", (16, 16), F32)
             rec.clear(rate)
-            charge = record_columns(rec, rate, sensor, rect, shot, runs)
+            charge = record_columns(rec, rate, sensor, rect, shot=shot, runs=runs)
         else:
             made = planes_of(sensor)
             sites = rec.buffer("sites", (len(made.channels), *[16 // made.period] * 2), F32)
             glare = rec.buffer("glare", (len(sensor.site_channels()),), F32)
             rec.clear(sites)
             rec.clear(glare)
-            charge = record_readout(rec, sites, glare, sensor, rect, rect, shot, runs)["electrons"]
+            light = SiteLight(sites, glare, rect)
+            charge = record_readout(rec, light, sensor, rect, shot=shot, runs=runs)["electrons"]
         label = rec.download(charge)
         return float(rec.run()[label][3, 5])
 

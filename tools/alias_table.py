@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.camera import Camera, load_camera
-from gpusim.certify import certify
+from gpusim.certify import ExactModel, Measure, Placed, certify
 from gpusim.formats.lens_file import load_prescription
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
@@ -142,9 +142,9 @@ def found_error(camera: Near, scene: Scene, samples: int) -> float:
     one = Renderer(camera, scene, asked, plan=plan, costs=LAVAPIPE, noise=False)
     try:
         rate = one.capture(1 / 60, keep=("rate",)).rate
-        judged = Accuracy(TOLERANCE, PROBES)
-        given = one.bank, camera.sensor, scene, one.placed, rate, one.glare, 1 / 60, judged
-        return certify(*given).engine_rms
+        by = Measure(camera.sensor, 1 / 60, Accuracy(TOLERANCE, PROBES))
+        exact = ExactModel(one.bank, camera.sensor, scene, one.placed)
+        return certify(exact, Placed(rate, (0, 0, *rate.shape)), one.glare, by).engine_rms
     finally:
         one.release()
 

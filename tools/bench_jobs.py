@@ -25,7 +25,7 @@ from bench_regret import regret_job
 from scipy.ndimage import map_coordinates
 
 from gpusim.camera import Camera, load_camera
-from gpusim.certify import ExactModel, choose_probes, compare, glare_at
+from gpusim.certify import ExactModel, Measure, choose_probes, compare, glare_at
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.gpu import Array, Device, Kernel, Recording
@@ -39,6 +39,7 @@ from gpusim.optics.direct import Direct, direct_work
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes
+from gpusim.optics.nodes import Rates
 from gpusim.optics.paint import Paint
 from gpusim.optics.warp import Warp
 from gpusim.plan import Accuracy
@@ -420,8 +421,8 @@ def tolerances_job(
                     true = exact.rates(pixels)
                 whole = true + glare_at(sensor, renderer.glare, pixels)
                 at = rate[tuple(pixels.T)].astype(np.float64)
-                asked = Accuracy(tolerance, probes)
-                certificate = compare(sensor, pixels, whole, at, EXPOSURE_S, asked, 0.0)
+                by = Measure(sensor, EXPOSURE_S, Accuracy(tolerance, probes))
+                certificate = compare(by, pixels, whole, at, seconds=0.0)
                 found["met"] = certificate.met
                 found["rms"] = certificate.rms_relative
                 found["worst"] = certificate.worst_relative
@@ -570,10 +571,10 @@ def convolution_job(stage: str, device: Device, frame: tuple[int, int]) -> Job:
     device.write(scratch.folded, folded)
 
     sample, rec = (OneStage(device, f"optics/{stage}") for _ in range(2))
-    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    part.record(sample, (0, 0), 1, scratch, Rates(rates, (0, 0, *frame)))
     sample.run()
     for block in grid.blocks_for(0, 0, *frame):
-        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+        part.record(rec, block, 1, scratch, Rates(rates, (0, 0, *frame)))
     (first_x, step_x), (first_y, step_y) = grid.node_weights((0, 0))
     peers: dict[str, tuple[Run, float]] = {}
     blocks = grid.blocks[0] * grid.blocks[1]
@@ -640,17 +641,19 @@ def modes_job(device: Device, frame: tuple[int, int]) -> Job:
     one = np.ones(2)
     modes = Decomposition(np.zeros((2, 1, 3, 80, 80), np.float32), maps, one, one)
     blocks = grid.blocks_for(0, 0, *frame)
-    part = Modes(device, scale_of(grid), dict.fromkeys(blocks, 1), PITCH_UM, SITES, modes)
+    part = Modes(
+        device, scale_of(grid), dict.fromkeys(blocks, 1), PITCH_UM, SITES, decomposition=modes
+    )
     part.load(blocks)
     scratch = part.scratch(SimpleNamespace(buffer=device.empty), 1)
     rates = device.resident("rates", np.zeros((4, frame[0] // 2, frame[1] // 2), np.float32))
     planes = np.random.default_rng(2).standard_normal(scratch.planes.shape, np.float32)
     device.write(scratch.planes, planes)
     sample, rec = (OneStage(device, "optics/modes") for _ in range(2))
-    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    part.record(sample, (0, 0), 1, scratch, Rates(rates, (0, 0, *frame)))
     sample.run()
     for block in blocks:
-        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+        part.record(rec, block, 1, scratch, Rates(rates, (0, 0, *frame)))
     step = tuple(8 / (b * n) for b, n in zip(grid.block, grid.blocks, strict=True))
     lines = complex_of(device.read(scratch.spectra))[0]
     expected = modes_reference(planes[:, :8], maps, tuple(h / 2 for h in step), step, grid.length)
@@ -670,10 +673,10 @@ def direct_job(device: Device, frame: tuple[int, int]) -> Job:
     """Time the sum over 16 x 16 taps over all blocks: one plane, three channels."""
     cells = tuple(math.ceil((2 * side + 24) / 240) for side in frame[::-1])
     grid = SimGrid(*frame, stride=4, period=2, length=264, half_size=12, cells=cells)
-    part = Direct(device, scale_of(grid), {}, PITCH_UM, SITES, 8)
+    part = Direct(device, scale_of(grid), {}, PITCH_UM, SITES, support=8)
     few = SimGrid(64, 64, 4, 2, 264, 12, (3, 3))
     one = dict.fromkeys(np.ndindex(few.blocks), 1)
-    kernels = Direct(device, scale_of(few), one, PITCH_UM, SITES, 8)
+    kernels = Direct(device, scale_of(few), one, PITCH_UM, SITES, support=8)
     kernels.load(one)
     part.nodes = {(x, y): kernels.nodes[x % 4, y % 4] for x, y in np.ndindex(grid.nodes)}
     scratch = part.scratch(SimpleNamespace(buffer=device.empty), 1)
@@ -681,12 +684,12 @@ def direct_job(device: Device, frame: tuple[int, int]) -> Job:
     planes = np.random.default_rng(1).standard_normal(scratch.planes.shape, np.float32)
     device.write(scratch.planes, planes)
     sample, rec = Recording(device), Recording(device)
-    part.record(sample, (0, 0), 1, scratch, rates, (0, 0, *frame))
+    part.record(sample, (0, 0), 1, scratch, Rates(rates, (0, 0, *frame)))
     sample.run()
     found = device.read(rates)
     blocks = grid.blocks_for(0, 0, *frame)
     for block in blocks:
-        part.record(rec, block, 1, scratch, rates, (0, 0, *frame))
+        part.record(rec, block, 1, scratch, Rates(rates, (0, 0, *frame)))
     layout = part.layout
     first = -layout.high - 4 * layout.first_group(0)
     taps = np.empty((4, 1, 4, layout.lines, layout.lines))

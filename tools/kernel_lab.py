@@ -24,7 +24,7 @@ from gpusim.optics.direct import Direct
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes
-from gpusim.optics.nodes import Scale
+from gpusim.optics.nodes import Rates, Scale
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.psf.places import Heights
 
@@ -60,16 +60,16 @@ def stages(device: Device, pixels: int, planes: int, reach: int) -> Iterator[tup
         for rank in (1, 2, 4, 8):
             arguments = on(length, half, 1)
             parts = parts_of(arguments[1], rank, planes)
-            yield f"{rank} modes, T {length}", Modes(*arguments, parts)
+            yield f"{rank} modes, T {length}", Modes(*arguments, decomposition=parts)
     close = -(-(reach + 2) // 4) * 4
     for cells in (8, 2):
         name = f"direct, {2 * reach} taps, {cells} x {cells} cells"
-        yield name, Direct(*on(1024, close, cells), reach)
+        yield name, Direct(*on(1024, close, cells), support=reach)
 
 
 def parts_of(scale: Scale, rank: int, planes: int) -> Decomposition:
     """Return equal parts of the PSF as modes."""
-    kernel = sampled_kernels(scale.kernels, 0.0, 0.0, PITCH_UM, scale.grid.half_size, planes)
+    kernel = sampled_kernels(scale.kernels, 0.0, 0.0, PITCH_UM, scale.grid.half_size, planes=planes)
     parts = np.stack([kernel.astype(np.float32) / rank] * rank)
     return Decomposition(parts, np.ones((rank, 9, 9)), np.ones(rank), np.ones(rank))
 
@@ -92,7 +92,7 @@ def recorded(device: Device, stage, planes: int, noise: np.ndarray) -> tuple[Rec
         whole = np.zeros(scratch.planes.shape, np.float32)
         whole[:, : part.shape[1], : part.shape[2]] = part
         rec.upload(scratch.planes, whole)
-        stage.record(rec, block, planes, scratch, rates, frame)
+        stage.record(rec, block, planes, scratch, Rates(rates, frame))
     return rec, rec.download(rates)
 
 

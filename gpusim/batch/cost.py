@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from gpusim.calibrate.rates import adapter_costs
 from gpusim.gpu import default_device
 from gpusim.plan import Accuracy, plan_optics
-from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.deadline import first_frame_s
 from gpusim.render.look import look
 from gpusim.scene import make_scene

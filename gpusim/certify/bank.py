@@ -18,12 +18,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpusim.certify.budget import EXACT, Judged, Share, errors
+from gpusim.certify.budget import EXACT, Judged, Measure, Placed, Share
+from gpusim.certify.engine import ExactModel
 from gpusim.certify.places import pixels_near, pixels_on_rings, points_of, radii_of
 from gpusim.certify.probes import beyond_circle
 from gpusim.lens.prescription import Prescription
 from gpusim.parallel import each
-from gpusim.plan import Accuracy
 from gpusim.psf.bank import Bank
 from gpusim.psf.beyond import landing_share
 from gpusim.psf.field_bank import FieldBank
@@ -33,23 +33,16 @@ from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHeight, TracedPoint
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
-from gpusim.scene.raster import PlacedRaster
-from gpusim.scene.scene import Scene
-from gpusim.sensor.sensor import Sensor
 
 THINNED = 1 / 16  # of the error with fields twice as far apart: cubics go with the fourth power
 
 
 def bank_share(
-    bank: FieldBank,
+    exact: ExactModel,
     lens: object,
-    sensor: Sensor,
-    scene: Scene,
-    placed: Chart | PlacedRaster,
-    rate: np.ndarray,
-    origin: tuple[int, int],
-    exposure_s: float,
-    accuracy: Accuracy,
+    rate: Placed,
+    by: Measure,
+    *,
     progress: Callable[[int, int], None] | None = None,
     dropped: float = 0.0,
 ) -> Judged:
@@ -57,27 +50,23 @@ def bank_share(
 
     Parameters
     ----------
-    bank : FieldBank
+    exact : ExactModel
+        The scene before the camera that has the bank.
     lens : Prescription, or anything else
         Traced where it is a prescription.
-    sensor, scene
-    placed : Chart or PlacedRaster
-        The scene's source on the sensor, um.
-    rate : ndarray (rows, cols)
+    rate : Placed
         Electrons/s of the render, or of a rectangle of it.
-    origin : (int, int)
-        Row and column of the rectangle's first pixel.
-    exposure_s : float
-    accuracy : Accuracy
+    by : Measure
     progress : callable, optional
         Called with (done, total) of the fields that are traced.
     dropped : float
         Share of the light that was left out for its wavelength: see `gpusim.plan.band`. It counts
         with the window's.
     """
-    window, notes = beyond(bank, sensor, rate, origin, exposure_s, accuracy)
+    bank, sensor = exact.bank, exact.sensor
+    window, notes = beyond(bank, rate, by)
     if dropped:
-        window += left_out(sensor, rate, exposure_s, accuracy, dropped)
+        window += left_out(rate.plane, by, dropped)
         notes += (f"window: with it {dropped:.1e} of the light, left out for its wavelength",)
     traced, axial = isinstance(lens, Prescription), isinstance(bank, Bank)
     fields = bank.field_deg.shape if axial else (len(bank.field_y_deg), len(bank.field_x_deg))
@@ -85,8 +74,8 @@ def bank_share(
         words = f"bank: taken as given; {' x '.join(map(str, fields))} fields are too few to tell"
         return Judged(EXACT, window, (*notes, f"{words} more"))
     places_of, near = (radii_of, pixels_on_rings) if axial else (points_of, pixels_near)
-    places, numbers = places_of(bank, sensor, rate.shape, origin, between=traced)
-    pixels, owners = near(sensor, rate, origin, places)
+    places, numbers = places_of(bank, sensor, rate.plane.shape, rate.origin, between=traced)
+    pixels, owners = near(sensor, rate.plane, rate.origin, places)
     if traced:
         pairs_of = _traced_pairs if axial else _traced_points
         pairs = pairs_of(bank, lens, places, progress)
@@ -103,24 +92,16 @@ def bank_share(
         )
     if not len(pixels):
         return Judged(EXACT, window, (*notes, "bank: not measured, no light falls there"))
-    change = _changes(pairs, sensor, scene, placed, pixels, owners, len(bank.levels))
+    change = _changes(pairs, exact, pixels, owners)
     if not traced:
         change *= THINNED
-    there = tuple((pixels - origin).T)
-    own = rate[there].astype(np.float64)
-    found = errors(sensor, own + change, own, exposure_s, accuracy)
+    own = rate.at(*pixels.T)
+    found = by.errors(own + change, own)
     share = Share(float(np.sqrt(np.mean(found**2))), float(found.max()), len(found))
     return Judged(share, window, (*notes, words))
 
 
-def beyond(
-    bank: FieldBank,
-    sensor: Sensor,
-    rate: np.ndarray,
-    origin: tuple[int, int],
-    exposure_s: float,
-    accuracy: Accuracy,
-) -> tuple[float, tuple[str, ...]]:
+def beyond(bank: FieldBank, rate: Placed, by: Measure) -> tuple[float, tuple[str, ...]]:
     """Return what the light beyond the widest PSF costs, and a word on it.
 
     So far out it is spread evenly: every pixel lacks its share of the mean signal, as far as that
@@ -133,9 +114,10 @@ def beyond(
     reach_um = last.psf.shape[-1] / 2 * last.pitch_um
     most = float(share.max())
     # Pixels beyond the image circle have no light to lose, and do not count.
-    some = np.unravel_index(np.arange(0, rate.size, max(1, rate.size // 4096)), rate.shape)
-    pixels = np.stack(some, axis=1) + origin
-    counts = ~beyond_circle(bank, sensor, pixels) & (rate[some] > 0)
+    plane, sensor = rate.plane, by.sensor
+    some = np.unravel_index(np.arange(0, plane.size, max(1, plane.size // 4096)), plane.shape)
+    pixels = np.stack(some, axis=1) + rate.origin
+    counts = ~beyond_circle(bank, sensor, pixels) & (plane[some] > 0)
     if not counts.any():
         return 0.0, ()
     middle = np.array([sensor.rows, sensor.cols]) / 2
@@ -143,21 +125,19 @@ def beyond(
     landing = landing_share(bank, np.hypot(*(at_um - bank.centre_um).T))
     if not landing.any():
         return 0.0, (f"window: light beyond {reach_um / 1e3:.3g} mm lands beside the sensor",)
-    lit = rate[some][counts].astype(np.float64)
-    lacking = most * landing * float(rate.mean(dtype=np.float64))
-    lost = errors(sensor, lit + lacking, lit, exposure_s, accuracy)
+    lit = plane[some][counts].astype(np.float64)
+    lacking = most * landing * float(plane.mean(dtype=np.float64))
+    lost = by.errors(lit + lacking, lit)
     words = f"window: {most:.1e} of the light lands more than {reach_um / 1e3:.3g} mm from its "
     words += f"chief ray, {landing.mean():.0%} of that on pixels"
     return float(np.sqrt(np.mean(lost**2))), (words,)
 
 
-def left_out(
-    sensor: Sensor, rate: np.ndarray, exposure_s: float, accuracy: Accuracy, share: float
-) -> float:
+def left_out(rate: np.ndarray, by: Measure, share: float) -> float:
     """Return the RMS error that a share of the light makes which every pixel lacks."""
     some = rate.ravel()[:: max(1, rate.size // 4096)].astype(np.float64)
     lit = some[some > 0]
-    lost = errors(sensor, lit * (1 + share), lit, exposure_s, accuracy)
+    lost = by.errors(lit * (1 + share), lit)
     return float(np.sqrt(np.mean(lost**2))) if len(lit) else 0.0
 
 
@@ -282,30 +262,24 @@ def _thinned_pairs(bank: Bank, radii: np.ndarray, numbers: list[int]) -> list[Pa
 
 
 def _changes(
-    pairs: list[Pair],
-    sensor: Sensor,
-    scene: Scene,
-    placed: Chart | PlacedRaster,
-    pixels: np.ndarray,
-    owners: np.ndarray,
-    levels: int,
+    pairs: list[Pair], exact: ExactModel, pixels: np.ndarray, owners: np.ndarray
 ) -> np.ndarray:
     """Return by how much (P,) electrons/s change from bank to lens."""
-    changes = np.zeros(len(pixels))
+    scene, placed, changes = exact.scene, exact.placed, np.zeros(len(pixels))
 
     def of_height(number: int) -> None:
         own = np.flatnonzero(owners == number)
         if not len(own):
             return
-        for level in range(levels):
+        for level in range(len(exact.bank.levels)):
             ours, (theirs, fields) = pairs[number](level)
-            given = theirs, sensor, scene.spectra, scene.wavelengths_nm
+            given = theirs, exact.sensor, scene.spectra, scene.wavelengths_nm
             banks = {"fields": fields, "less": ours}
             if level:
                 changes[own] += Wide(*given, **banks).at(placed, pixels[own])
             else:
-                exact = ExactCore(*given, **banks)
-                evaluate = exact.chart if isinstance(placed, Chart) else exact.raster
+                core = ExactCore(*given, **banks)
+                evaluate = core.chart if isinstance(placed, Chart) else core.raster
                 changes[own] += evaluate(placed, pixels[own])
 
     each(of_height, range(len(pairs)))

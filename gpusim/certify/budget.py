@@ -15,10 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from gpusim.plan import Accuracy
+from gpusim.sensor.frame import Rect
 from gpusim.sensor.sensor import Sensor
 
 WORST_TO_RMS = 10.0  # what no probe may exceed, in tolerances
@@ -27,6 +29,52 @@ CLEAR = 0.5  # of what no probe may exceed: further probes may well be worse tha
 # What a black patch sends of the light around it, at least: what plans are made for (CHARTS of
 # `gpusim.plan.contrast`). Pixels beyond the image circle count as such.
 BLACK = 0.05
+
+
+class Placed(NamedTuple):
+    """A plane (rows, cols) of pixels, and the rectangle (row, col, rows, cols) of the sensor."""
+
+    plane: np.ndarray
+    rect: Rect
+
+    @property
+    def origin(self) -> tuple[int, int]:
+        """Row and column of the first pixel."""
+        return self.rect[:2]
+
+    def at(self, row: np.ndarray, col: np.ndarray) -> np.ndarray:
+        """Return what pixels hold, float64."""
+        return self.plane[row - self.rect[0], col - self.rect[1]].astype(np.float64)
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What an error of the light is measured by.
+
+    Attributes
+    ----------
+    sensor : Sensor
+        Gives the temporal noise and the full well.
+    exposure_s : float
+        The frame's.
+    accuracy : Accuracy
+        What was asked for.
+    """
+
+    sensor: Sensor
+    exposure_s: float
+    accuracy: Accuracy
+
+    def errors(
+        self, truth: np.ndarray, rate: np.ndarray, beyond: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return errors (P,) in the tolerance's unit, of electrons/s truth and rate (P,).
+
+        `beyond`: which pixels lie outside the image circle.
+        """
+        exposure_s = self.exposure_s
+        relative, sigma = _both(self.sensor, truth * exposure_s, rate * exposure_s, beyond)
+        return relative if self.accuracy.unit == "relative" else sigma
 
 
 @dataclass(frozen=True)
@@ -131,22 +179,6 @@ class Certificate:
     points: tuple[Probe, ...]
 
 
-def errors(
-    sensor: Sensor,
-    truth: np.ndarray,
-    rate: np.ndarray,
-    exposure_s: float,
-    accuracy: Accuracy,
-    beyond: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return errors (P,) in the tolerance's unit, of electrons/s truth and rate (P,).
-
-    `beyond`: which pixels lie outside the image circle.
-    """
-    relative, sigma = _both(sensor, truth * exposure_s, rate * exposure_s, beyond)
-    return relative if accuracy.unit == "relative" else sigma
-
-
 def settled(found: np.ndarray, bank: Judged, tolerance: float) -> bool:
     """Return whether further probes would hardly change the verdict on a render.
 
@@ -194,12 +226,11 @@ def _both(
 
 
 def compare(
-    sensor: Sensor,
+    by: Measure,
     pixels: np.ndarray,
     truth: np.ndarray,
     rate: np.ndarray,
-    exposure_s: float,
-    accuracy: Accuracy,
+    *,
     seconds: float,
     bank: Share = EXACT,
     readout: Share = EXACT,
@@ -211,14 +242,11 @@ def compare(
 
     Parameters
     ----------
-    sensor : Sensor
+    by : Measure
     pixels : ndarray (P, 2) of int
         Row and column.
     truth, rate : ndarray (P,)
         Electrons/s of exact model and render there, both with veiling glare.
-    exposure_s : float
-    accuracy : Accuracy
-        What was asked for.
     seconds : float
         What the exact model took.
     bank, readout : Share
@@ -230,8 +258,9 @@ def compare(
     beyond : ndarray (P,) of bool, optional
         Which pixels lie outside the image circle.
     """
-    exact_e, shown_e = np.asarray(truth, float) * exposure_s, np.asarray(rate, float) * exposure_s
-    relative, sigma = _both(sensor, exact_e, shown_e, beyond)
+    accuracy = by.accuracy
+    exact_e, shown_e = (np.asarray(one, float) * by.exposure_s for one in (truth, rate))
+    relative, sigma = _both(by.sensor, exact_e, shown_e, beyond)
     points = [
         Probe(*place, float(one), float(other), float(share), float(noise))
         for place, one, other, share, noise in zip(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import cached_property
 from itertools import count
 
 import numpy as np
@@ -15,14 +16,14 @@ from gpusim.certify.budget import (
     SURE,
     Certificate,
     Judged,
+    Measure,
+    Placed,
     Share,
     compare,
-    errors,
     settled,
 )
 from gpusim.certify.probes import FEWEST, MOST, beyond_circle, choose_probes, rounds
 from gpusim.parallel import each
-from gpusim.plan import Accuracy
 from gpusim.psf.field_bank import FieldBank
 from gpusim.reference.exact_model import ExactCore
 from gpusim.reference.wide import Wide
@@ -46,14 +47,18 @@ class ExactModel:
     def __init__(
         self, bank: FieldBank, sensor: Sensor, scene: Scene, placed: Chart | PlacedRaster
     ) -> None:
-        self.placed = placed
+        self.bank, self.sensor, self.scene, self.placed = bank, sensor, scene, placed
         self.centre = np.array([sensor.rows, sensor.cols]) / 2
-        core, *halo = bank.levels
-        given = sensor, scene.spectra, scene.wavelengths_nm
-        exact = ExactCore(core, *given)
-        self._core = exact.chart if isinstance(placed, Chart) else exact.raster
-        self._halo = [Wide(level, *given) for level in halo]
         self._begun = False
+
+    @cached_property
+    def _parts(self) -> list[Callable[[Chart | PlacedRaster, np.ndarray], np.ndarray]]:
+        """What the core and each level of the halo bring."""
+        core, *halo = self.bank.levels
+        given = self.sensor, self.scene.spectra, self.scene.wavelengths_nm
+        exact = ExactCore(core, *given)
+        first = exact.chart if isinstance(self.placed, Chart) else exact.raster
+        return [first, *(Wide(level, *given).at for level in halo)]
 
     def rates(
         self, pixels: np.ndarray, progress: Callable[[int, int], None] | None = None
@@ -84,21 +89,17 @@ class ExactModel:
         return rates
 
     def _rate(self, pixel: np.ndarray) -> float:
-        at = self.placed, pixel[None]
-        return self._core(*at)[0] + sum(one.at(*at)[0] for one in self._halo)
+        core, *halo = (part(self.placed, pixel[None])[0] for part in self._parts)
+        return core + sum(halo)
 
 
 def certify(
-    bank: FieldBank,
-    sensor: Sensor,
-    scene: Scene,
-    placed: Chart | PlacedRaster,
-    rate: np.ndarray,
+    exact: ExactModel,
+    rate: Placed,
     glare: np.ndarray,
-    exposure_s: float,
-    accuracy: Accuracy,
+    by: Measure,
+    *,
     progress: Callable[[int, int], None] | None = None,
-    origin: tuple[int, int] = (0, 0),
     readout: Callable[[np.ndarray], tuple[Share, str]] | None = None,
     judged: Callable[[], Judged] | None = None,
 ) -> Certificate:
@@ -106,38 +107,33 @@ def certify(
 
     Parameters
     ----------
-    bank, sensor, scene
-    placed : Chart or PlacedRaster
-        The scene's source on the sensor, um.
-    rate : ndarray (rows, cols)
+    exact : ExactModel
+    rate : Placed
         Electrons/s of the render, or of a rectangle of it.
     glare : ndarray (S,)
         Veiling glare of each CFA site, electrons/s: an input of both.
-    exposure_s : float
-    accuracy : Accuracy
+    by : Measure
     progress : callable, optional
         Called with (done, total) probes of a round.
-    origin : (int, int)
-        Row and column of the rectangle's first pixel.
     readout : callable, optional
         Returns the sensor's part at pixels (P, 2), and a note on it; without it there is none.
     judged : callable, optional
         Returns the bank's part and the window's; without it there is none.
     """
     started = time.perf_counter()
+    sensor, accuracy = exact.sensor, by.accuracy
     of_bank = Judged(EXACT, 0.0, ()) if judged is None else judged()
     first, most = (FEWEST, MOST) if accuracy.probes is None else (accuracy.probes,) * 2
-    chosen = choose_probes(rate, math.lcm(*sensor.period), most)
-    exact = ExactModel(bank, sensor, scene, placed)
+    chosen = choose_probes(rate.plane, math.lcm(*sensor.period), most)
     taken, truth = np.zeros(0, int), np.zeros(most)
     for one in rounds(most, first):
-        truth[one] = exact.rates(chosen[one] + origin, progress)
+        truth[one] = exact.rates(chosen[one] + rate.origin, progress)
         taken = np.sort(np.append(taken, one))
-        pixels = chosen[taken] + origin
+        pixels = chosen[taken] + rate.origin
         whole = truth[taken] + glare_at(sensor, glare, pixels)
-        found = rate[tuple(chosen[taken].T)].astype(np.float64)
-        beyond = beyond_circle(bank, sensor, pixels)
-        erring = errors(sensor, whole, found, exposure_s, accuracy, beyond)
+        found = rate.at(*pixels.T)
+        beyond = beyond_circle(exact.bank, sensor, pixels)
+        erring = by.errors(whole, found, beyond)
         if len(taken) < most and settled(erring, of_bank, accuracy.tolerance):
             break
     share, *notes = (EXACT,) if readout is None else readout(pixels)
@@ -150,9 +146,12 @@ def certify(
     if beyond.any():
         words = f"{beyond.sum()} probes lie beyond the image circle, where the signal counts as "
         notes.append(f"{words}{BLACK:.0%} of the mean of the others")
-    given = sensor, pixels, whole, found, exposure_s, accuracy, seconds
     return compare(
-        *given,
+        by,
+        pixels,
+        whole,
+        found,
+        seconds=seconds,
         bank=of_bank.share,
         readout=share,
         window=of_bank.window,

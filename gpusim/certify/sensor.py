@@ -30,12 +30,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from gpusim.certify.budget import Share
-from gpusim.plan import Accuracy
+from gpusim.certify.budget import Measure, Placed, Share
 from gpusim.reference.bloom import bloom
 from gpusim.reference.crosstalk import crosstalk_at
 from gpusim.reference.cti import cti
@@ -43,25 +41,12 @@ from gpusim.reference.defects import defects
 from gpusim.reference.exposure import dark_current, exposed
 from gpusim.reference.smear import smear
 from gpusim.reference.traps import traps
-from gpusim.sensor.cti_model import Cti
 from gpusim.sensor.defects import defects_of
-from gpusim.sensor.frame import Rect
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor
 
 # -log of the share of a charge packet, 1e-10, that may lie beyond the history that is looked at.
 LEFT_OUT = 23.0
-
-
-class Placed(NamedTuple):
-    """A plane (rows, cols) of pixels, and the rectangle (row, col, rows, cols) of the sensor."""
-
-    plane: np.ndarray
-    rect: Rect
-
-    def at(self, row: np.ndarray, col: np.ndarray) -> np.ndarray:
-        """Return what pixels hold, float64."""
-        return self.plane[row - self.rect[0], col - self.rect[1]].astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -84,29 +69,21 @@ class MeanSignal:
 
 
 def sensor_share(
-    sensor: Sensor,
-    made: MeanSignal,
-    pixels: np.ndarray,
-    exposure_s: float,
-    temperature_c: float,
-    noise: bool,
-    accuracy: Accuracy,
+    by: Measure, made: MeanSignal, pixels: np.ndarray, *, temperature_c: float, noise: bool
 ) -> tuple[Share, str]:
     """Compare the mean electrons of some pixels with their float64 references.
 
     Parameters
     ----------
-    sensor : Sensor
+    by : Measure
     made : MeanSignal
         What the shaders made.
     pixels : ndarray (P, 2) of int
         Row and column of lit pixels.
-    exposure_s, temperature_c : float
-        Those of the frame.
+    temperature_c : float
+        The sensor's, in the frame.
     noise : bool
         Whether the frame has noise and fixed patterns; else it is clipped at the full well.
-    accuracy : Accuracy
-        Gives the unit of the error.
 
     Returns
     -------
@@ -114,8 +91,8 @@ def sensor_share(
     note : str
         What was compared.
     """
-    row, col = pixels.T
-    light = _Light(sensor, made.rate, exposure_s, temperature_c, noise)
+    sensor, (row, col) = by.sensor, pixels.T
+    light = _Light(sensor, made.rate, by.exposure_s, temperature_c, noise)
     if made.charge is None:
         steps = [(light.mean(row, col), made.mean.at(row, col))]
     else:
@@ -124,7 +101,7 @@ def sensor_share(
             (_columns(light, row, col), charge.at(row, col)),
             (_arrived(sensor, charge, row, col), made.mean.at(row, col)),
         ]
-    error = _error(sensor, steps, accuracy.unit)
+    error = _error(sensor, steps, by.accuracy.unit)
     share = Share(float(np.sqrt(np.mean(error**2))), float(error.max()), len(error))
     return share, (
         f"sensor: {', '.join(_covered(sensor, noise))} of the mean signal in float64 from the "
@@ -262,7 +239,7 @@ class _Light:
 def _columns(light: _Light, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     """Return the mean charge of pixels (P,) of a CCD once their columns were shifted out."""
     sensor = light.sensor
-    first, rows = sensor.frame.pixels[0], sensor.frame.pixels[2]
+    first, _, rows, _ = sensor.frame.pixels
     cols, line = np.unique(col, return_inverse=True)
     every_row = np.arange(first, first + rows)[:, None]
     spread = light.spread(every_row, cols)
@@ -278,9 +255,7 @@ def _columns(light: _Light, row: np.ndarray, col: np.ndarray) -> np.ndarray:
         mean = smear(spread, mean, kind, weight_s, limit_e)
     if sensor.bloom:
         mean, _ = bloom(mean, sensor.full_well_e)
-    return _transferred(
-        mean, line, row - first, sensor.parallel_cti, sensor.full_well_e, sensor.first_row, rows
-    )
+    return _transferred(mean, line, row - first, sensor, serial=False)
 
 
 def _arrived(sensor: Sensor, charge: Placed, row: np.ndarray, col: np.ndarray) -> np.ndarray:
@@ -288,26 +263,22 @@ def _arrived(sensor: Sensor, charge: Placed, row: np.ndarray, col: np.ndarray) -
     rows, line = np.unique(row, return_inverse=True)
     first, cols = charge.rect[1], charge.rect[3]
     held = charge.at(rows, np.arange(first, first + cols)[:, None])
-    elements = sensor.frame.pixels[3]
-    return _transferred(
-        held, line, col - first, sensor.serial_cti, sensor.full_well_e, sensor.first_col, elements
-    )
+    return _transferred(held, line, col - first, sensor, serial=True)
 
 
 def _transferred(
-    charge: np.ndarray,
-    line: np.ndarray,
-    packet: np.ndarray,
-    model: Cti | None,
-    well_e: float,
-    before: int,
-    elements: int,
+    charge: np.ndarray, line: np.ndarray, packet: np.ndarray, sensor: Sensor, *, serial: bool
 ) -> np.ndarray:
     """Return what arrives (P,) of packets of the lines of a charge (packets, lines).
 
-    ``elements`` hold photosites, and as many packets as there are in a whole line; ``before`` lie
-    between the first of them and the read-out.
+    ``serial``: by the transfer along rows, else by that along columns.
     """
+    # So many elements hold photosites, and as many packets as there are in a whole line; `before`
+    # lie between the first of them and the read-out.
+    if serial:
+        model, before, elements = sensor.serial_cti, sensor.first_col, sensor.frame.pixels[3]
+    else:
+        model, before, elements = sensor.parallel_cti, sensor.first_row, sensor.frame.pixels[2]
     if model is None:
         return charge[packet, line]
     if model.traps:
@@ -315,7 +286,7 @@ def _transferred(
             charge,
             [(one.density, one.release_transfers) for one in model.traps],
             well_fill_power=model.well_fill_power,
-            well_e=model.well_e or well_e,
+            well_e=model.well_e or sensor.full_well_e,
             notch_e=model.notch_e,
             groups=min(model.groups, before + elements),
             before=before,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from gpusim.calibrate.rates import adapter_costs, cached_costs
 from gpusim.cli.screen import progress_bar
 from gpusim.gpu import default_device, devices
-from gpusim.plan.calibrate import adapter_costs, cached_costs
 from gpusim.plan.costs import UNITS
 
 

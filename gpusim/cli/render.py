@@ -8,12 +8,13 @@ import re
 import sys
 import tempfile
 import textwrap
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim import report
+from gpusim.calibrate.rates import adapter_costs, planned_costs
 from gpusim.camera import load_camera
 from gpusim.cli import screen
 from gpusim.cli.files import staging
@@ -29,7 +30,6 @@ from gpusim.library.again import recipe_of_raw
 from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy, plan_optics
 from gpusim.plan.band import with_band
-from gpusim.plan.calibrate import adapter_costs, planned_costs
 from gpusim.render import capture as take
 from gpusim.render import look
 from gpusim.render.deadline import resolved
@@ -50,72 +50,69 @@ if TYPE_CHECKING:
 KEPT_PLANES = ("electrons", "rate")
 
 
+@dataclass(frozen=True)
+class RenderOptions:
+    """What is asked of a render, as the command line writes it: see `gpusim render --help`.
+
+    ``lens`` and ``sensor`` stand in place of the camera's: see `load_camera`.
+    """
+
+    exposure: str
+    temperature_c: float | None
+    luminance_cd_m2: float | None
+    illuminant: str | None
+    illumination: Path | None
+    transfer: str | None
+    upsampling: str | None
+    chart_height: str | None
+    projection: str
+    tolerance: str
+    probes: int | None
+    gain: float | None
+    iso: int | None
+    ev: float
+    seed: int
+    frame: int
+    tile: str | None
+    tile_px: int | None
+    memory: str | None
+    keep: str
+    noise: bool
+    method: str | None
+    plan: Path | None
+    best_effort: bool
+    lens: Mapping[str, float | None]
+    sensor: str | None
+
+
 def run(
     camera_name: str,
     scene_name: str,
     out: Path,
+    asked: RenderOptions,
     *,
-    exposure: str,
-    temperature_c: float | None,
-    luminance_cd_m2: float | None,
-    illuminant: str | None,
-    illumination: Path | None,
-    transfer: str | None,
-    upsampling: str | None,
-    chart_height: str | None,
-    projection: str,
-    tolerance: str,
-    probes: int | None,
-    gain: float | None,
-    iso: int | None,
-    ev: float,
-    seed: int,
-    frame: int,
-    tile: str | None,
-    tile_px: int | None,
-    memory: str | None,
-    keep: str,
-    noise: bool,
-    method: str | None,
-    plan: Path | None,
-    best_effort: bool,
     dry_run: bool,
-    lens: Mapping[str, float | None],
-    sensor: str | None,
     show: str,
 ) -> int:
     """Render one capture into the folder `out` and show what was done; return the exit code.
 
-    `dry_run`: show the plan, and neither render nor write. `lens`, `sensor`: in place of the
-    camera's, see `load_camera`. `show`: "table", "json" or "nothing".
+    `dry_run`: show the plan, and neither render nor write. `show`: "table", "json" or "nothing".
     """
-    exposure_s = exposure_seconds(exposure)
-    planes = kept_planes(keep)
-    rectangle = None if tile is None else rectangle_of(tile)
-    memory_bytes = None if memory is None else bytes_of(memory)
-    accuracy = Accuracy.parse(tolerance, probes, best_effort=best_effort)
-    changes = {name: value for name, value in lens.items() if value is not None}
-    camera = _at_gain(load_camera(camera_name, changes, sensor), gain, iso)
-    check_ev(ev)
-    check_method(method)  # before the lens is traced
-    camera.sensor.dark_current_at(temperature_c)  # refuses what is no temperature
-    scene = make_scene(
-        scene_name,
-        luminance_cd_m2,
-        illuminant,
-        projection,
-        camera.frame,
-        transfer=transfer,
-        upsampling=upsampling,
-        chart_height=chart_height,
-    )
-    if illumination is not None:
-        scene = unevenly_lit(scene, illumination)
-    costs = None if plan is None else planned_costs(plan)
+    exposure_s = exposure_seconds(asked.exposure)
+    planes = kept_planes(asked.keep)
+    rectangle = None if asked.tile is None else rectangle_of(asked.tile)
+    memory_bytes = None if asked.memory is None else bytes_of(asked.memory)
+    accuracy = Accuracy.parse(asked.tolerance, asked.probes, best_effort=asked.best_effort)
+    camera = _camera(camera_name, asked)
+    check_ev(asked.ev)
+    check_method(asked.method)  # before the lens is traced
+    camera.sensor.dark_current_at(asked.temperature_c)  # refuses what is no temperature
+    scene = _scene(scene_name, camera, asked)
+    costs = None if asked.plan is None else planned_costs(asked.plan)
     device = default_device()
+    planned = {"noise": asked.noise, "method": asked.method, "exposure_s": exposure_s}
     if dry_run:
-        given = {"noise": noise, "method": method, "exposure_s": exposure_s}
-        print(_plan_text(device, camera, scene, accuracy, costs, **given))
+        print(_plan_text(device, camera, scene, accuracy, costs, **planned))
         return 0
     with staging(out) as folder:
         with (
@@ -125,23 +122,21 @@ def run(
             capture = take(
                 camera,
                 scene,
-                exposure_s=exposure_s,
-                seed=seed,
-                frame=frame,
-                temperature_c=temperature_c,
+                **planned,
+                seed=asked.seed,
+                frame=asked.frame,
+                temperature_c=asked.temperature_c,
                 accuracy=accuracy,
                 memory_bytes=memory_bytes,
                 tile=rectangle,
-                tile_px=tile_px,
+                tile_px=asked.tile_px,
                 keep=planes,
                 folder=Path(work),
-                noise=noise,
-                method=method,
                 costs=costs,
                 progress=progress,
             )
             progress("files", 0, 1)
-            facts = write(capture, folder, ev)
+            facts = write(capture, folder, asked.ev)
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
     if show == "json":
@@ -151,8 +146,10 @@ def run(
     return 0 if facts["certificate"] is None or facts["certificate"]["met"] else 1
 
 
-def _at_gain(camera: Camera, gain: float | None, iso: int | None) -> Camera:
-    """Return a camera at a gain, or at an ISO speed."""
+def _camera(name: str, asked: RenderOptions) -> Camera:
+    """Return the camera, at the gain or the ISO speed that is asked for."""
+    changes = {name: value for name, value in asked.lens.items() if value is not None}
+    camera, gain, iso = load_camera(name, changes, asked.sensor), asked.gain, asked.iso
     if gain is not None and iso is not None:
         raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
     if gain is not None:
@@ -160,6 +157,21 @@ def _at_gain(camera: Camera, gain: float | None, iso: int | None) -> Camera:
     if iso is not None:
         return replace(camera, sensor=camera.sensor.at_iso(iso))
     return camera
+
+
+def _scene(name: str, camera: Camera, asked: RenderOptions) -> Scene:
+    """Return the scene, in the light that is asked for."""
+    scene = make_scene(
+        name,
+        asked.luminance_cd_m2,
+        asked.illuminant,
+        asked.projection,
+        camera.frame,
+        transfer=asked.transfer,
+        upsampling=asked.upsampling,
+        chart_height=asked.chart_height,
+    )
+    return scene if asked.illumination is None else unevenly_lit(scene, asked.illumination)
 
 
 def _plan_text(
@@ -300,7 +312,7 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
         capture.recipe,
         capture.rect,
         Shot(capture.exposure_s, capture.seed, capture.frame, capture.temperature_c),
-        folder / raw,
+        raw=folder / raw,
         noise=capture.recipe["noise"],
         ev=ev,
         taken=taken,

@@ -60,8 +60,8 @@ def recipe_of_raw(
     planned: Mapping[str, Any],
     rect: Rect,
     shot: Shot,
-    raw: Path,
     *,
+    raw: Path,
     noise: bool,
     ev: float,
     taken: datetime,
@@ -110,8 +110,8 @@ def recipe_of_frame(
 ) -> dict[str, Any]:
     """Return the recipe of a frame whose raw is there; `light`: name of the file with its light."""
     made = frame.light.recipe
-    given = light or made, frame.light.sensor, made, frame.light.rect, frame.shot, raw
-    return recipe_of_raw(*given, noise=frame.noise, ev=ev, taken=taken)
+    given = light or made, frame.light.sensor, made, frame.light.rect, frame.shot
+    return recipe_of_raw(*given, raw=raw, noise=frame.noise, ev=ev, taken=taken)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,9 @@ from gpusim.plan import Accuracy
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import Rect, aligned
 from gpusim.render.anew import planned_anew
+from gpusim.render.certificate import certified
 from gpusim.render.checks import rectangle
+from gpusim.render.lighting import planes_on
 from gpusim.render.reading import lit_for, taken_for
 from gpusim.render.renderer import Renderer
 from gpusim.sensor.readout import Shot
@@ -148,9 +150,9 @@ def lit(
         sensor=sensor,
         rect=rect,
         area=area,
-        rates=renderer.light(area, progress),
+        rates=planes_on(renderer, area, progress),
         glare=renderer.glare,
-        white_e_per_s=renderer.white_e(1.0),
+        white_e_per_s=renderer.white_e_per_s,
         transmission=renderer.transmission,
         optics=renderer.optics,
         tolerance=renderer.accuracy.text,
@@ -164,9 +166,7 @@ def lit(
     shot = Shot(exposure_s, 0, 0)
     try:
         reading = light.reading(planes, shot)
-        certificate = renderer.certificate(
-            reading, rect, exposure_s, sensor.reference_temperature_c, report
-        )
+        certificate = certified(renderer, reading, rect, shot, report)
     finally:
         light.release()
     return replace(light, certificate=certificate)

@@ -24,6 +24,7 @@ from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
+from gpusim.library.together import read_raws
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
 
@@ -356,7 +357,7 @@ def taken(
     with held():
         for first in range(0, count, TOGETHER):
             chunk = slice(first, min(first + TOGETHER, count))
-            for number, one in enumerate(light.raws(sensors[chunk], shots[chunk]), first):
+            for number, one in enumerate(read_raws(light, sensors[chunk], shots[chunk]), first):
                 raw[number] = one
             if progress is not None:
                 progress("burst", chunk.stop, count)
@@ -379,7 +380,7 @@ def read_frames(shots: Sequence[tuple[Light, Shot]]) -> list[Frame]:
         return []
     lights, taken = zip(*shots, strict=True)
     with held():
-        raws = lights[0].raws([light.sensor for light in lights], taken)
+        raws = read_raws(lights[0], [light.sensor for light in lights], taken)
     return [Frame(*one) for one in zip(raws, lights, taken, strict=True)]
 
 

@@ -13,21 +13,16 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.gpu import Recording, Result, default_device
+from gpusim.gpu import Recording, Resident, default_device
 from gpusim.library.held import Held
 from gpusim.library.shot import checked
 from gpusim.library.store import read_light, save_light
 from gpusim.plan.stages import sensor_runs
-from gpusim.plan.tiles import Rect, aligned, strips, tiles_of
-from gpusim.render.reading import (
-    Reader,
-    Reading,
-    lit_for,
-    read_together,
-    reading_of,
-)
+from gpusim.plan.tiles import Rect, aligned, tiles_of
+from gpusim.render.reading import Reader, Reading, lit_for, reading_of
+from gpusim.sensor.optical import optical_differences
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, SiteLight, record_readout
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -40,23 +35,6 @@ if TYPE_CHECKING:
 # Without an exposure of its own a capture brings the scene's white to this share of saturation:
 # ISO 12232 leaves half a stop above a white diffuser for highlights.
 WHITE_SHARE = 2**-0.5
-# What of a sensor shapes the light on it; the rest acts when it is read.
-OPTICAL = (
-    "rows",
-    "cols",
-    "first_row",
-    "first_col",
-    "pixel_pitch_um",
-    "fill_factor",
-    "cfa",
-    "quantum_efficiency",
-    "veiling_glare",
-    "eqe_map",
-    "micro_lens",
-    "filters",
-    "aperture",
-    "scan_motion_px",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +133,7 @@ class Light:
             No such step, both at once, or a sensor whose pixels see other light.
         """
         chosen = self.sensor if sensor is None else sensor
-        differing = [
-            name for name in OPTICAL if getattr(chosen, name) != getattr(self.sensor, name)
-        ]
-        if differing:
+        if differing := optical_differences(chosen, self.sensor):
             raise UserError(
                 "the light was made for other pixels",
                 field=f"sensor.{differing[0]}",
@@ -324,64 +299,26 @@ class Light:
         reading = self.reading(names, shot, noise)
         return {name: reading.on_rect(name) for name in names}
 
-    def raws(self, sensors: Sequence[Sensor], shots: Sequence[Shot]) -> list[np.ndarray]:
-        """Return the raws of several frames, as `read` makes them one by one.
-
-        Parameters
-        ----------
-        sensors : sequence of Sensor
-            That read each frame: steps of one sensor's gain.
-        shots : sequence of Shot
-
-        Returns
-        -------
-        list of ndarray (rows, cols), uint16
-        """
-        budget, planes = default_device().pool.budget, planes_of(self.sensor)
-        tiles = tiles_of(self.rect, planes.period, budget, None, planes.layers)
-
-        def fits(count: int) -> bool:
-            # What the frames share, half of what one needs, is there once.
-            return len(strips(self.rect, 2 * budget // (count + 1))) == 1
-
-        fit = max(filter(fits, range(1, len(shots) + 1)), default=1)
-        fit = -(-len(shots) // -(-len(shots) // fit))  # the same in each recording
-        if self.sensor.is_ccd or len(tiles) > 1 or fit == 1:
-            return [
-                self.at(sensor=sensor).read({"dn": np.uint16}, shot)["dn"]
-                for sensor, shot in zip(sensors, shots, strict=True)
-            ]
-        whole = aligned(lit_for(self.rect, self.sensor, sensor_runs(self.sensor)), planes.period)
-        raws: list[np.ndarray] = []
-        for first in range(0, len(shots), fit):
-            own = slice(first, first + fit)
-            readers = [
-                self._reader(sensor, sensor_runs(sensor), Recording.run) for sensor in sensors[own]
-            ]
-            known = [checked(*one) for one in zip(shots[own], sensors[own], strict=True)]
-            light = self._held.rates(self.rates, self.area, whole, planes.period)
-            raws += read_together(readers, known, self.rect, light, whole)
-        return raws
-
-    def _reader(
-        self,
-        sensor: Sensor,
-        runs: Callable[[str], bool],
-        run: Callable[[Recording], Result],
-    ) -> Reader:
+    def reader(self, sensor: Sensor, runs: Callable[[str], bool]) -> Reader:
+        """Return what reads the light out on the device: a sensor, and which of its stages run."""
         device = default_device()
-        return Reader(device, sensor, runs, self._held.glare(self.glare), device.pool.budget, run)
+        glare = self._held.glare(self.glare)
+        return Reader(device, sensor, runs, glare, device.pool.budget, Recording.run)
+
+    def on_device(self, whole: Rect) -> Resident:
+        """Return the light of a rectangle of whole periods, on the device."""
+        return self._held.rates(self.rates, self.area, whole, planes_of(self.sensor).period)
 
     def reading(self, names: dict[str, type], shot: Shot, noise: bool = True) -> Reading:
         """Return a frame as the certificate takes it: see `read`."""
         shot = checked(shot, self.sensor)
         runs = sensor_runs(self.sensor, noise)
-        reader = self._reader(self.sensor, runs, Recording.run)
+        reader = self.reader(self.sensor, runs)
         reading = reading_of(reader, self.rect, names, None, shot)
         planes = planes_of(self.sensor)
         for tile in tiles_of(reading.rect, planes.period, reader.memory_bytes, None, planes.layers):
             whole = aligned(lit_for(tile, self.sensor, runs), planes.period)
-            reading.take(tile, self._held.rates(self.rates, self.area, whole, planes.period), whole)
+            reading.take(tile, self.on_device(whole), whole)
         reading.finish()
         return reading
 
@@ -405,12 +342,9 @@ class Light:
         runs, period = sensor_runs(self.sensor, noise), planes_of(self.sensor).period
         whole = aligned(lit_for(self.rect, self.sensor, runs), period)
         rec = Recording(default_device())
-        given = (
-            self._held.rates(self.rates, self.area, whole, period),
-            self._held.glare(self.glare),
-            self.sensor,
-        )
-        outputs = record_readout(rec, *given, self.rect, whole, checked(shot, self.sensor), runs)
+        light = SiteLight(self.on_device(whole), self._held.glare(self.glare), whole)
+        kept = checked(shot, self.sensor)
+        outputs = record_readout(rec, light, self.sensor, self.rect, shot=kept, runs=runs)
         return rec, rec.download(outputs["dn"])
 
     def release(self) -> None:

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 from gpusim.camera import Camera
 from gpusim.errors import UserError
 from gpusim.library.expose import lit
-from gpusim.library.light import OPTICAL, Light
+from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.render.anew import planned_anew
 from gpusim.render.checks import rectangle
 from gpusim.render.renderer import Renderer
+from gpusim.sensor.optical import optical_differences
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Frame
@@ -163,7 +164,7 @@ class Session:
         stale = [name for name in PARTS if name != "tile" and parts[name] is not self._parts[name]]
         if "sensor" in stale and self._light is not None:
             old = self._light.sensor
-            if all(getattr(made.sensor, name) == getattr(old, name) for name in OPTICAL):
+            if not optical_differences(made.sensor, old):
                 self._light = self._light.at(sensor=made.sensor)
                 stale.remove("sensor")
         if stale or lens_settings != self._lens_settings:

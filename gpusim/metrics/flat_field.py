@@ -18,7 +18,7 @@ from gpusim.metrics.dark import LEAST_TIMES
 from gpusim.metrics.statistics import Accumulator, Level
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.planes import planes_of
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, SiteLight, record_readout
 from gpusim.sensor.sensor import Sensor
 
 SIDE_PX = 512  # of the region, at most
@@ -204,13 +204,11 @@ def take(
     shot = Shot(light.exposure_s, seed, frame)
     outputs = record_readout(
         rec,
-        planes,
-        glare,
+        SiteLight(planes, glare, whole),
         sensor,
         whole,
-        whole,
-        shot,
-        lambda name: name not in BETWEEN_PIXELS and runs(name),
+        shot=shot,
+        runs=lambda name: name not in BETWEEN_PIXELS and runs(name),
     )
     label = rec.download(outputs["dn"])
     return rec.run()[label].astype(np.uint16)

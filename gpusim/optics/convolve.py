@@ -16,7 +16,7 @@ from gpusim.gpu import Array, Device, Kernel, Recording, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernel_spectra import kernel_spectra
-from gpusim.optics.nodes import NodeStore, Outputs, Scale, folds_of, outputs_of
+from gpusim.optics.nodes import NodeStore, Outputs, Rates, Scale, folds_of, outputs_of
 from gpusim.sensor.aperture import Response
 
 # First radix for a line of so many samples, for shaders/common/line_fft: length = FIRST_RADIX 8^k.
@@ -155,11 +155,11 @@ class Transforms:
         self,
         rec: Recording,
         block: tuple[int, int],
+        scratch: Scratch,
+        rates: Rates,
+        *,
         columns: dict[str, object],
         kernels: Sequence[Array],
-        scratch: Scratch,
-        rates: Array,
-        rect: tuple[int, int, int, int],
     ) -> None:
         """Multiply the spectra in the scratch with four kernels, and add the block to the rates.
 
@@ -179,7 +179,7 @@ class Transforms:
                 lines=scratch.lines,
                 folded=scratch.folded,
             )
-        row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
+        row0, col0, rows, cols = rates.cells(grid.period)
         origin, step = [], []
         for at, before, side, mirrored in zip(
             grid.window_origin(block),
@@ -196,7 +196,7 @@ class Transforms:
             params={"origin": origin, "step": step, "size": (cols, rows), "seen": grid.seen},
             twiddle=self.twiddle,
             folded=scratch.folded,
-            rates=rates,
+            rates=rates.planes,
         )
 
 
@@ -257,8 +257,7 @@ class Convolve(Transforms, NodeStore):
         block: tuple[int, int],
         needed: int,
         scratch: Scratch,
-        rates: Array,
-        rect: tuple[int, int, int, int],
+        rates: Rates,
     ) -> None:
         """Add one block to the planes of the CFA sites; its kernels are loaded.
 
@@ -270,10 +269,8 @@ class Convolve(Transforms, NodeStore):
             Planes that are not zero in the block.
         scratch : Scratch
             Its planes hold the block's source.
-        rates : buffer (S, rows, cols)
-            Rates of the rectangle; electrons/s are added to them.
-        rect : (row0, col0, rows, cols)
-            Rectangle of pixels, aligned to the CFA period.
+        rates : Rates
+            What electrons/s are added to.
         """
         grid = self.grid
         block, mirrored = grid.folded(block, self.folds)
@@ -290,9 +287,8 @@ class Convolve(Transforms, NodeStore):
         self.record_inverse(
             rec,
             block,
-            {"first_s": first_y, "step_s": step_y, "planes": needed, "mirrored": mirrored},
-            [self.nodes[x + dx, y + dy] for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1))],
             scratch,
             rates,
-            rect,
+            columns={"first_s": first_y, "step_s": step_y, "planes": needed, "mirrored": mirrored},
+            kernels=[self.nodes[x + dx, y + dy] for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1))],
         )

@@ -18,7 +18,7 @@ from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernel_spectra import aperture_spectra
 from gpusim.optics.kernels import FieldKernels
-from gpusim.optics.nodes import NodeStore, Outputs, Scale, outputs_of
+from gpusim.optics.nodes import NodeStore, Outputs, Rates, Scale, outputs_of
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.sensor.aperture import Response
 
@@ -195,7 +195,7 @@ def support_within(
     channels = kernels.splines.shape[2]
     places = [(channel, first, first) for channel in range(channels)]
     at = [
-        sampled_kernels(kernels, f * half_um[0], f * half_um[1], pitch_um, size, 1)
+        sampled_kernels(kernels, f * half_um[0], f * half_um[1], pitch_um, size, planes=1)
         for f in (0.0, 0.5, 1.0)
     ]
     spread = np.concatenate(
@@ -275,6 +275,7 @@ class Direct(NodeStore):
         needed: dict[tuple[int, int], int],
         aperture_um: float | Response,
         site_channels: list[int],
+        *,
         support: int,
     ) -> None:
         super().__init__(device, scale, needed)
@@ -329,13 +330,12 @@ class Direct(NodeStore):
         block: tuple[int, int],
         needed: int,
         scratch: Source,
-        rates: Array,
-        rect: tuple[int, int, int, int],
+        rates: Rates,
     ) -> None:
         """Add one block to the planes of the CFA sites: see `Convolve.record`."""
         grid, layout = self.grid, self.layout
         (first_s, step_s), (first_t, step_t) = grid.node_weights(block)
-        row0, col0, rows, cols = (-(-value // grid.period) for value in rect)
+        row0, col0, rows, cols = rates.cells(grid.period)
         origin = tuple(o - c for o, c in zip(grid.window_origin(block), (col0, row0), strict=True))
         # The lines of photosites that the rectangle holds.
         first = max(0, -origin[1])
@@ -363,5 +363,5 @@ class Direct(NodeStore):
             taps_10=self.nodes[x + 1, y],
             taps_01=self.nodes[x, y + 1],
             taps_11=self.nodes[x + 1, y + 1],
-            rates=rates,
+            rates=rates.planes,
         )

@@ -12,6 +12,7 @@ from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.sensor import Sensor
 
 SIDE = 256  # cells along each side, with a point in each: the mean of a chart is good to 1e-3
+LINE = (np.arange(SIDE) + 0.5) / SIDE - 0.5  # their middles, of the sensor's side
 # Points lie anywhere in their cells: in the middles they would beat with patterns that repeat, and
 # squares of 32 pixels in 64 came out 3.3e-3 off.
 SEED = 9358
@@ -24,6 +25,7 @@ def veiling_glare(
     source: Chart | PlacedRaster,
     weights: np.ndarray,
     coefficients: np.ndarray,
+    *,
     elsewhere: PlaceWeights | None = None,
 ) -> np.ndarray:
     """Return the veiling glare of every CFA site.
@@ -52,8 +54,7 @@ def veiling_glare(
     if sensor.veiling_glare == 0:
         return np.zeros(len(sensor.site_channels()))
     pitch = sensor.pixel_pitch_um
-    line = (np.arange(SIDE) + 0.5) / SIDE - 0.5
-    x, y = np.meshgrid(line * sensor.cols * pitch, line * sensor.rows * pitch)
+    x, y = np.meshgrid(LINE * sensor.cols * pitch, LINE * sensor.rows * pitch)
     away = (np.random.default_rng(SEED).random((2, SIDE, SIDE)) - 0.5) * pitch / SIDE
     x, y = x + away[0] * sensor.cols, y + away[1] * sensor.rows
     u, v, lit = bank.ideal_points(x, y)
@@ -65,7 +66,9 @@ def veiling_glare(
         sampled = source.planes[:, rows.astype(int), cols.astype(int)]
         planes = np.tensordot(coefficients.T, sampled, axes=1)
     if elsewhere is not None:
-        mean = _mean_by_place(bank, sensor, source, elsewhere, coefficients, planes * lit, line)
+        mean = _mean_by_place(
+            bank, sensor, source, elsewhere, coefficients=coefficients, planes=planes * lit
+        )
     else:
         illumination = bank.illumination_at(x, y) * lit
         moments = np.einsum("jyx,lyx->jl", planes, illumination) / SIDE**2
@@ -84,18 +87,18 @@ def _mean_by_place(
     sensor: Sensor,
     source: Chart | PlacedRaster,
     elsewhere: PlaceWeights,
+    *,
     coefficients: np.ndarray,
     planes: np.ndarray,
-    line: np.ndarray,
 ) -> np.ndarray:
     """Return the mean electrons/s (C,) where the weights go with the place.
 
-    They change slowly: `SHARED` x `SHARED` of the points in `line` x `line`, at which the planes
-    are given, share them.
+    They change slowly: `SHARED` x `SHARED` of the points, at which the planes are given, share
+    them.
     """
     pitch = sensor.pixel_pitch_um
     light = planes.reshape(-1, *(SIDE // SHARED, SHARED) * 2).sum(axis=(2, 4)) / SIDE**2
-    middles = line.reshape(-1, SHARED).mean(axis=1)
+    middles = LINE.reshape(-1, SHARED).mean(axis=1)
     y, x = middles * sensor.rows * pitch, middles * sensor.cols * pitch
     parts = [
         light[:, row, col] @ elsewhere.at(x[col], y[row]).sum(axis=2)

@@ -87,7 +87,7 @@ def _every(table: np.ndarray, count: int, step: int) -> np.ndarray:
 
 
 def sampling(
-    kernels: Tables, fields: Sequence[FieldPsfs], allowed: float, alone: bool = False
+    kernels: Tables, fields: Sequence[FieldPsfs], allowed: float, *, alone: bool = False
 ) -> Sampling:
     """Return the fewest samples of which far ones err by at most a share of the light around them.
 

@@ -120,6 +120,7 @@ def squares_on_sensor(
     sensor: Sensor,
     highlights: Highlights,
     reach_um: float,
+    *,
     change: float = math.inf,
     most_um: float = math.inf,
 ) -> Squares:

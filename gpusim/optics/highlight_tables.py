@@ -149,7 +149,9 @@ class Tables:
             Its sides in the frame of the PSFs at azimuth 0, um: d(real)/d(ideal) times the side.
         """
         shifts, pitch_um = field.shift_um / self.pitch_um, self.pitch_um
-        spread = spectra * boxes(self.side, pitch_um, self.aperture_um, shifts, angle, square)
+        spread = spectra * boxes(
+            self.side, pitch_um, self.aperture_um, shifts, angle=angle, square=square
+        )
         mixed = np.tensordot(weights * field.relative_illumination, spread, axes=1)
         table = scipy.fft.irfft2(mixed, s=(self.side, self.side))
         at = np.arange(self.side) - self.side // 2
@@ -175,6 +177,7 @@ def boxes(
     pitch_um: float,
     aperture_um: float | Response,
     shifts: np.ndarray,
+    *,
     angle: float,
     square: np.ndarray,
 ) -> np.ndarray:

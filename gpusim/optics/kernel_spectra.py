@@ -111,7 +111,9 @@ def kernel_spectra(
         for place, (of_channel, shift_x, shift_y) in enumerate(outputs):
             if of_channel != channel:
                 continue
-            aperture_xy = _aperture_spectra(length, aperture, sigma, shift_x, shift_y, ringing)
+            aperture_xy = _aperture_spectra(
+                length, aperture, sigma, shift_x, shift_y, ringing=ringing
+            )
             np.multiply(spectrum, aperture_xy, out=shaped)
             by_lane = shaped.reshape(8, 2, 16, fine, length // 16, 8).transpose(4, 3, 2, 0, 5, 1)
             for odd in (0, 1):  # NumPy's innermost loop is then over eight, not over two
@@ -126,6 +128,7 @@ def _aperture_spectra(
     sigma: float,
     shift_x: float,
     shift_y: float,
+    *,
     ringing: bool,
 ) -> np.ndarray:
     """Return the aperture's spectrum over T^2, [ky, kx], without kx = T/2."""

@@ -44,12 +44,12 @@ def convolution(
     """
     common = (device, scale, needed, aperture_um, site_channels)
     if scale.method == "direct":
-        return Direct(*common, scale.support)
+        return Direct(*common, support=scale.support)
     if scale.method == "modes":
         planes = max(needed.values(), default=0)
         whole = mode_decomposition(
             scale.kernels, scale.grid, scale.pitch_um, scale.map_cells, max(planes, 1)
         )
         rank, _ = whole.rank_within(scale.rank_error)
-        return Modes(*common, whole.truncated(rank))
+        return Modes(*common, decomposition=whole.truncated(rank))
     return Convolve(*common)

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 
-from gpusim.gpu import Array, Device, Kernel, Recording
+from gpusim.gpu import Device, Kernel, Recording
 from gpusim.gpu.pool import size_class
 from gpusim.optics.convolve import Scratch, Transforms, block_transform, spectra_bytes
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernel_spectra import kernel_spectra
 from gpusim.optics.kernels import FieldKernels, sharpened
-from gpusim.optics.nodes import KernelStore, Node, Scale, outputs_of
+from gpusim.optics.nodes import KernelStore, Node, Rates, Scale, outputs_of
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.parallel import each
 from gpusim.sensor.aperture import Response
@@ -99,6 +99,7 @@ def mode_decomposition(
     pitch_um: float,
     cells: tuple[int, int],
     planes: int,
+    *,
     most: int = 24,
 ) -> Decomposition:
     """Decompose the kernels of all planes and channels over the nodes of one map.
@@ -128,7 +129,9 @@ def mode_decomposition(
 
     def sample(point: tuple[int, int]) -> np.ndarray:
         at = np.array(point) * region / cells + grid.start - grid.centre
-        sampled = sampled_kernels(kernels, *(at * pitch_um), pitch_um, grid.half_size, planes)
+        sampled = sampled_kernels(
+            kernels, *(at * pitch_um), pitch_um, grid.half_size, planes=planes
+        )
         return sampled.astype(np.float32)
 
     sampled = np.stack(each(sample, points))
@@ -219,6 +222,7 @@ class Modes(Transforms, KernelStore):
         needed: dict[tuple[int, int], int],
         aperture_um: float | Response,
         site_channels: list[int],
+        *,
         decomposition: Decomposition,
     ) -> None:
         KernelStore.__init__(self, device)
@@ -288,8 +292,7 @@ class Modes(Transforms, KernelStore):
         block: tuple[int, int],
         needed: int,
         scratch: Scratch,
-        rates: Array,
-        rect: tuple[int, int, int, int],
+        rates: Rates,
     ) -> None:
         """Add one block to the planes of the CFA sites: see `Convolve.record`."""
         grid = self.grid
@@ -313,9 +316,8 @@ class Modes(Transforms, KernelStore):
         self.record_inverse(
             rec,
             block,
-            {"first_s": 0.0, "step_s": 0.0, "planes": pairs, "mirrored": (0, 0)},
-            (even, odd, even, odd),
             scratch,
             rates,
-            rect,
+            columns={"first_s": 0.0, "step_s": 0.0, "planes": pairs, "mirrored": (0, 0)},
+            kernels=(even, odd, even, odd),
         )

@@ -12,7 +12,7 @@ from itertools import groupby, product
 
 import numpy as np
 
-from gpusim.gpu import Device, Resident, Use
+from gpusim.gpu import Array, Device, Resident, Use
 from gpusim.gpu.pool import size_class
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
@@ -58,6 +58,27 @@ class Scale:
     support: int = 0
     map_cells: tuple[int, int] = (1, 1)
     rank_error: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Where the light of blocks is added up: the planes of the CFA sites of a rectangle.
+
+    Attributes
+    ----------
+    planes : Array (S, rows, cols), f32
+        Electrons/s, by cell of the CFA.
+    rect : (row0, col0, rows, cols)
+        Rectangle of pixels, aligned to the CFA period.
+    """
+
+    planes: Array
+    rect: tuple[int, int, int, int]
+
+    def cells(self, period: int) -> tuple[int, int, int, int]:
+        """Return the rectangle in cells of the CFA: first row and column, rows and columns."""
+        row0, col0, rows, cols = (-(-value // period) for value in self.rect)
+        return row0, col0, rows, cols
 
 
 @dataclass(frozen=True)
@@ -283,7 +304,9 @@ class NodeStore(KernelStore):
         def sample(index: Node) -> np.ndarray:
             x_um, y_um = (np.array(grid.node_position(index)) - grid.centre) * scale.pitch_um
             size, planes = self.half_size, self._planes[index]
-            kernels = sampled_kernels(scale.kernels, x_um, y_um, scale.pitch_um, size, planes)
+            kernels = sampled_kernels(
+                scale.kernels, x_um, y_um, scale.pitch_um, size, planes=planes
+            )
             return kernels.astype(np.float32)
 
         def made(node: Node, planes: int) -> np.ndarray:

@@ -42,6 +42,7 @@ def sampled_kernels(
     y_um: float,
     sim_pitch_um: float,
     half_size: int,
+    *,
     planes: int,
 ) -> np.ndarray:
     """Return the kernels of one field point on a sim grid, of the first planes only.

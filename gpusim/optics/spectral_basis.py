@@ -141,6 +141,7 @@ def camera_basis(
     spectra: np.ndarray,
     tolerance: float,
     common_first: np.ndarray,
+    *,
     place_error: float,
     wavelengths_nm: np.ndarray = WAVELENGTHS_NM,
     mixtures: np.ndarray | None = None,

@@ -16,15 +16,15 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from gpusim.calibrate.rates import adapter_costs
 from gpusim.camera import Camera
-from gpusim.certify import Certificate, Share, compare, glare_at
+from gpusim.certify import Certificate, Measure, Share, compare, glare_at
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
 from gpusim.pareto import knobs
 from gpusim.pareto.knobs import Variant
 from gpusim.plan import Accuracy, Plan
-from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.deadline import predicted_parts
 from gpusim.render import Renderer
 from gpusim.scene.scene import Scene
@@ -173,8 +173,7 @@ def sweep(
     UserError
         When the chosen plan cannot be rendered. Others that cannot are points with an obstacle.
     """
-    report = progress or (lambda what, done, total: None)
-    device = device or default_device()
+    report, device = progress or (lambda what, done, total: None), device or default_device()
     costs = adapter_costs(device)
     chosen = Renderer(camera, scene, accuracy, device, report, exposure_s=exposure_s, costs=costs)
     accuracy = chosen.accuracy  # that of a time is found
@@ -187,8 +186,8 @@ def sweep(
     # By transforms: the knobs that are turned are theirs.
     turned = cache(lambda: renderer(replace(accuracy, probes=0), method="fft"))
     try:
-        everything = list(knobs.variants(accuracy, chosen.period))
-        everything = [variant for variant in everything if variant.name not in leave_out]
+        named = knobs.variants(accuracy, chosen.period)
+        everything = [variant for variant in named if variant.name not in leave_out]
         first = chosen.capture(
             exposure_s,
             progress=lambda what, *step: report("truth", *step) if what == "certify" else None,
@@ -201,8 +200,7 @@ def sweep(
             try:
                 made = _made(variant, turned, renderer, [run.plan for run in runs])
             except UserError as obstacle:
-                why = f"{obstacle.problem} {obstacle.value}; allowed: {obstacle.allowed}"
-                obstacles[variant] = why
+                obstacles[variant] = _in_words(obstacle)
                 continue
             if made is None:
                 continue
@@ -223,6 +221,11 @@ def sweep(
     points |= {variant: _missing(variant, why) for variant, why in obstacles.items()}
     in_order = tuple(points[variant] for variant in everything if variant in points)
     return Sweep(in_order, first.certificate, runs[0].plan.shortfall, rounds)
+
+
+def _in_words(obstacle: UserError) -> str:
+    """Return why a variant cannot be rendered."""
+    return f"{obstacle.problem} {obstacle.value}; allowed: {obstacle.allowed}"
 
 
 def _known(camera: Camera, chosen: Renderer) -> SimpleNamespace:
@@ -272,8 +275,17 @@ def _judge(
     def judge(rate: np.ndarray, glare: np.ndarray, asked: Accuracy) -> Certificate:
         whole = truth + glare_at(sensor, glare, pixels)
         at = rate[tuple(pixels.T)].astype(np.float64)
-        shares = bank, readout, certificate.window, certificate.notes
-        return compare(sensor, pixels, whole, at, exposure_s, asked, certificate.seconds, *shares)
+        return compare(
+            Measure(sensor, exposure_s, asked),
+            pixels,
+            whole,
+            at,
+            seconds=certificate.seconds,
+            bank=bank,
+            readout=readout,
+            window=certificate.window,
+            notes=certificate.notes,
+        )
 
     return judge
 

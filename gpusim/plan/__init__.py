@@ -1,4 +1,4 @@
-"""The planner: what runs, how, and what is left out; only `calibrate` measures on a device."""
+"""The planner: what runs, how, and what is left out, without a device."""
 
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.optics import plan_optics, plans_optics

@@ -16,7 +16,6 @@ pixels, and turned back into the errors of pixels over what they see.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -28,8 +27,9 @@ from scipy.special import ndtr
 
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.kernels import low_pass
+from gpusim.plan.steep import steep_places
 from gpusim.psf.places import Places
-from gpusim.scene.chart import Chart, Polygon, Primitive, Rect
+from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
 from gpusim.sensor.aperture import Response
 from gpusim.sensor.sensor import Sensor
@@ -40,18 +40,8 @@ PATCH_PX, COARSE_PATCH_PX = 16, 32
 COARSE = 2  # samples a pixel up to which a grid is coarse
 FINE_SIGMA = 0.8  # of the Gaussian by which a chart's patch is drawn, samples of it
 STEEPEST = 0.9  # of the largest step between pixels, from which on a pixel counts as steepest
-RINGS = 3  # of the field, in each of which there are
-ALONG = 15  # places along a side that is long beside a ring
-PLACES_EACH = 2  # places where an outline is steepest, of different directions
-# A photograph is cut into as many cells as a certificate has probes on edges. Few of them, beside
-# lamps, may make up all of the sum of squares. So cells are ordered by their steepest step, over
-# the darker side's light, and a few are worked out, each of which stands for so many.
-CELLS = 128
-STANDS_FOR = (1, 1, 2, 2, 4, 4, 8, 8, 16, 16, 32, 34)
 WHOLE = 0.25  # of a photograph's samples: patches that see more share a spline of all
-MOST_SHAPES = 512  # of a chart, that are looked at
 ROUNDING = 1e-9  # of a pitch: what counts as equal
-DARK = 1e-4  # of the brightest: nothing is darker where it is a matter of contrast
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +112,9 @@ class Alias:
             elif self.placed.pitch_um < (1 - ROUNDING) * pitch / oversampling:
                 spectrum = _reduced(spectrum, f, pitch / oversampling, side * oversampling)
             transfer = self._transfer(place, channel, f)
-            signal, error = _through(
-                spectrum, transfer, f, pitch, oversampling, side, self.sigma * pitch / oversampling
-            )
+            sigma = self.sigma * pitch / oversampling
+            given = {"pitch": pitch, "oversampling": oversampling, "side": side, "sigma": sigma}
+            signal, error = _through(spectrum, transfer, f, **given)
             worst.append(_relative(mean + signal, error, self.period))
         return float(np.sqrt(np.mean(np.square(worst))))
 
@@ -221,86 +211,7 @@ class Alias:
     @cached_property
     def _sites(self) -> list[tuple[tuple[float, float], int]]:
         """Return places (x, y) on the real plane where the scene is steep, each with its weight."""
-        if isinstance(self.placed, Chart):
-            return [(place, 1) for place in self._at_outlines()]
-        return self._at_steps()
-
-    def _at_outlines(self) -> list[tuple[float, float]]:
-        """Return where the largest steps of a chart are: in each ring of the field a few."""
-        chart, half = self.placed, self._half_um
-        corner = np.abs(self.chief_ray.ideal_um(np.array(half)))
-        every = -(-len(chart.primitives) // MOST_SHAPES) or 1
-        points = [
-            (int(under), shape.material, *point)
-            for shape, under in zip(chart.primitives[::every], chart.under[::every], strict=True)
-            for point in _outline(shape, tuple(corner.tolist()))
-        ]
-        if not points:
-            return []
-        outer, inner, u, v, along_u, along_v = np.array(points).T
-        outer, inner = outer.astype(int), inner.astype(int)
-        rates = self._rates / self._rates.max(axis=1, keepdims=True).clip(1e-300)
-        low, high = (np.sort(rates[:, [outer, inner]], axis=1)[:, side] for side in (0, 1))
-        contrast = ((high - low) / (low + DARK)).max(axis=0)
-        # Straight up or down is one direction, and so is along; an edge of another crosses more.
-        turned = np.round(np.degrees(np.arctan2(along_v, along_u))) % 90
-        real = self._real(np.stack([u, v], axis=1))
-        radius = np.max(np.abs(real) / half, axis=1)
-        chosen = []
-        for ring in range(RINGS):
-            seen: list[float] = []
-            inside = (radius >= ring / RINGS) & (radius < (ring + 1) / RINGS)
-            order = np.flatnonzero(inside & (contrast > 0))
-            for number in order[np.argsort(-contrast[order], kind="stable")]:
-                if turned[number] not in seen:
-                    seen.append(float(turned[number]))
-                    chosen.append(tuple(real[number].tolist()))
-                if len(seen) == PLACES_EACH:
-                    break
-        return chosen
-
-    def _at_steps(self) -> list[tuple[tuple[float, float], int]]:
-        """Return where a photograph is steepest in its cells, and for how many each stands."""
-        placed = self.placed
-        half = np.abs(self.chief_ray.ideal_um(np.array(self._half_um)))
-        rates = self._rates.sum(axis=0).astype(np.float32)
-        light = np.tensordot(rates, placed.planes.astype(np.float32, copy=False), axes=1)
-        light = np.maximum(light, DARK * light.max() + np.float32(1e-30))
-        steps = np.zeros(light.shape, np.float32)
-        for axis in (0, 1):
-            before, after = (np.delete(light, end, axis) for end in (-1, 0))
-            step = np.abs(after - before) / np.minimum(before, after)
-            steps[tuple(slice(size) for size in step.shape)] += step
-        across = math.ceil(math.sqrt(CELLS * half[0] / half[1]))
-        down = math.ceil(CELLS / across)
-        found = []
-        for row in _cut(placed.y0_um, half[1], placed.pitch_um, light.shape[0], down):
-            for col in _cut(placed.x0_um, half[0], placed.pitch_um, light.shape[1], across):
-                part = steps[row, col]
-                if part.size:
-                    y, x = np.unravel_index(np.argmax(part), part.shape)
-                    x_um = placed.x0_um + (col.start + x + 1) * placed.pitch_um
-                    y_um = placed.y0_um + (row.start + y + 1) * placed.pitch_um
-                    found.append((float(part[y, x]), x_um, y_um))
-        found.sort(reverse=True)
-        chosen, first = [], 0
-        for count in STANDS_FOR:
-            own = found[first : first + count]
-            if own:
-                _, *place = own[len(own) // 2]
-                chosen.append((tuple(self._real(np.array([place]))[0].tolist()), len(own)))
-            first += count
-        return chosen
-
-    @cached_property
-    def _half_um(self) -> tuple[float, float]:
-        pitch = self.sensor.pixel_pitch_um
-        return self.sensor.cols * pitch / 2, self.sensor.rows * pitch / 2
-
-    def _real(self, ideal_um: np.ndarray) -> np.ndarray:
-        """Return about where points (N, 2) of the ideal plane land; beyond the sensor, its edge."""
-        half = np.array(self._half_um)
-        return np.clip(self.chief_ray.real_um(ideal_um), -half, half)
+        return steep_places(self.placed, self.chief_ray, self.sensor, self._rates)
 
 
 def _side(oversampling: int) -> int:
@@ -345,6 +256,7 @@ def _through(
     spectrum: np.ndarray,
     transfer: np.ndarray,
     f: np.ndarray,
+    *,
     pitch: float,
     oversampling: int,
     side: int,
@@ -399,67 +311,7 @@ def _relative(signal: np.ndarray, error: np.ndarray, period: int) -> float:
     return float(np.sqrt((squares[steepest].mean() + squares.mean()) / 2))
 
 
-def _outline(shape: Primitive, half_um: tuple[float, float]) -> list[tuple[float, ...]]:
-    """Return points of an outline, with the directions outwards.
-
-    Sides that are long beside the frame give several points: their middle may lie beyond it.
-    """
-    turns = [2.4 * (shape.cx + shape.cy) / shape.reach]  # any direction
-    near = min(half_um) / RINGS
-    if isinstance(shape, Polygon):
-        return _sides(shape, half_um, near)
-    if isinstance(shape, Rect):
-        found = []
-        whole = float(np.hypot(*half_um))
-        for quarter in range(4 if shape.reach > near else 2):
-            angle = shape.angle_rad + quarter * np.pi / 2
-            cos, sin = float(np.cos(angle)), float(np.sin(angle))
-            out, along = (shape.half_w, shape.half_h)[:: 1 if quarter % 2 == 0 else -1]
-            x, y = shape.cx + out * cos, shape.cy + out * sin
-            places = [0.0]
-            if along > near:
-                # Where the side passes the frame's middle, and as far as the frame reaches.
-                middle = x * sin - y * cos
-                places += list(np.clip(middle + whole * _middles(ALONG, 1.0), -along, along))
-            found += [(x - at * sin, y + at * cos, cos, sin) for at in places]
-        return found
-    if shape.radius > near:
-        turns = list(2 * np.pi * np.arange(ALONG) / ALONG)
-    return [
-        (shape.cx + shape.radius * cos, shape.cy + shape.radius * sin, cos, sin)
-        for cos, sin in ((float(np.cos(turn)), float(np.sin(turn))) for turn in turns)
-    ]
-
-
-def _sides(shape: Polygon, half_um: tuple[float, float], near: float) -> list[tuple[float, ...]]:
-    """Return the same of a polygon."""
-    found = []
-    corners = shape.corners()
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        length = float(np.hypot(*(end - start)))
-        along = (end - start) / length
-        places = [length / 2]
-        if length > 2 * near:
-            middle = -float(start @ along)
-            reach = float(np.hypot(*half_um)) * _middles(ALONG, 1.0)
-            places += list(np.clip(middle + reach, 0.0, length))
-        out = (float(along[1]), float(-along[0]))
-        found += [(*(start + at * along).tolist(), *out) for at in places]
-    return found
-
-
 def _within(span: tuple[np.ndarray, np.ndarray], middle: float, reach: float) -> slice:
     """Return the lines, each from a least to a largest value, that come within reach of a value."""
     seen = np.flatnonzero((span[1] > middle - reach) & (span[0] < middle + reach))
     return slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(0)
-
-
-def _cut(start_um: float, half_um: float, pitch_um: float, size: int, count: int) -> list[slice]:
-    """Return the samples of an axis that the sensor sees, cut into so many parts."""
-    ends = (np.linspace(-half_um, half_um, count + 1) - start_um) / pitch_um
-    at = np.clip(np.round(ends), 0, size).astype(int).tolist()
-    return [slice(*pair) for pair in itertools.pairwise(at)]
-
-
-def _middles(count: int, half: float) -> np.ndarray:
-    return (2 * np.arange(count) + 1 - count) / count * half

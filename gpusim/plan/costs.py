@@ -10,7 +10,7 @@ import numpy as np
 from gpusim.optics.grid import SimGrid
 from gpusim.plan.layout import TRANSFORMS
 
-# Unit of work of each rate: what the planner counts and gpusim.plan.calibrate measures.
+# Unit of work of each rate: what the planner counts and gpusim.calibrate measures.
 UNITS = {
     "kernels": "sample of a PSF that is made for a node, on the host",
     "spectra": "sample of such a PSF's spectrum, on the host and to the device",
@@ -100,7 +100,7 @@ class Costs:
         return {stage: self.lengths[length] * time for stage, time in seconds.items()}
 
 
-# What gpusim.plan.calibrate measured on lavapipe with 2 cores: for plans without a device.
+# What gpusim.calibrate measured on lavapipe with 2 cores: for plans without a device.
 LAVAPIPE = Costs(
     "table: lavapipe, 2 cores",
     {

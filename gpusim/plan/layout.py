@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -59,16 +59,30 @@ class Layout:
         return self.frame_s + self.kernels_s
 
 
+class Work(Protocol):
+    """The work of a way to convolve, on any grid."""
+
+    def needed(self, grid: SimGrid) -> Needed:
+        """Return the planes that each block of a grid needs."""
+
+    def seconds(self, grid: SimGrid, needed: Needed) -> dict[str, float]:
+        """Return the predicted seconds of a frame, by stage."""
+
+    def kernels_s(self, grid: SimGrid, needed: Needed) -> float:
+        """Return the predicted seconds for the kernels."""
+
+    def memory(self, grid: SimGrid, needed: Needed) -> Memory:
+        """Return what the kernels take."""
+
+
 def cheapest_grid(
     sensor: Sensor,
-    stride: int,
-    period: int,
+    work: Work,
     reach: float,
     cells: tuple[int, int],
-    needed: Callable[[SimGrid], Needed],
-    work: Callable[[SimGrid, Needed], dict[str, float]],
-    memory: Callable[[SimGrid, Needed], Memory],
-    preparation: Callable[[SimGrid, Needed], float],
+    *,
+    stride: int,
+    period: int,
     layers: int = 1,
 ) -> Layout:
     """Return the grid that takes the least time for one frame, among those that fit the memory.
@@ -76,21 +90,12 @@ def cheapest_grid(
     Parameters
     ----------
     sensor : Sensor
-    stride, period : int
-        See `SimGrid`.
+    work : Work
     reach : float
         Reach of the kernels, sim samples.
     cells : (int, int)
         The fewest that the tolerance allows.
-    needed : callable
-        Returns the planes that each block of a grid needs.
-    work : callable
-        Returns the predicted seconds by stage.
-    memory : callable
-        Returns what the kernels take.
-    preparation : callable
-        Returns the predicted seconds for the kernels.
-    layers : int
+    stride, period, layers : int
         See `SimGrid`.
 
     Raises
@@ -120,11 +125,11 @@ def cheapest_grid(
             grid = SimGrid(
                 sensor.rows, sensor.cols, stride, period, length, half_size, finer, layers
             )
-            planes = needed(grid)
-            taken = memory(grid, planes)
+            planes = work.needed(grid)
+            taken = work.memory(grid, planes)
             if taken.block_bytes > BLOCK_BYTES or taken.largest_bytes > MAX_BINDING_BYTES:
                 continue
-            found = Layout(grid, planes, work(grid, planes), preparation(grid, planes))
+            found = Layout(grid, planes, work.seconds(grid, planes), work.kernels_s(grid, planes))
             if best is None or found.cost_s < best.cost_s:
                 best = found
     if best is None:

@@ -13,15 +13,14 @@ from gpusim.plan.alias import Alias
 from gpusim.plan.candidates import Candidate, RunnerUp, choose
 from gpusim.plan.costs import LAVAPIPE, Costs
 from gpusim.plan.density import Density, LensShare
-from gpusim.plan.halo import describe_halo, halo_levels
-from gpusim.plan.lens import describe_lens
+from gpusim.plan.describe import describe
+from gpusim.plan.halo import halo_levels
 from gpusim.plan.mixtures import commonest_first, shown_mixtures
-from gpusim.plan.point_sources import describe_point_sources
 from gpusim.plan.problem import Problem
 from gpusim.plan.reach import within_reach
 from gpusim.plan.shares import ANGLE_SHARE, WORST_TO_RMS
 from gpusim.plan.signal import brightest_e
-from gpusim.plan.stages import Plan, describe
+from gpusim.plan.stages import Plan
 from gpusim.plan.ways import candidates, scales_of
 from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.scene import Scene
@@ -120,9 +119,9 @@ def plans_optics(
             scene.spectra,
             0.0 if "spectra" in force else WORST_TO_RMS * tolerance,
             commonest_first(scene),
-            ANGLE_SHARE * tolerance,
-            scene.wavelengths_nm,
-            shown,
+            place_error=ANGLE_SHARE * tolerance,
+            wavelengths_nm=scene.wavelengths_nm,
+            mixtures=shown,
         )
         asked = replace(relative, tolerance=tolerance)
         if lens is not None:
@@ -143,8 +142,16 @@ def plans_optics(
 def alias_of(bank: FieldBank, sensor: Sensor, scene: Scene, accuracy: Accuracy) -> Alias:
     """Return what predicts the errors of sim grids, as the planner makes it for a tolerance."""
     core, allowed = bank.levels[0], WORST_TO_RMS * accuracy.tolerance
-    given = allowed, commonest_first(scene), ANGLE_SHARE * allowed, scene.wavelengths_nm
-    basis = camera_basis(core, sensor, scene.spectra, *given, shown_mixtures(scene))
+    basis = camera_basis(
+        core,
+        sensor,
+        scene.spectra,
+        allowed,
+        commonest_first(scene),
+        place_error=ANGLE_SHARE * allowed,
+        wavelengths_nm=scene.wavelengths_nm,
+        mixtures=shown_mixtures(scene),
+    )
     seen = {"bank": core, "levels": bank.levels, "sensor": sensor, "scene": scene, "basis": basis}
     return Problem(**seen, accuracy=accuracy, costs=LAVAPIPE, force=()).alias
 
@@ -159,43 +166,23 @@ def _plan(
     shortfall: str,
 ) -> Plan:
     """Return a candidate as a plan."""
-    basis, sensor, scene, costs = problem.basis, problem.sensor, problem.scene, problem.costs
-    scales, force = scales_of(problem, chosen), problem.force
+    scales = scales_of(problem, chosen)
     halo = halo_levels(problem.levels, problem.accuracy, problem.seen_shares)
-    identity = problem.identity(scales[0])
-    tolerance = problem.accuracy.tolerance
-    point_sources = describe_point_sources(
-        problem.bank, sensor, scene, problem.placed, tolerance, costs
-    )
-    stages = describe(
-        chosen,
-        basis,
-        sensor,
-        scene,
-        costs,
-        identity,
-        noise,
-        force,
-        (
-            *describe_lens(problem.bank, sensor, problem.chief_ray, force),
-            *(() if lens is None else lens.stages),
-            describe_halo(problem.levels, halo),
-        ),
-        point_sources,
-    )
-    of_sensor = {effect.name for effect in EFFECTS}
+    of_lens = () if lens is None else lens.stages
+    stages = describe(problem, chosen, scales[0], of_lens, halo, noise=noise)
+    costs_s = {stage.name: stage.predicted_cost_s or 0.0 for stage in stages}
     return Plan(
-        basis=basis,
+        basis=problem.basis,
         scales=scales,
         stages=stages,
         name=chosen.name,
         predicted_s=sum(part.layout.frame_s for part in chosen.parts)
-        + sum(stage.predicted_cost_s or 0.0 for stage in stages if stage.name in of_sensor),
-        kernels_s=sum(part.layout.kernels_s for part in chosen.parts)
-        + (point_sources.predicted_cost_s or 0.0),
-        rates=costs.source,
+        + sum(costs_s[effect.name] for effect in EFFECTS),
+        kernels_s=sum(part.layout.kernels_s for part in chosen.parts) + costs_s["point sources"],
+        rates=problem.costs.source,
         runners_up=runners_up,
         halo=halo,
+        highlights=problem.highlights,
         tolerance=problem.accuracy.tolerance,
         shortfall=shortfall,
     )

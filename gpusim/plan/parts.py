@@ -61,15 +61,12 @@ def part_of(problem: Problem, sampled: Sampled, method: str) -> tuple[Part, dict
     work = _Work(problem, sampled, method, rank, support)
     layout = cheapest_grid(
         problem.sensor,
-        sampled.stride,
-        problem.planes.period,
+        work,
         reach,
         cells,
-        lambda grid: problem.needed(grid, sampled.pitch_um),
-        work.seconds,
-        work.memory,
-        work.kernels_s,
-        problem.planes.layers,
+        stride=sampled.stride,
+        period=problem.planes.period,
+        layers=problem.planes.layers,
     )
     nodes = 0
     if method != "modes":
@@ -126,6 +123,10 @@ class _Work:
     def _outputs(self) -> int:
         problem = self.problem
         return len(problem.planes.channels if self._own else problem.sensor.channels)
+
+    def needed(self, grid: SimGrid) -> Needed:
+        """Return the planes that each block needs."""
+        return self.problem.needed(grid, self.sampled.pitch_um)
 
     def seconds(self, grid: SimGrid, needed: Needed) -> dict[str, float]:
         """Return the seconds of a frame, by stage."""

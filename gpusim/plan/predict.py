@@ -69,6 +69,7 @@ def node_error(
     reach_um: float,
     half_um: tuple[float, float],
     spacing_um: float,
+    *,
     edge: Edge | None = None,
 ) -> float:
     """Predict the error of an edge response that bilinear interpolation between PSF nodes causes.
@@ -96,7 +97,7 @@ def node_error(
         @cache
         def at(u: float, v: float, first: list[float] = first) -> np.ndarray:
             x, y = first[0] + u * spacing_um, first[1] + v * spacing_um
-            found = sampled_kernels(kernels, x, y, pitch_um, half_size, 1)[0]
+            found = sampled_kernels(kernels, x, y, pitch_um, half_size, planes=1)[0]
             return sharpened(found) if kernels.ringing else found
 
         corners = [
@@ -269,6 +270,7 @@ def cells_within(
     reach_um: float,
     half_um: tuple[float, float],
     allowed: float,
+    *,
     beyond_um: float,
     edge: Edge | bool | None = None,
 ) -> tuple[tuple[int, int], float]:
@@ -283,15 +285,15 @@ def cells_within(
     least_um = SMALLEST_CELL * pitch_um
     most_um = max(half_um[1], least_um) if beyond_um > half_um[1] else max(sides)
     if edge is False:
-        return _even_cells(kernels, half_um, sides, allowed, most_um, least_um)
+        return _even_cells(kernels, half_um, sides, allowed, most_um=most_um, least_um=least_um)
     # Errors go with a power of the spacing: about 2 where PSFs change slowly, 4 at best.
     spacing_um = known_um = half_um[1] / 4
-    error = node_error(kernels, pitch_um, reach_um, half_um, known_um, edge)
+    error = node_error(kernels, pitch_um, reach_um, half_um, known_um, edge=edge)
     power = POWERS[0]
     for _ in range(LOOKS):
         spacing_um = known_um * (allowed / max(error, 1e-12)) ** (1 / power)
         spacing_um = float(np.clip(spacing_um, least_um, most_um))
-        found = node_error(kernels, pitch_um, reach_um, half_um, spacing_um, edge)
+        found = node_error(kernels, pitch_um, reach_um, half_um, spacing_um, edge=edge)
         if min(found, error) > 0 and abs(np.log(spacing_um / known_um)) > SAME:
             power = np.log(found / error) / np.log(spacing_um / known_um)
             power = float(np.clip(power, *POWERS))
@@ -313,6 +315,7 @@ def _even_cells(
     half_um: tuple[float, float],
     sides: tuple[float, float],
     allowed: float,
+    *,
     most_um: float,
     least_um: float,
 ) -> tuple[tuple[int, int], float]:

@@ -12,6 +12,7 @@ import numpy as np
 from gpusim.optics import paint, warp
 from gpusim.optics.chief_ray import ChiefRayMap, chief_ray_map
 from gpusim.optics.grid import SimGrid
+from gpusim.optics.highlight_plan import HighlightPlan, plan_highlights
 from gpusim.optics.images import field_images, mirrored
 from gpusim.optics.kernels import FieldKernels, core_window, distances_um, field_kernels
 from gpusim.optics.modes import Decomposition
@@ -71,7 +72,8 @@ class Problem:
         """
         other = replace(self, accuracy=accuracy)
         found = {name: value for name, value in vars(self).items() if name not in vars(other)}
-        found.pop("tails", None)  # how many nodes they need
+        for name in ("tails", "highlights"):  # nodes, angles and squares: as many as it needs
+            found.pop(name, None)
         vars(other).update(found)
         return other
 
@@ -119,6 +121,20 @@ class Problem:
         if self.is_chart:
             return self.scene.source.placed(self.half_um[1])
         return self.scene.source.placed(*self.half_um, 0.0)
+
+    @cached_property
+    def highlights(self) -> HighlightPlan | None:
+        """How the light of a photograph's highlights is summed; None where pixels see none."""
+        if self.is_chart or not len(self.placed.highlights):
+            return None
+        return plan_highlights(
+            self.bank,
+            self.sensor,
+            self.placed.highlights,
+            self.scene.spectra,
+            self.accuracy.tolerance,
+            wavelengths_nm=self.scene.wavelengths_nm,
+        )
 
     @cached_property
     def seen_shares(self) -> np.ndarray:
@@ -220,7 +236,7 @@ class Problem:
             self.reach_um,
             self.half_um,
             TAIL_SHARE * self.accuracy.tolerance / share,
-            self.reach_um,
+            beyond_um=self.reach_um,
         )
         return lag * share, few
 

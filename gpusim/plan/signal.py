@@ -1,4 +1,4 @@
-"""The largest mean signal that a scene can make, for tolerances in units of the noise."""
+"""The largest mean signal that a scene can make, for tolerances in sigmas; that of its white."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from gpusim.optics.angular import AngularResponse
 from gpusim.optics.spectral_basis import spectral_weights
-from gpusim.psf.bank import Bank
+from gpusim.psf.field_bank import FieldBank
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 
-def brightest_e(bank: Bank, sensor: Sensor, scene: Scene, exposure_s: float) -> float:
+def brightest_e(bank: FieldBank, sensor: Sensor, scene: Scene, exposure_s: float) -> float:
     """Return a bound of the mean electrons of any pixel.
 
     The brightest material or sample in the channel that sees most of it, as if it filled the frame,
@@ -31,3 +31,10 @@ def brightest_e(bank: Bank, sensor: Sensor, scene: Scene, exposure_s: float) -> 
         rates = np.array([np.tensordot(row, planes, axes=1).max() for row in rates])
     rate = float(rates.max()) * (1 + sensor.veiling_glare)
     return rate * exposure_s if rate > 0 else 0.0  # also of an endless exposure
+
+
+def white_rates(bank: FieldBank, sensor: Sensor, scene: Scene) -> dict[str, float]:
+    """Return the mean electrons/s that the scene's white makes on the axis, by channel."""
+    weights = spectral_weights(bank, sensor, wavelengths_nm=scene.wavelengths_nm)
+    white = np.einsum("clw,w->c", weights, scene.white)
+    return {name: float(rate) for name, rate in zip(sensor.channels, white, strict=True)}

@@ -124,8 +124,8 @@ def _finest(problem: Problem, oversampling: int, cut_um: float | None) -> tuple[
         most_um,
         problem.half_um,
         (NODE_SHARE if problem.has_edges else TONE_SHARE) * problem.accuracy.tolerance,
-        reach_um,
-        problem.edge(pitch_um) if problem.has_edges else False,
+        beyond_um=reach_um,
+        edge=problem.edge(pitch_um) if problem.has_edges else False,
     )
     name, stride = "whole" if cut_um is None else "core", oversampling * problem.planes.period
     return Sampled(name, stride, pitch_um, reach_um, weight, cells), nodes

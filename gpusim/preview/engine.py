@@ -20,7 +20,7 @@ import numpy as np
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.library.frame import Frame
-from gpusim.library.light import OPTICAL, Light
+from gpusim.library.light import Light
 from gpusim.library.session import Session
 from gpusim.plan.deadline import predicted_error
 from gpusim.plan.stages import Plan
@@ -28,6 +28,7 @@ from gpusim.preview.draft import Draft, DraftLens, binned, step_for
 from gpusim.preview.picture import Developer, mosaic
 from gpusim.preview.state import Knobs, View
 from gpusim.scene.scene import Scene
+from gpusim.sensor.optical import OPTICAL
 
 DRAFT, REFINED = "draft", "refined"
 SPARE_PX = 64  # more photosites at the sensor's end than any binned pattern has

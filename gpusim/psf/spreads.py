@@ -175,9 +175,9 @@ def spreads(
             lines,
             angles,
             pitch_um,
-            1e3 * generator.chief_y_mm,
-            [_sums(one.psf, pitch_um) for one in found],
-            np.array([one.entered for one in found]) / np.array(areas)[:, None],
+            height_um=1e3 * generator.chief_y_mm,
+            spread=[_sums(one.psf, pitch_um) for one in found],
+            light_sr=np.array([one.entered for one in found]) / np.array(areas)[:, None],
         )
     finally:
         generator.release()
@@ -201,9 +201,9 @@ def traced_spreads(
         lines,
         angles,
         pitch_um,
-        [one["real_height_um"] for one in found],
-        [_sums(one["psf"], pitch_um) for one in found],
-        [one["light_sr"] for one in found],
+        height_um=[one["real_height_um"] for one in found],
+        spread=[_sums(one["psf"], pitch_um) for one in found],
+        light_sr=[one["light_sr"] for one in found],
     )
 
 
@@ -219,6 +219,7 @@ def _of(
     lines: np.ndarray,
     angles: np.ndarray,
     pitch_um: float,
+    *,
     height_um: ArrayLike,
     spread: ArrayLike,
     light_sr: ArrayLike,

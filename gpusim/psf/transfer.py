@@ -168,6 +168,7 @@ def through_focus(
     frequency_cy_mm: float,
     direction: Direction,
     dz_mm: np.ndarray,
+    *,
     slope: float = 0.0,
 ) -> np.ndarray:
     """Return the OTF at one frequency in many image planes, by the pupil's autocorrelation.
@@ -283,7 +284,7 @@ class FieldPupils:
     ) -> np.ndarray:
         """Return the polychromatic OTF at one frequency in many image planes; shape (Z,)."""
         otfs = [
-            through_focus(pupil, wavelength, frequency_cy_mm, direction, dz_mm, self.slope)
+            through_focus(pupil, wavelength, frequency_cy_mm, direction, dz_mm, slope=self.slope)
             for pupil, wavelength in zip(self.coarse, self.wavelengths_nm, strict=True)
         ]
         return self._together(otfs, np.full(len(dz_mm), float(frequency_cy_mm)), direction)

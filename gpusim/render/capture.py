@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,9 +14,15 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.band import Band
 from gpusim.plan.costs import Costs
 from gpusim.plan.tiles import Rect
-from gpusim.psf.local import LocalPsfs
+from gpusim.psf.local import LocalPsfs, local_psfs
 from gpusim.scene.scene import Scene
 from gpusim.sensor.frame import Areas, areas_of
+from gpusim.sensor.readout import Shot
+
+if TYPE_CHECKING:
+    from gpusim.render.lighting import Lighting
+    from gpusim.render.reading import Reading
+    from gpusim.render.renderer import Renderer
 
 
 @dataclass(frozen=True)
@@ -104,3 +110,65 @@ class Capture:
     def areas(self) -> Areas:
         """Which pixels of the raw see light."""
         return areas_of(self.rect, self.camera.sensor.frame)
+
+
+def captured(
+    renderer: Renderer,
+    lighting: Lighting,
+    reading: Reading,
+    asked: Shot,
+    *,
+    rect: Rect,
+    keep: tuple[str, ...],
+    wall_s: float,
+    nodes: int,
+    certificate: Certificate | None,
+) -> Capture:
+    """Return what a renderer made of a rectangle.
+
+    Parameters
+    ----------
+    renderer : Renderer
+    lighting, reading : Lighting, Reading
+        What brought the light, and what read it.
+    asked : Shot
+        With the seed that was asked for, of all frames.
+    rect : (row, col, rows, cols)
+        What was read.
+    keep : tuple of str
+        Any of "rate" and "electrons".
+    wall_s : float
+        Seconds of light and read-out.
+    nodes : int
+        PSF nodes that kernels were made for.
+    certificate : Certificate or None
+    """
+    return Capture(
+        costs=renderer.costs,
+        recipe=renderer.recipe,
+        band=renderer.band,
+        raw=reading.on_rect("dn"),
+        rate=reading.on_rect("rate") if "rate" in keep else None,
+        electrons=reading.on_rect("electrons") if "electrons" in keep else None,
+        white_e={name: asked.exposure_s * e for name, e in renderer.white_e_per_s.items()},
+        transmission=renderer.transmission,
+        optics=renderer.optics,
+        notes=renderer.notes + tuple(lighting.notes),
+        plan=renderer.plan,
+        times_s=dict(lighting.times_s),
+        wall_s=wall_s,
+        prepare_s=dict(renderer.prepare_s),
+        memory={"budget_bytes": renderer.memory_bytes, "peak_bytes": renderer.peak_bytes},
+        work={**lighting.work, "nodes": nodes},
+        rect=rect,
+        device=renderer.device.report(),
+        certificate=certificate,
+        camera=renderer.camera,
+        scene=renderer.scene,
+        seed=asked.seed,
+        frame=asked.frame,
+        exposure_s=asked.exposure_s,
+        accuracy=renderer.accuracy,
+        temperature_c=asked.temperature_c,
+        psfs=local_psfs(renderer.core, renderer.camera.sensor, renderer.scene),
+    )

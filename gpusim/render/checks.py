@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.plan.tiles import Rect
 from gpusim.sensor.sensor import Sensor
+
+if TYPE_CHECKING:
+    from gpusim.render.renderer import Renderer
 
 
 def rectangle(tile: tuple[int, int, int, int] | None, sensor: Sensor) -> Rect:
@@ -30,6 +35,21 @@ def check_shot(exposure_s: float, seed: int, frame: int) -> None:
     check("exposure", exposure_s, 0 < exposure_s < np.inf, "seconds above 0")
     check("seed", seed, 0 <= seed < 2**64, "0 to 2^64 - 1")
     check("frame", frame, 0 <= frame < 2**32, "0 to 2^32 - 1")
+
+
+def check_planned(renderer: Renderer, exposure_s: float, tile_px: int | None) -> None:
+    """Refuse an exposure and a size of tiles that a renderer's plan is not for.
+
+    Raises
+    ------
+    UserError
+    """
+    if renderer.accuracy.unit == "sigma":
+        longest = renderer.longest_s
+        allowed = f"{longest:g} s or less, for which the tolerance in sigmas was planned"
+        check("exposure", exposure_s, exposure_s <= longest, allowed)
+    if tile_px is not None:
+        check("tile-size", tile_px, tile_px >= renderer.period, f"{renderer.period} or more")
 
 
 def check(field: str, value: object, valid: bool, allowed: str) -> None:

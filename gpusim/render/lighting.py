@@ -12,8 +12,10 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu import OutOfMemoryError, Recording, Resident, Result
 from gpusim.gpu.pool import mebibytes
+from gpusim.optics.nodes import Rates
 from gpusim.plan.stage import stage_of
 from gpusim.plan.tiles import Rect, aligned, halves, tiles_of
+from gpusim.render.on_device import Progress
 
 if TYPE_CHECKING:
     from gpusim.render.renderer import Renderer
@@ -200,7 +202,7 @@ class Lighting:
         scratch = convolve.scratch(rec, renderer.plan.basis.coefficients.shape[1])
         for block in blocks:
             source.record(rec, block, scratch.planes)
-            convolve.record(rec, block, source.needed[block], scratch, rates, rect)
+            convolve.record(rec, block, source.needed[block], scratch, Rates(rates, rect))
         self.run(rec)
         self.work["blocks"] += len(blocks)
 
@@ -210,3 +212,26 @@ class Lighting:
         for path, seconds in result.times_s.items():
             self.times_s[stage_of(path)] += seconds
         return result
+
+
+def planes_on(renderer: Renderer, rect: Rect, progress: Progress | None = None) -> np.ndarray:
+    """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
+
+    Whole periods of the filter pattern; without veiling glare. ``progress``: called with
+    (what, done, total).
+    """
+    report = progress or (lambda what, done, total: None)
+    period, (row, col, rows, cols) = renderer.period, aligned(rect, renderer.period)
+    size = renderer.plan.scales[0].grid.sites, rows // period, cols // period
+    found = np.empty(size, np.float32)
+
+    def take(tile: Rect, rates: Resident, whole: Rect) -> None:
+        top, left = (whole[0] - row) // period, (whole[1] - col) // period
+        high, wide = whole[2] // period, whole[3] // period
+        found[:, top : top + high, left : left + wide] = renderer.device.read(rates)
+
+    lighting = Lighting(renderer, rect, lambda tile: tile)
+    with renderer.device.pool.within(renderer.memory_bytes):
+        renderer.hold(rect, None, report)
+        lighting.render(None, take, lambda done, total: report("render", done, total))
+    return found

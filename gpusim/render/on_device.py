@@ -98,11 +98,8 @@ class OnDevice:
             first = placed if first is None else first
             source = stage(self.device, placed, plan.basis.coefficients, scale, chief_ray)
             self.sources.append(source)
-        if isinstance(first, PlacedRaster) and len(first.highlights):
-            lights = first.highlights, scene.spectra, plan.tolerance
-            self.point_sources = PointSources(
-                self.device, core, sensor, *lights, scene.wavelengths_nm
-            )
+        if plan.highlights is not None:
+            self.point_sources = PointSources(self.device, plan.highlights)
         self.convolve(plan)
         return first
 

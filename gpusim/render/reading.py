@@ -19,7 +19,14 @@ from gpusim.gpu import Array, Device, Recording, Resident, Result
 from gpusim.plan.tiles import STRIP_SHARE, Rect, strips
 from gpusim.sensor.ccd import ReadOut, needed, record_tile, taking
 from gpusim.sensor.frame import overlap
-from gpusim.sensor.readout import Shot, record_charge, record_read, record_readout, rects_of
+from gpusim.sensor.readout import (
+    Shot,
+    SiteLight,
+    record_charge,
+    record_read,
+    record_readout,
+    rects_of,
+)
 from gpusim.sensor.sensor import Sensor
 
 
@@ -115,9 +122,9 @@ def read_together(
         exposure = kind, shot.exposure_s, shot.temperature_c
         with rec.labelled(f"frame {number} "):
             if exposure not in means:
-                given = rates, reader.glare, sensor, rect, whole, shot, runs
-                means[exposure] = record_charge(rec, *given)[1]
-            read = record_read(rec, means[exposure], sensor, rect, shot, runs)
+                light = SiteLight(rates, reader.glare, whole)
+                means[exposure] = record_charge(rec, light, sensor, rect, shot=shot, runs=runs)[1]
+            read = record_read(rec, means[exposure], sensor, rect, shot=shot, runs=runs)
             labels.append(rec.download(read["dn"], np.uint16))
     result = readers[0].run(rec)
     return [result[label] for label in labels]
@@ -197,10 +204,9 @@ class CmosReading:
         self, rec: Recording, strip: Rect, rates: Resident, whole: Rect
     ) -> dict[str, Array]:
         """Record what becomes of a strip."""
-        reader = self.reader
-        return record_readout(
-            rec, rates, reader.glare, reader.sensor, strip, whole, self.shot, reader.runs
-        )
+        light = SiteLight(rates, self.reader.glare, whole)
+        how = {"shot": self.shot, "runs": self.reader.runs}
+        return record_readout(rec, light, self.reader.sensor, strip, **how)
 
 
 class CcdReading(CmosReading):
@@ -295,7 +301,8 @@ class CcdReading(CmosReading):
         self, rec: Recording, strip: Rect, rates: Resident, whole: Rect
     ) -> dict[str, Array]:
         reader = self.reader
-        return record_tile(rec, rates, reader.glare, reader.sensor, strip, whole, reader.runs)
+        light = SiteLight(rates, reader.glare, whole)
+        return record_tile(rec, light, reader.sensor, strip, reader.runs)
 
 
 def _on_host(name: str, shape: tuple[int, int], dtype: type, folder: Path | None) -> np.ndarray:

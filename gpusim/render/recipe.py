@@ -35,10 +35,10 @@ def recipe_of(
     scene: Scene,
     accuracy: Accuracy,
     longest_s: float,
+    *,
     plan: Plan,
     costs: Costs,
     device: Mapping[str, Any],
-    *,
     noise: bool,
     method: str | None,
 ) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,25 +13,24 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from gpusim.calibrate.rates import adapter_costs
 from gpusim.camera import Camera
-from gpusim.certify import Certificate, Share, bank_share, certify, sensor_share
 from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, optics_of
 from gpusim.optics.flare import veiling_glare
-from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.band import with_band
-from gpusim.plan.calibrate import adapter_costs
 from gpusim.plan.costs import Costs
+from gpusim.plan.signal import white_rates
 from gpusim.plan.tiles import Rect, aligned
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.local import local_psfs
-from gpusim.render.capture import Capture
-from gpusim.render.checks import check, check_shot, rectangle
+from gpusim.render.capture import Capture, captured
+from gpusim.render.certificate import certified
+from gpusim.render.checks import check_planned, check_shot, rectangle
 from gpusim.render.coarse import CoarseCamera, coarse_halo
 from gpusim.render.deadline import resolved
-from gpusim.render.lighting import Lighting
+from gpusim.render.lighting import Lighting, planes_on
 from gpusim.render.look import look
 from gpusim.render.on_device import OnDevice, Progress
 from gpusim.render.reading import Reader, Reading, reading_of
@@ -39,7 +39,6 @@ from gpusim.render.refocus import refocused
 from gpusim.scene.raster import PlacedRaster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.frame import overlap
 from gpusim.sensor.readout import Shot, noise_seed
 
 KEPT_SHARE = 4  # of the budget, a quarter at most of the host's memory for the light of a frame
@@ -146,14 +145,16 @@ class Renderer:
         self.band, self.density, self.scene = seen.band, seen.density, seen.scene
         self.bank, self.core = seen.bank, seen.bank.levels[0]
         started = self._spent("lens", started)
-        self._costs = costs
+        self.costs = costs
         self.plan = plan or self.planned(self.method, self._force)
         started = self._spent("plan", started)
 
         basis, distorted = self.plan.basis, "distortion" in self._force
         self.placed = self.on_device.place(self.scene, self.core, self.plan, distorted)
-        light = basis.weights, basis.coefficients, basis.elsewhere
-        glare = veiling_glare(self.core, camera.sensor, self.placed, *light)
+        light = basis.weights, basis.coefficients
+        glare = veiling_glare(
+            self.core, camera.sensor, self.placed, *light, elsewhere=basis.elsewhere
+        )
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         self._spent("scene", started)
@@ -171,7 +172,7 @@ class Renderer:
             self.camera.sensor,
             self.scene,
             self.accuracy.planned,
-            self._costs,
+            self.costs,
             count=count,
             noise=self._noise,
             method=method,
@@ -260,137 +261,50 @@ class Renderer:
         """
         sensor = self.camera.sensor
         check_shot(exposure_s, seed, frame)
-        self._check_planned(exposure_s, tile_px)
+        check_planned(self, exposure_s, tile_px)
+        if temperature_c is None:
+            temperature_c = sensor.reference_temperature_c
+        sensor.dark_current_at(temperature_c)  # refuses what is none
+        asked = Shot(exposure_s, seed, frame, temperature_c)
+        shot = replace(asked, seed=noise_seed(seed, exposure_s, sensor.analogue_gain))
         rect = rectangle(tile, sensor)
         names = {"dn": np.uint16} | dict.fromkeys(keep, np.float32)
         if self.accuracy.certified:
             names |= dict.fromkeys(("rate", "mean"), np.float32)
-        if temperature_c is None:
-            temperature_c = sensor.reference_temperature_c
-        sensor.dark_current_at(temperature_c)  # refuses what is none
-        own_seed = noise_seed(seed, exposure_s, sensor.analogue_gain)
-        taken = Shot(exposure_s, own_seed, frame, temperature_c)
         # The seconds of the light and of the read-out are counted together.
         lighting = Lighting(self, rect)
-        shot = reading_of(self.reader(lighting.run), rect, names, folder, taken)
-        lighting.rect = shot.rect
+        reading = reading_of(self.reader(lighting.run), rect, names, folder, shot)
+        lighting.rect = reading.rect
         report = progress or (lambda what, done, total: None)
         made = self.on_device.made
-        wall_s = self._read(lighting, shot, tile_px, report)
+        wall_s = self._read(lighting, reading, tile_px, report)
         certificate = None
         if self.accuracy.certified:
-            certificate = self.certificate(shot, rect, exposure_s, temperature_c, report)
-        return Capture(
-            costs=self._costs,
-            recipe=self.recipe,
-            band=self.band,
-            raw=shot.on_rect("dn"),
-            rate=shot.on_rect("rate") if "rate" in keep else None,
-            electrons=shot.on_rect("electrons") if "electrons" in keep else None,
-            white_e=self.white_e(exposure_s),
-            transmission=self.transmission,
-            optics=self.optics,
-            notes=self.notes + tuple(lighting.notes),
-            plan=self.plan,
-            times_s=dict(lighting.times_s),
-            wall_s=wall_s,
-            prepare_s=dict(self.prepare_s),
-            memory={"budget_bytes": self.memory_bytes, "peak_bytes": self.peak_bytes},
-            work={**lighting.work, "nodes": self.on_device.made - made},
+            certificate = certified(self, reading, rect, shot, report)
+        return captured(
+            self,
+            lighting,
+            reading,
+            asked,
             rect=rect,
-            device=self.device.report(),
+            keep=keep,
+            wall_s=wall_s,
+            nodes=self.on_device.made - made,
             certificate=certificate,
-            camera=self.camera,
-            scene=self.scene,
-            seed=seed,
-            frame=frame,
-            exposure_s=exposure_s,
-            accuracy=self.accuracy,
-            temperature_c=temperature_c,
-            psfs=local_psfs(self.core, sensor, self.scene),
         )
-
-    def _check_planned(self, exposure_s: float, tile_px: int | None) -> None:
-        """Refuse an exposure and a size of tiles that the plan is not for."""
-        if self.accuracy.unit == "sigma":
-            longest = f"{self.longest_s:g} s or less, for which the tolerance in sigmas was planned"
-            check("exposure", exposure_s, exposure_s <= self.longest_s, longest)
-        if tile_px is not None:
-            check("tile-size", tile_px, tile_px >= self.period, f"{self.period} or more")
 
     def _read(
         self, lighting: Lighting, shot: Reading, tile_px: int | None, report: Progress
     ) -> float:
         """Render the light of a reading and read it; return the seconds of that."""
         with self.device.pool.within(self.memory_bytes):
-            self._hold(shot.rect, tile_px, report)
+            self.hold(shot.rect, tile_px, report)
             started = time.perf_counter()
             lighting.render(tile_px, shot.take, lambda done, total: report("render", done, total))
             shot.finish()
             wall_s = time.perf_counter() - started
             self.peak_bytes = max(self.peak_bytes, self.device.pool.peak)
         return wall_s
-
-    def certificate(
-        self,
-        reading: Reading,
-        rect: Rect,
-        exposure_s: float,
-        temperature_c: float,
-        report: Progress,
-    ) -> Certificate:
-        """Judge a rectangle that was read at probe pixels: see `gpusim.certify`.
-
-        Parameters
-        ----------
-        reading : Reading
-            With the planes ``rate`` and ``mean``.
-        rect : (row, col, rows, cols)
-            What was read.
-        exposure_s, temperature_c : float
-            Exposure time and temperature with which it was read.
-        report : callable
-            Called with (what, done, total).
-        """
-        sensor = self.camera.sensor
-        seen = overlap(rect, sensor.frame.lit)
-        top, left = seen[0] - rect[0], seen[1] - rect[1]
-
-        def readout(pixels: np.ndarray) -> tuple[Share, str]:
-            with self.device.pool.within(self.memory_bytes):
-                made = reading.mean_signal()
-            noise = self.plan.runs("noise")
-            return sensor_share(
-                sensor, made, pixels, exposure_s, temperature_c, noise, self.accuracy
-            )
-
-        light = reading.on_rect("rate")[top : top + seen[2], left : left + seen[3]]
-        return certify(
-            self.bank,
-            sensor,
-            self.scene,
-            self.placed,
-            light,
-            self.glare,
-            exposure_s,
-            self.accuracy,
-            lambda done, total: report("certify", done, total),
-            origin=seen[:2],
-            readout=readout,
-            judged=lambda: bank_share(
-                self.bank,
-                self.camera.lens,
-                sensor,
-                self.scene,
-                self.placed,
-                light,
-                seen[:2],
-                exposure_s,
-                self.accuracy,
-                lambda done, total: report("trace anew", done, total),
-                self.band.dropped,
-            ),
-        )
 
     @property
     def period(self) -> int:
@@ -413,7 +327,7 @@ class Renderer:
             run,
         )
 
-    def _hold(self, rect: Rect, tile_px: int | None, report: Progress) -> None:
+    def hold(self, rect: Rect, tile_px: int | None, report: Progress) -> None:
         """Bring onto the device what further frames need as well, if there is room for all."""
         started = time.perf_counter()
         held, seen = self.on_device, self.on_device.lit(rect)
@@ -438,42 +352,29 @@ class Renderer:
             accuracy,
             self.device,
             memory_bytes=self.memory_bytes,
-            costs=self._costs,
+            costs=self.costs,
             noise=False,
             method="fft",
         )
         try:
-            return renderer.light(rect)
+            return planes_on(renderer, rect)
         finally:
             renderer.release()
-
-    def light(self, rect: Rect, progress: Progress | None = None) -> np.ndarray:
-        """Return the electrons/s (S, rows, cols) of the planes of a rectangle of lit pixels.
-
-        Whole periods of the filter pattern; without veiling glare. ``progress``: called with
-        (what, done, total).
-        """
-        report = progress or (lambda what, done, total: None)
-        period, (row, col, rows, cols) = self.period, aligned(rect, self.period)
-        size = self.plan.scales[0].grid.sites, rows // period, cols // period
-        found = np.empty(size, np.float32)
-
-        def take(tile: Rect, rates: Resident, whole: Rect) -> None:
-            top, left = (whole[0] - row) // period, (whole[1] - col) // period
-            high, wide = whole[2] // period, whole[3] // period
-            found[:, top : top + high, left : left + wide] = self.device.read(rates)
-
-        lighting = Lighting(self, rect, lambda tile: tile)
-        with self.device.pool.within(self.memory_bytes):
-            self._hold(rect, None, report)
-            lighting.render(None, take, lambda done, total: report("render", done, total))
-        return found
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What makes the light again: see `gpusim.render.recipe`."""
-        given = self.camera, self.scene, self.accuracy, self.longest_s, self.plan, self._costs
-        return recipe_of(*given, self.device.report(), noise=self._noise, method=self.method)
+        return recipe_of(
+            self.camera,
+            self.scene,
+            self.accuracy,
+            self.longest_s,
+            plan=self.plan,
+            costs=self.costs,
+            device=self.device.report(),
+            noise=self._noise,
+            method=self.method,
+        )
 
     @property
     def transmission(self) -> np.ndarray:
@@ -489,22 +390,13 @@ class Renderer:
     def notes(self) -> tuple[str, ...]:
         """How the scene was read and placed, and what a time afforded."""
         placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
-        afforded = (self.afforded,) if self.afforded else ()
-        return self.scene.notes + placed + afforded + self._anew
+        told, asked = (self.afforded,) if self.afforded else (), self.accuracy
+        if asked.aim is not None:
+            why = f"by a looser plan the certificate missed {asked.text}"
+            told += (f"planned for {asked.in_words(asked.aim)}: {why}",)
+        return self.scene.notes + placed + told
 
     @property
-    def _anew(self) -> tuple[str, ...]:
-        if self.accuracy.aim is None:
-            return ()
-        aim = self.accuracy.in_words(self.accuracy.aim)
-        return (f"planned for {aim}: by a looser plan the certificate missed {self.accuracy.text}",)
-
-    def white_e(self, exposure_s: float) -> dict[str, float]:
-        """Return the mean electrons that the scene's white makes on the axis, by channel."""
-        sensor = self.camera.sensor
-        weights = spectral_weights(self.core, sensor, wavelengths_nm=self.scene.wavelengths_nm)
-        white = np.einsum("clw,w->c", weights, self.scene.white)
-        return {
-            name: float(value * exposure_s)
-            for name, value in zip(sensor.channels, white, strict=True)
-        }
+    def white_e_per_s(self) -> dict[str, float]:
+        """Mean electrons/s that the scene's white makes on the axis, by channel."""
+        return white_rates(self.core, self.camera.sensor, self.scene)

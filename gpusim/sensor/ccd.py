@@ -40,7 +40,7 @@ from gpusim.sensor.defects import record_defects, record_stuck
 from gpusim.sensor.exposure import record_exposure
 from gpusim.sensor.frame import Rect
 from gpusim.sensor.noise import record_noise
-from gpusim.sensor.readout import Shot, record_light
+from gpusim.sensor.readout import Shot, SiteLight, record_light
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.smear import record_smear
 from gpusim.sensor.traps import record_traps
@@ -83,11 +83,9 @@ def taking(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> Rect:
 
 def record_tile(
     rec: Recording,
-    sites: Array,
-    glare: Array,
+    taken: SiteLight,
     sensor: Sensor,
     rect: Rect,
-    lit: Rect,
     runs: Callable[[str], bool],
 ) -> dict[str, Array]:
     """Record the light that makes charge on a rectangle of pixels: see `readout.record_readout`.
@@ -99,10 +97,10 @@ def record_tile(
         which is the rate with optical cross-talk: electrons/s.
     """
     around, frame = taking(rect, sensor, runs), sensor.frame.pixels
-    light = rate = record_light(rec, sites, glare, sensor, around, lit, runs)
+    light = rate = record_light(rec, taken, sensor, around, runs)
     if runs("crosstalk"):
         optical = sensor.crosstalk.optical
-        light = record_crosstalk(rec, rate, optical, sensor, around, rect, frame=frame)
+        light = record_crosstalk(rec, rate, optical, sensor, given=around, wanted=rect, frame=frame)
     return {"rate": rate, "light": light}
 
 
@@ -111,6 +109,7 @@ def record_columns(
     rate: Array,
     sensor: Sensor,
     rect: Rect,
+    *,
     shot: Shot,
     runs: Callable[[str], bool],
 ) -> Array:
@@ -183,6 +182,7 @@ def record_rows(
     sensor: Sensor,
     given: Rect,
     rect: Rect,
+    *,
     shot: Shot,
     runs: Callable[[str], bool],
 ) -> dict[str, Array]:
@@ -218,9 +218,8 @@ def record_rows(
         electrons = _shifted(rec, charge, sensor.serial_cti, sensor, beyond, serial=True)
     if runs("electrical crosstalk"):
         kernels, frame = sensor.crosstalk.electrical, sensor.frame.read
-        electrons = record_crosstalk(
-            rec, electrons, kernels, sensor, given, rect, frame=frame, label="coupled"
-        )
+        among = {"given": given, "wanted": rect, "frame": frame}
+        electrons = record_crosstalk(rec, electrons, kernels, sensor, **among, label="coupled")
     if runs("noise"):
         electrons = record_noise(
             rec,
@@ -293,7 +292,8 @@ class ReadOut:
             rate = rec.buffer("rate", (rows, end - begin), "f4")
             rec.upload(rate, np.ascontiguousarray(light[:, begin:end]))
             part = row, col + begin, rows, end - begin
-            label = rec.download(record_columns(rec, rate, self.sensor, part, self.shot, self.runs))
+            arrived = record_columns(rec, rate, self.sensor, part, shot=self.shot, runs=self.runs)
+            label = rec.download(arrived)
             charge[:, begin:end] = self.run(rec)[label]
 
     def rows(
@@ -323,7 +323,8 @@ class ReadOut:
             rec.upload(buffer, np.ascontiguousarray(held))
             given = top, first_col, bottom - top, width
             part = (row + begin, col, end - begin, cols) if around else given
-            found = record_rows(rec, buffer, self.sensor, given, part, self.shot, self.runs)
+            how = {"shot": self.shot, "runs": self.runs}
+            found = record_rows(rec, buffer, self.sensor, given, part, **how)
             labels = {name: rec.download(found[name]) for name in planes}
             result, left = self.run(rec), col - part[1]
             for name, plane in planes.items():

@@ -51,9 +51,9 @@ def record_crosstalk(
     signal: Array,
     kernels: Kernels,
     sensor: Sensor,
+    *,
     given: Rect,
     wanted: Rect,
-    *,
     frame: Rect | None = None,
     label: str = "spread",
 ) -> Array:

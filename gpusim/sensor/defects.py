@@ -49,7 +49,7 @@ def record_defects(
         for place, (kind, value) in defects_of(sensor).items()
         if kind != "stuck"
     }
-    _record(rec, mean, sensor, changes, origin, "unlit", limit_e)
+    _record(rec, mean, sensor, changes, origin=origin, label="unlit", limit_e=limit_e)
 
 
 def record_stuck(
@@ -71,7 +71,7 @@ def record_stuck(
         for place, (kind, value) in defects_of(sensor).items()
         if kind == "stuck"
     }
-    _record(rec, electrons, sensor, changes, origin, "stuck")
+    _record(rec, electrons, sensor, changes, origin=origin, label="stuck")
 
 
 def _record(
@@ -79,6 +79,7 @@ def _record(
     plane: Array,
     sensor: Sensor,
     changes: dict[Place, tuple[float, float]],
+    *,
     origin: tuple[int, int],
     label: str,
     limit_e: float = F32_MAX,

@@ -83,18 +83,36 @@ class Shot:
     temperature_c: float | None = None
 
 
+@dataclass(frozen=True)
+class SiteLight:
+    """The light at the photosites, as optics leave it, electrons/s.
+
+    Attributes
+    ----------
+    sites : Array (S, rows, cols), f32
+        See `gpusim.sensor.planes`.
+    glare : Array (sites,), f32
+        Veiling glare of each site of the filter pattern, row by row.
+    lit : (row, col, rows, cols)
+        The pixels that ``sites`` hold, whole periods of the planes: what of `rects_of` sees light.
+    """
+
+    sites: Array
+    glare: Array
+    lit: Rect
+
+
 def record_light(
     rec: Recording,
-    sites: Array,
-    glare: Array,
+    light: SiteLight,
     sensor: Sensor,
     rect: Rect,
-    lit: Rect,
     runs: Callable[[str], bool],
+    *,
     label: str = "rate",
 ) -> Array:
     """Record the light on a rectangle of pixels, electrons/s (rows, cols): see `record_readout`."""
-    seen, rate = overlap(rect, sensor.frame.lit), sites
+    seen, rate, lit = overlap(rect, sensor.frame.lit), light.sites, light.lit
     if 0 in seen[2:]:
         return record_border(rec, None, seen, rect, label=f"framed {label}")
     # In a sensor without filters the plane is the frame: one strip takes it whole.
@@ -102,7 +120,7 @@ def record_light(
         period = planes_of(sensor).period
         cell = lit[0] // period, lit[1] // period
         where = {"origin": seen[:2], "cell_origin": cell, "label": label}
-        rate = record_mosaic(rec, sites, glare, sensor, seen[2:], **where)
+        rate = record_mosaic(rec, light.sites, light.glare, sensor, seen[2:], **where)
     if seen == rect:
         return rate
     return record_border(rec, rate, seen, rect, label=f"framed {label}")
@@ -137,11 +155,10 @@ def rects_of(rect: Rect, sensor: Sensor, runs: Callable[[str], bool]) -> tuple[R
 
 def record_readout(
     rec: Recording,
-    sites: Array,
-    glare: Array,
+    light: SiteLight,
     sensor: Sensor,
     rect: Rect,
-    lit: Rect,
+    *,
     shot: Shot,
     runs: Callable[[str], bool],
 ) -> dict[str, Array]:
@@ -150,15 +167,10 @@ def record_readout(
     Parameters
     ----------
     rec : Recording
-    sites : Array (S, rows, cols), f32
-        Electrons/s: see `gpusim.sensor.planes`.
-    glare : Array (sites,), f32
-        Veiling glare of each site of the filter pattern, row by row, electrons/s.
+    light : SiteLight
     sensor : Sensor
     rect : (row, col, rows, cols)
         The rectangle, counted from the first lit pixel: the border has negative numbers.
-    lit : (row, col, rows, cols)
-        The pixels that ``sites`` hold, whole periods of the planes: what of `rects_of` sees light.
     shot : Shot
     runs : callable
         Whether a stage runs, by its name in the plan.
@@ -170,18 +182,17 @@ def record_readout(
         pixels that collect charge for it, and ``rate``, electrons/s, f32, of those whose light they
         take: see `rects_of`.
     """
-    rate, mean = record_charge(rec, sites, glare, sensor, rect, lit, shot, runs)
-    read = record_read(rec, mean, sensor, rect, shot, runs)
+    rate, mean = record_charge(rec, light, sensor, rect, shot=shot, runs=runs)
+    read = record_read(rec, mean, sensor, rect, shot=shot, runs=runs)
     return {"rate": rate, "mean": mean, **read}
 
 
 def record_charge(
     rec: Recording,
-    sites: Array,
-    glare: Array,
+    light: SiteLight,
     sensor: Sensor,
     rect: Rect,
-    lit: Rect,
+    *,
     shot: Shot,
     runs: Callable[[str], bool],
 ) -> tuple[Array, Array]:
@@ -191,9 +202,9 @@ def record_charge(
     """
     optical, _ = _kernels(sensor, runs)
     collecting, taking = rects_of(rect, sensor, runs)
-    spread = rate = record_light(rec, sites, glare, sensor, taking, lit, runs)
+    spread = rate = record_light(rec, light, sensor, taking, runs)
     if optical:
-        spread = record_crosstalk(rec, rate, optical, sensor, taking, collecting)
+        spread = record_crosstalk(rec, rate, optical, sensor, given=taking, wanted=collecting)
     clipped = {} if runs("noise") else {"limit_e": sensor.full_well_e}
     warm = {"origin": sensor.frame.on_chip(collecting), "temperature_c": shot.temperature_c}
     mean = record_exposure(rec, spread, sensor, shot.exposure_s, runs=runs, **warm, **clipped)
@@ -207,6 +218,7 @@ def record_read(
     mean: Array,
     sensor: Sensor,
     rect: Rect,
+    *,
     shot: Shot,
     runs: Callable[[str], bool],
 ) -> dict[str, Array]:
@@ -227,15 +239,14 @@ def record_read(
         if runs("noise"):
             half = {"label": "charge", "read_out": False}
             electrons = record_noise(rec, electrons, sensor, **keyed, **warm, **half)
-        electrons = record_crosstalk(
-            rec, electrons, electrical, sensor, collecting, rect, label="electrical crosstalk"
-        )
+        coupled = {"given": collecting, "wanted": rect, "label": "electrical crosstalk"}
+        electrons = record_crosstalk(rec, electrons, electrical, sensor, **coupled)
         origin = frame.on_chip(rect)
         warm |= {"origin": origin}
         if runs("noise") and any(map(once, READ_OUT.values())):
             electrons = record_noise(rec, electrons, sensor, shot=False, **keyed, **warm)
     if runs("merge"):
-        return _two_reads(rec, electrons, sensor, shot, origin, runs)
+        return _two_reads(rec, electrons, sensor, shot, origin=origin, runs=runs)
     if runs("defects"):
         record_stuck(rec, electrons, sensor, origin=origin)
     dn = record_adc(rec, electrons, sensor, origin=origin, column_offset=runs("column fpn"))
@@ -247,6 +258,7 @@ def _two_reads(
     charge: Array,
     sensor: Sensor,
     shot: Shot,
+    *,
     origin: tuple[int, int],
     runs: Callable[[str], bool],
 ) -> dict[str, Array]:

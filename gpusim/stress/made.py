@@ -141,6 +141,7 @@ def edge_case(
     sigma_um: float,
     rows: int = 48,
     cols: int = 64,
+    *,
     bound: float = 3e-3,
     tolerance: float = 1e-3,
 ) -> tuple:

@@ -27,7 +27,8 @@ def all_of_it() -> tuple:
     signal = rec.buffer("signal", frame.shape, "f4")
     rec.upload(signal, frame)
     kernels = Kernels({"*": kernel.tolist()})
-    label = rec.download(record_crosstalk(rec, signal, kernels, sensor, whole, whole))
+    spread = record_crosstalk(rec, signal, kernels, sensor, given=whole, wanted=whole)
+    label = rec.download(spread)
     found = rec.run()[label].astype(float)
     short = found.sum() / frame.astype(float).sum() - 1
     right = abs(short) < 49 * 2.0**-24 and found.min() >= 0

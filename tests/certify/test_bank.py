@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from optics.made import FLAT, monochrome, scene
 
-from gpusim.certify import compare
+from gpusim.certify import ExactModel, Measure, Placed, compare
 from gpusim.certify.bank import bank_share
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
@@ -65,11 +65,12 @@ def judged(lens, placed, rate):
     """Judge a bank: its share of the error, and whether a render without other errors is met."""
 
     def judge(bank):
-        found = bank_share(bank, lens, SENSOR, EDGE, placed, rate, ORIGIN, EXPOSURE_S, RED_AT)
+        exact, by = ExactModel(bank, SENSOR, EDGE, placed), Measure(SENSOR, EXPOSURE_S, RED_AT)
+        found = bank_share(exact, lens, Placed(rate, (*ORIGIN, *SHAPE)), by)
         pixels = np.argwhere(rate > 0)[:50]
         own = rate[tuple(pixels.T)].astype(float)
-        given = (SENSOR, pixels, own, own, EXPOSURE_S, RED_AT, 0.0)
-        certificate = compare(*given, bank=found.share, window=found.window)
+        shares = {"bank": found.share, "window": found.window}
+        certificate = compare(by, pixels, own, own, seconds=0.0, **shares)
         return found, certificate.met
 
     return judge

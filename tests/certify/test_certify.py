@@ -12,7 +12,7 @@ import pytest
 from harness import assert_close
 from optics.made import FLAT, StubCamera, bank, monochrome, scene, sensor
 
-from gpusim.certify import Share, certify, choose_probes
+from gpusim.certify import ExactModel, Measure, Placed, Share, certify, choose_probes
 from gpusim.certify import engine as certify_module
 from gpusim.certify.budget import EXACT, Judged, settled
 from gpusim.certify.probes import FEWEST, MOST, rounds
@@ -112,8 +112,13 @@ def certificate(monkeypatch, rate, glare=0.0, tolerance=1e-2, count=20, **change
     camera = sensor(*rate.shape, **{"temporal_dark_noise_e": 3.0, **changes})
     subject = scene()
     placed = subject.source.placed(10.0)
-    glares = np.broadcast_to(glare, 4)
-    return certify(bank(), camera, subject, placed, rate, glares, 0.1, Accuracy(tolerance, count))
+    exact = ExactModel(bank(), camera, subject, placed)
+    by = Measure(camera, 0.1, Accuracy(tolerance, count))
+    return certify(exact, whole(rate), np.broadcast_to(glare, 4), by)
+
+
+def whole(rate: np.ndarray) -> Placed:
+    return Placed(rate, (0, 0, *rate.shape))
 
 
 def sound(rows: int = 30, cols: int = 40) -> np.ndarray:
@@ -185,9 +190,10 @@ def test_a_tolerance_in_sigmas_is_judged_in_sigmas(monkeypatch):
     rms = found.rms_sigma
     for tolerance, met in ((1.01 * rms, True), (0.99 * rms, False)):
         monkeypatch.setattr(certify_module, "ExactCore", FakeCore)
-        more = (np.zeros(4), 0.1, Accuracy(tolerance, 20, "sigma"))
         camera, subject = sensor(30, 40, temporal_dark_noise_e=3.0), scene()
-        judged = certify(bank(), camera, subject, subject.source.placed(10.0), rate, *more)
+        exact = ExactModel(bank(), camera, subject, subject.source.placed(10.0))
+        by = Measure(camera, 0.1, Accuracy(tolerance, 20, "sigma"))
+        judged = certify(exact, whole(rate), np.zeros(4), by)
         assert judged.met is met
         assert judged.rms_relative == found.rms_relative
         # A fixed share of the signal is most sigmas where the signal is largest: the last rows.
@@ -262,8 +268,10 @@ def test_a_verdict_is_settled_three_standard_errors_from_the_tolerance(
 def test_progress_is_told(monkeypatch):
     monkeypatch.setattr(certify_module, "ExactCore", FakeCore)
     subject, seen = scene(), []
-    more = (np.zeros(4), 0.1, Accuracy(1e-2, 3), lambda *step: seen.append(step))
-    certify(bank(), sensor(30, 40), subject, subject.source.placed(10.0), sound(), *more)
+    camera = sensor(30, 40)
+    exact = ExactModel(bank(), camera, subject, subject.source.placed(10.0))
+    by = Measure(camera, 0.1, Accuracy(1e-2, 3))
+    certify(exact, whole(sound()), np.zeros(4), by, progress=lambda *step: seen.append(step))
     assert seen == [(1, 3), (2, 3), (3, 3)]
 
 

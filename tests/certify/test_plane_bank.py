@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from optics.made import FLAT, monochrome, scene
 
+from gpusim.certify import ExactModel, Measure, Placed
 from gpusim.certify.bank import bank_share
 from gpusim.certify.places import pixels_near, points_of
 from gpusim.formats.lens_file import load_prescription
@@ -63,8 +64,9 @@ def rate(sound, placed):
 @pytest.fixture
 def judged(lens, placed, rate):
     def judge(bank, of=None):
-        given = SENSOR, EDGE, placed, rate, ORIGIN, 0.01, ASKED
-        return bank_share(bank, of or lens, *given)
+        exact = ExactModel(bank, SENSOR, EDGE, placed)
+        shown, by = Placed(rate, (*ORIGIN, *SHAPE)), Measure(SENSOR, 0.01, ASKED)
+        return bank_share(exact, of or lens, shown, by)
 
     return judge
 

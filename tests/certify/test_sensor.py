@@ -19,11 +19,12 @@ import pytest
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 from scipy.stats import binom
 
-from gpusim.certify import Certificate, MeanSignal, Placed, engine, sensor_share
+from gpusim.certify import Certificate, MeanSignal, Measure, Placed, sensor_share
 from gpusim.certify import sensor as module
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer, reading, renderer
+from gpusim.render import certificate as judging
 from gpusim.sensor import cti
 from gpusim.sensor.adc_model import DualGain
 from gpusim.sensor.cfa import ColourFilterArray
@@ -123,13 +124,14 @@ def no_optics(monkeypatch):
 
     class Rendered:
         def __init__(self, lens, one, scene, placed) -> None:
+            self.bank, self.sensor, self.scene, self.placed = lens, one, scene, placed
             self.light = light(" ".join(map("".join, one.cfa.pattern)))
 
         def rates(self, pixels, progress=None) -> np.ndarray:
             return self.light[tuple(pixels.T)]
 
     light("BG GR")  # by shaders without planted defects
-    monkeypatch.setattr(engine, "ExactModel", Rendered)
+    monkeypatch.setattr(judging, "ExactModel", Rendered)
 
 
 def made(**fields) -> Sensor:
@@ -339,7 +341,9 @@ def share_of(factor: float, accuracy: Accuracy, signal_e: float = 1000.0, **fiel
     rate = np.full((12, 12), signal_e)
     mean = Placed(factor * rate, FLAT)
     found = MeanSignal(Placed(rate, FLAT), mean, mean if one.is_ccd else None)
-    return sensor_share(one, found, PIXELS, 1.0, 25.0, True, accuracy)[0]
+    return sensor_share(Measure(one, 1.0, accuracy), found, PIXELS, temperature_c=25.0, noise=True)[
+        0
+    ]
 
 
 def test_an_error_is_relative_to_the_electrons_or_to_their_noise():
@@ -364,11 +368,14 @@ def test_beyond_the_full_well_no_sigmas_are_counted():
 
 def test_signal_where_there_is_none_is_an_error_of_all():
     one = sensor(12, 12, prnu_percent=0.0, dark_current_e_per_s=0.0, temporal_dark_noise_e=0.0)
+    frame = {"temperature_c": 25.0, "noise": True}
     for made_e, expected in ((0.0, 0.0), (1e-3, 1.0)):
         dark = MeanSignal(Placed(np.zeros((12, 12)), FLAT), Placed(np.full((12, 12), made_e), FLAT))
-        share, _ = sensor_share(one, dark, PIXELS, 1.0, 25.0, True, Accuracy(1e-2, 4))
+        share, _ = sensor_share(Measure(one, 1.0, Accuracy(1e-2, 4)), dark, PIXELS, **frame)
         assert share.rms == share.worst == expected
-        share, _ = sensor_share(one, dark, PIXELS, 1.0, 25.0, True, Accuracy(1e-2, 4, "sigma"))
+        share, _ = sensor_share(
+            Measure(one, 1.0, Accuracy(1e-2, 4, "sigma")), dark, PIXELS, **frame
+        )
         assert share.worst == 0  # as the engine's part: without noise there are no sigmas
 
 
@@ -378,7 +385,8 @@ def test_errors_of_columns_and_rows_are_added():
     rate = np.full((12, 12), 1000.0)
     charge, mean = Placed(1.004 * rate, FLAT), Placed(1.003 * rate, FLAT)
     found = MeanSignal(Placed(rate, FLAT), mean, charge)
-    share, _ = sensor_share(one, found, PIXELS, 1.0, 25.0, True, Accuracy(1e-2, 4))
+    by = Measure(one, 1.0, Accuracy(1e-2, 4))
+    share, _ = sensor_share(by, found, PIXELS, temperature_c=25.0, noise=True)
     assert share.worst == pytest.approx(0.005 / 1.004)
 
 

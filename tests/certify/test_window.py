@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from optics.made import bank, sensor
 
+from gpusim.certify import Measure, Placed
 from gpusim.certify.bank import beyond
 from gpusim.plan import Accuracy
 from gpusim.psf.beyond import landing_share
@@ -34,7 +35,9 @@ def held(from_um: float) -> FieldBank:
 
 def window(from_um: float) -> tuple[float, tuple[str, ...]]:
     """Return what is said of such a bank before an even scene."""
-    return beyond(held(from_um), SENSOR, RATE, (0, 0), 0.01, Accuracy(1e-3))
+    return beyond(
+        held(from_um), Placed(RATE, (0, 0, *RATE.shape)), Measure(SENSOR, 0.01, Accuracy(1e-3))
+    )
 
 
 def test_light_that_can_only_land_beside_the_sensor_costs_nothing():

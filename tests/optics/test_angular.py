@@ -142,7 +142,9 @@ def test_the_reference_finds_the_same_means(made, shift):
 
 def test_kernels_hold_what_the_mean_says_at_every_place():
     camera, found = angled(unlike()), lens()
-    basis = camera_basis(found, camera, np.stack([FLAT, RED, BLUE]), 1e-4, np.arange(3), 1e-5)
+    basis = camera_basis(
+        found, camera, np.stack([FLAT, RED, BLUE]), 1e-4, np.arange(3), place_error=1e-5
+    )
     images, places = field_images(found, basis.rates, 1e9, elsewhere=basis.elsewhere)
     count = len(found.field_deg)
     assert len(images) > count
@@ -150,7 +152,7 @@ def test_kernels_hold_what_the_mean_says_at_every_place():
     assert len(images[places.main]) == count
     kernels = field_kernels(images, places, 0.5, 0.5, np.ones(images.shape[-2:]))
     for x, y in ((0.0, 0.0), (90.0, 0.0), (-60.0, 80.0), (20.0, -130.0)):
-        sums = sampled_kernels(kernels, x, y, 0.5, 60, len(basis.spectra)).sum(axis=(2, 3))
+        sums = sampled_kernels(kernels, x, y, 0.5, 60, planes=len(basis.spectra)).sum(axis=(2, 3))
         expected = basis.elsewhere.at(x, y).sum(axis=2)
         # The terms' 1e-5, float32 sums of the images, and what the low pass and the splines leave.
         np.testing.assert_allclose(sums, expected, atol=2e-4 * np.abs(expected).max())
@@ -158,7 +160,7 @@ def test_kernels_hold_what_the_mean_says_at_every_place():
 
 def test_a_pixel_that_answers_alike_from_all_sides_has_one_term():
     camera, found = angled(eqe_map(R=ONE, Gr=ONE, Gb=ONE, B=ONE)), lens()
-    basis = camera_basis(found, camera, np.stack([FLAT, RED]), 1e-3, np.arange(2), 1e-5)
+    basis = camera_basis(found, camera, np.stack([FLAT, RED]), 1e-3, np.arange(2), place_error=1e-5)
     images, places = field_images(found, basis.rates, 1e9, elsewhere=basis.elsewhere)
     assert len(images) == len(found.field_deg) + 1  # and one beyond the axis
     assert isinstance(places, Heights)
@@ -175,7 +177,7 @@ def test_planes_keep_apart_what_any_place_tells_apart():
     planes = {}
     for name, shape in (("even", ONE), ("turning", turning)):
         camera = angled(eqe_map(W=shape), pattern=[["W"]])
-        basis = camera_basis(found, camera, spectra, 1e-4, np.arange(3), 1e-5)
+        basis = camera_basis(found, camera, spectra, 1e-4, np.arange(3), place_error=1e-5)
         planes[name] = basis.coefficients.shape[1]
     assert planes["even"] == 1
     assert planes["turning"] > 1
@@ -188,7 +190,8 @@ def test_a_sensor_without_angles_does_nothing_more(monkeypatch):
     plain = bank()
     spectra = np.stack([FLAT, RED, BLUE])
     with_rays, without = (
-        camera_basis(one, sensor(), spectra, 1e-3, np.arange(3), 1e-5) for one in (found, plain)
+        camera_basis(one, sensor(), spectra, 1e-3, np.arange(3), place_error=1e-5)
+        for one in (found, plain)
     )
     assert with_rays.elsewhere is None
     assert np.array_equal(with_rays.weights, without.weights)

@@ -90,7 +90,7 @@ def engine_error(lens: Bank, of: object, dots: bool = False) -> float:
     t = np.stack(np.meshgrid(at, at), axis=-1)
     errors = []
     for place in PLACES:
-        kernel = sampled_kernels(kernels, *place, PITCH_UM, 32, 1)[0, 0]
+        kernel = sampled_kernels(kernels, *place, PITCH_UM, 32, planes=1)[0, 0]
         found = kernel / (PITCH_UM**2 * rates.sum())
         expected = exact(place, t, of)
         errors.append(np.abs(found - expected)[1:, 1:].max() / expected.max())

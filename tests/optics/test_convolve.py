@@ -162,7 +162,9 @@ def test_every_planned_kernel_fits_16_kib_of_workgroup_memory(
         np.zeros((1, 2, 3, size, size), F32), np.ones((1, 33, 33)), np.ones(1), np.ones(1)
     )
     scale = Scale("test", grid, 1.0, 0.0, None)
-    modes = [Modes(device, scale, {(0, 0): planes}, 1.0, sites, one) for planes in (1, 2)]
+    modes = [
+        Modes(device, scale, {(0, 0): planes}, 1.0, sites, decomposition=one) for planes in (1, 2)
+    ]
     kernels = [stage.fft_rows, stage.inverse_fft]
     kernels += [kernel for one in modes for kernel in (one.modes, one.inverse_fft)]
     for kernel in kernels:

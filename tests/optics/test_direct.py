@@ -40,7 +40,7 @@ def stage_for(device: Device, grid: SimGrid, sites: list[int], support: int):
     """Return the kernels of a sim grid as the chain makes them, without any PSF nodes."""
     places = Heights(np.array([0.0, 1.0]))
     nothing = FieldKernels(np.zeros((3, 1, 3, 4, 4), F32), places, 0.5)
-    return Direct(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, sites, support)
+    return Direct(device, Scale("test", grid, 1.0, 0.0, nothing), {}, 1.0, sites, support=support)
 
 
 def case(device, grid: SimGrid, support, planes, needed, origin, size, weighted=True):
@@ -177,7 +177,7 @@ def test_each_sample_is_spread_by_the_mixture_of_its_nodes(
     needed = {block: (2, 1, 2, 0, 1)[sum(block) % 5] for block in blocks}
 
     def make(*arguments: object) -> Direct:
-        return Direct(*arguments, support)
+        return Direct(*arguments, support=support)
 
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(device, make, scale, site_channels, blocks, needed, frame)
@@ -190,14 +190,14 @@ def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device):
     grid = SimGrid(33, 46, 4, 2, 256, 16, (2, 1))
     scale, site_channels = camera(grid, 0.8)
     rects = [(0, 0, 8, 10), (14, 20, 7, 9), (30, 44, 3, 2)]
-    check_rectangles(device, lambda *a: Direct(*a, 6), scale, site_channels, rects)
+    check_rectangles(device, lambda *a: Direct(*a, support=6), scale, site_channels, rects)
 
 
 def test_taps_take_the_memory_that_was_said(device: Device):
     grid = SimGrid(40, 40, 4, 2, 256, 16, (2, 2))
     scale, site_channels = camera(grid, 0.0)
     needed = {block: 1 + block[0] for block in np.ndindex(grid.blocks)}
-    stage = Direct(device, scale, needed, 1.4, site_channels[:4], 6)
+    stage = Direct(device, scale, needed, 1.4, site_channels[:4], support=6)
     said = stage.load_bytes(needed)
     stage.load(needed)
     assert stage.held_bytes == said > 0 == stage.missing_bytes(needed)

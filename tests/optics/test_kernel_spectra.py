@@ -68,7 +68,7 @@ def test_spectra_give_each_output_at_its_pixel():
 def test_the_constant_term_is_the_energy():
     kernels = everything(pitch_um=0.775)
     height = kernels.places.radius_um[1]
-    sampled = sampled_kernels(kernels, height, 0.0, 0.775, 32, 2)
+    sampled = sampled_kernels(kernels, height, 0.0, 0.775, 32, planes=2)
     spectra = kernel_spectra(sampled, 256, 2.0, 0.8, [(c, 0.5, 0.5) for c in range(3)])
     found = unpacked(spectra, 256)[:, 0, :, 0] * 256**2
     expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[1])

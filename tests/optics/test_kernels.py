@@ -59,7 +59,7 @@ def test_next_to_a_bright_edge_sharp_psfs_leave_the_dark_dark(monkeypatch, ringi
     kernels = field_kernels(images, places, 0.5, 2.0, np.ones(images.shape[-2:]))
     assert kernels.ringing
     length, half = 256, 28
-    across = sampled_kernels(kernels, 0.0, 0.0, 2.0, half, 1)[0, 0].sum(axis=0)
+    across = sampled_kernels(kernels, 0.0, 0.0, 2.0, half, planes=1)[0, 0].sum(axis=0)
     held = np.zeros(length)
     held[np.arange(-half, half)] = across / across.sum()
     # An upright edge sees the frequencies across alone; the pixel is two samples wide.
@@ -93,7 +93,9 @@ def test_core_and_tail_make_the_whole():
     assert [part.ringing for part in parts] == [False, True]  # the tail has a hole
     for height in (0.0, 40.0, 95.0):
         core, tail, whole = (
-            sharp(kernels, sampled_kernels(kernels, 0.6 * height, 0.8 * height, 0.775, 40, 2))
+            sharp(
+                kernels, sampled_kernels(kernels, 0.6 * height, 0.8 * height, 0.775, 40, planes=2)
+            )
             for kernels in (*parts, everything(pitch_um=0.775))
         )
         # What rings beyond 16 um around the core comes in again on the other side: the band's edge,
@@ -113,7 +115,7 @@ def test_a_coarse_band_takes_fewer_samples(monkeypatch: pytest.MonkeyPatch):
         kernels = field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
         assert kernels.splines.shape[-1] * kernels.pitch_um >= 64.0
         return kernels.pitch_um, sampled_kernels(
-            kernels, 30.0, 40.0, pitch_um, int(26 / pitch_um), 2
+            kernels, 30.0, 40.0, pitch_um, int(26 / pitch_um), planes=2
         )
 
     for ratio, pitch_um in ((5.9, 0.5), (6.1, 1.0), (12.3, 2.0)):
@@ -133,9 +135,11 @@ def test_mirrored_places_have_mirrored_kernels(skew_um: float):
     kernels = everything(bank(skew_um=skew_um), pitch_um=0.775)
     assert kernels.mirrored == (skew_um == 0.0)
     at = (50.0, 30.0)
-    one = sampled_kernels(kernels, *at, 0.775, 24, 2)
+    one = sampled_kernels(kernels, *at, 0.775, 24, planes=2)
     for axis, other in ((-1, (-50.0, 30.0)), (-2, (50.0, -30.0))):
-        turned = np.roll(np.flip(sampled_kernels(kernels, *other, 0.775, 24, 2), axis), 1, axis)
+        turned = np.roll(
+            np.flip(sampled_kernels(kernels, *other, 0.775, 24, planes=2), axis), 1, axis
+        )
         error = np.abs(turned - one).max() / one.max()
         assert (error < 1e-6) == (skew_um == 0.0) and (error > 0.01) == (skew_um > 0.0)
 
@@ -150,7 +154,7 @@ def test_a_sharp_psf_keeps_its_energy_at_every_azimuth():
     sharp = bank(sigma_um=(0.45,) * 3, coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0))
     kernels = everything(sharp, np.ones((1, 1, 3)), pitch_um=1.55 / 4)
     sums = [
-        sampled_kernels(kernels, 80 * np.cos(a), 80 * np.sin(a), 1.55 / 4, 48, 1).sum()
+        sampled_kernels(kernels, 80 * np.cos(a), 80 * np.sin(a), 1.55 / 4, 48, planes=1).sum()
         for a in np.radians([0, 4, 20, 45, 90])
     ]
     assert_close(np.array(sums), np.full(5, 3.0), rtol=2e-4)
@@ -164,7 +168,7 @@ def test_sharp_psfs_on_a_coarse_grid_keep_the_light_that_rings_beyond_it():
     for x_um, y_um in ((0.0, 0.0), (40.0, 25.0), (-70.0, 60.0)):
         fields, weights, *_ = places.at(x_um, y_um)
         whole = np.asarray(weights) @ images[list(fields), 0, 0].sum(axis=(1, 2), dtype=float)
-        found = sampled_kernels(kernels, x_um, y_um, 4.1, 10, 1)
+        found = sampled_kernels(kernels, x_um, y_um, 4.1, 10, planes=1)
         assert found.sum() == pytest.approx(whole, rel=2e-6)
 
 
@@ -172,7 +176,7 @@ def test_psfs_narrower_than_a_sample_are_held_as_far_as_they_ring():
     pitch_um, size = 30.0, 24
     images, places = field_images(LENS, at_lines(LENS, WEIGHTS), 1e9)
     found = field_kernels(images, places, 0.5, pitch_um, np.ones(images.shape[-2:]))
-    held = sampled_kernels(found, 0.0, 0.0, pitch_um, size, 1)[0]
+    held = sampled_kernels(found, 0.0, 0.0, pitch_um, size, planes=1)[0]
     # A point, of which the soft band is all that is left.
     f = np.fft.fftfreq(512, pitch_um)
     band = low_pass(np.hypot(f, f[:, None]), pitch_um, SOFT_EDGE)

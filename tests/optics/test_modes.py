@@ -129,7 +129,7 @@ def test_all_modes_are_the_mixture_of_the_nodes(device: Device, name: str):
     all_of_them = decomposed(scale, cells)
 
     def make(*arguments: object) -> Modes:
-        return Modes(*arguments, all_of_them)
+        return Modes(*arguments, decomposition=all_of_them)
 
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(device, make, scale, site_channels, blocks, needed, frame)
@@ -153,7 +153,7 @@ def test_few_modes_are_their_sum(device: Device, rank: int, planes: int):
 
     frame = (0, 0, grid.rows, grid.cols)
     found = on_device(
-        device, lambda *a: Modes(*a, few), scale, site_channels, blocks, needed, frame
+        device, lambda *a: Modes(*a, decomposition=few), scale, site_channels, blocks, needed, frame
     )
     expected = in_space(scale, site_channels, blocks, needed, cells, kernels_of)
     image = mosaic(found, grid.period, expected.shape)
@@ -165,7 +165,7 @@ def test_a_rectangle_gets_the_same_bits_as_the_whole(device: Device):
     scale, site_channels = camera(grid, 0.8)
     three = decomposed(scale, (2, 1)).truncated(3)
     rects = [(0, 0, 8, 10), (14, 20, 7, 9), (30, 44, 3, 2)]
-    check_rectangles(device, lambda *a: Modes(*a, three), scale, site_channels, rects)
+    check_rectangles(device, lambda *a: Modes(*a, decomposition=three), scale, site_channels, rects)
 
 
 def test_the_nodes_of_a_decomposition_are_those_of_the_grid():
@@ -176,7 +176,7 @@ def test_the_nodes_of_a_decomposition_are_those_of_the_grid():
 
     def sample(x: int, y: int) -> np.ndarray:
         at = (np.array(grid.node_position((x, y))) - grid.centre) * scale.pitch_um
-        return sampled_kernels(scale.kernels, *at, scale.pitch_um, grid.half_size, 2)
+        return sampled_kernels(scale.kernels, *at, scale.pitch_um, grid.half_size, planes=2)
 
     assert (np.diff(found.singular_values) < 0).all()
     assert_close(np.mean(found.maps**2, axis=(1, 2)), np.ones(found.rank), atol=1e-12)
@@ -252,7 +252,7 @@ def stage_for(device: Device, grid: SimGrid, rank: int) -> Modes:
     )
     kernels = FieldKernels(np.zeros((1, 1, 3, 4, 4), F32), Heights(np.zeros(1)), 1.0)
     scale = Scale("test", grid, 1.0, 0.0, kernels)
-    return Modes(device, scale, {(0, 0): 1}, 1.0, [0, 1, 1, 2], nothing)
+    return Modes(device, scale, {(0, 0): 1}, 1.0, [0, 1, 1, 2], decomposition=nothing)
 
 
 def test_modes_come_and_go_together(device: Device):

@@ -24,16 +24,12 @@ from gpusim.optics.convolve import Scale
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.paint import (
-    DISC_KIND,
-    PRIMITIVE,
     SIGMA,
-    SMALL_DISC,
     Paint,
     primitives_by_block,
-    table_of,
     tiles_by_block,
-    with_steps,
 )
+from gpusim.optics.paint_table import DISC_KIND, PRIMITIVE, SMALL_DISC, table_of, with_steps
 from gpusim.psf.places import Heights
 from gpusim.reference.chief_ray import chief_ray as chief_ray_twin
 from gpusim.reference.paint import disc_coverage, paint
@@ -490,7 +486,9 @@ def test_tiles_know_their_ground_and_their_edges():
     for primitives, fewest in ((shapes(), 1), (bars, 1), (inside, 2), ((), 1)):
         chart = scene(primitives).source.placed(48 * 1.55 / 2)
         seen, needed = primitives_by_block(chart, coefficients, GRID, PITCH_UM, chief_ray)
-        tiles, chosen, ranges = tiles_by_block(chart, seen, seen, needed, scale, chief_ray)
+        tiles, chosen, ranges = tiles_by_block(
+            chart, seen, seen, needed, scale=scale, chief_ray=chief_ray
+        )
         assert sorted(ranges) == sorted(np.ndindex(GRID.blocks))
         assert sum(plain + edges for _, plain, edges in ranges.values()) == len(tiles)
         grounds = set()

@@ -12,12 +12,15 @@ import numpy as np
 import pytest
 import scipy.fft
 from harness import assert_close, run_stage
-from optics.made import BLUE, FLAT, RED, ULP, bank, monochrome, plane_bank, sensor
+from optics.lamps import LENS, PITCH, PLACES, SPECTRA
+from optics.made import ULP, bank, monochrome, plane_bank, sensor
 from scipy.interpolate import BSpline
 from scipy.special import j1
 
 from gpusim.gpu import Device, Kernel
+from gpusim.optics import highlight_plan
 from gpusim.optics import point_sources as module
+from gpusim.optics.highlight_plan import BUNDLE, CHANGE, groups, plan_highlights
 from gpusim.optics.highlight_squares import (
     bundled,
     largest_um,
@@ -26,7 +29,6 @@ from gpusim.optics.highlight_squares import (
     squares_on_sensor,
 )
 from gpusim.optics.highlight_tables import (
-    TRIED,
     Tables,
     boxes,
     distinct,
@@ -35,12 +37,8 @@ from gpusim.optics.highlight_tables import (
     turned,
 )
 from gpusim.optics.point_sources import (
-    BUNDLE,
-    CHANGE,
-    FEWEST,
     HIGHLIGHT,
     PointSources,
-    groups,
     in_fours,
     lists,
 )
@@ -53,8 +51,11 @@ from gpusim.sensor.aperture import Aperture, Part
 from gpusim.sensor.cfa import ColourFilterArray
 
 F32 = np.float32
-PITCH = 1.55
-SPECTRA = np.stack([FLAT, RED, BLUE])
+
+
+def of_highlights(device: Device, *given: object) -> PointSources:
+    """Return the stage of what `plan_highlights` plans."""
+    return PointSources(device, plan_highlights(*given))
 
 
 def random_case(period, spectra, count, rect, seed=0):
@@ -190,13 +191,9 @@ def test_a_rectangle_of_the_frame_has_the_same_bits():
 # Host
 
 
-LENS = bank(coma_um=2.0, halo=0.02, falloff=0.3, distortion=-0.04, lateral=(-0.01, 0.0, 0.006))
-PLACES = np.array([[40.3, 21.0], [-60.1, 30.7], [-9.4, -55.0], [31.0, -62.3], [0.9, 0.4]])
-
-
 def on_sensor(device, camera, highlights, lens=LENS, tolerance=1e-3, rects=None) -> np.ndarray:
     """Return electrons/s of each pixel by the highlights alone."""
-    stage = PointSources(device, lens, camera, highlights, SPECTRA, tolerance)
+    stage = of_highlights(device, lens, camera, highlights, SPECTRA, tolerance)
     period = camera.period[0]
     frame = np.full((camera.rows, camera.cols), np.nan, F32)
     tiles = rects or [(0, 0, camera.rows, camera.cols)]
@@ -258,7 +255,7 @@ def test_points_behind_a_sharp_lens_are_right_relative_to_themselves(
     device: Device, monkeypatch, fine
 ):
     """Airy's pattern at f/2.8: its rings hold 0.42 cycles a sample, which cubics miss."""
-    monkeypatch.setattr(module, "FINE", fine)
+    monkeypatch.setattr(highlight_plan, "FINE", fine)
     camera, soft = monochrome(), bank(coma_um=0.0, size=64)
     at = (np.arange(64) - 32) * soft.pitch_um
     phase = 1e3 * np.pi / 2.8 * np.hypot(at, at[:, None]) / soft.wavelengths_nm[:, None, None]
@@ -331,7 +328,7 @@ def test_boxes_are_the_spline_averaged_over_aperture_and_square(shaped: bool):
     weights = np.outer(shares, even).ravel()
     spline = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
     side = 48
-    spectrum = boxes(side, 0.5, camera.response_um, shift[None], angle, square)[0]
+    spectrum = boxes(side, 0.5, camera.response_um, shift[None], angle=angle, square=square)[0]
     found = scipy.fft.irfft2(spectrum, s=(side, side))
     places = [(0, 0), (1, -2), (-3, 1), (4, 4), (-2, -5), (0, 6)]
     expected = [
@@ -370,7 +367,7 @@ def test_highlights_are_cut_up_where_the_psf_changes_and_nowhere_else():
     near, far = heights[1] / 2, (heights[2] + heights[3]) / 2 / np.sqrt(2)
     two = Highlights(np.array([[near, 0.0], [far, far]]), 12.0, np.array([[1.0, 0, 0], [0, 1, 0]]))
     alone = squares_on_sensor(lens, sensor(), two, 200.0)
-    cut = squares_on_sensor(lens, sensor(), two, 200.0, CHANGE)
+    cut = squares_on_sensor(lens, sensor(), two, 200.0, change=CHANGE)
     of_near, of_far = (cut.light[:, number] > 0 for number in (0, 1))
     assert of_near.sum() == 1 and of_far.sum() > 4 and len(cut.light) == 1 + of_far.sum()
     assert_close(cut.size_um[of_near], np.array([12.0]), atol=0)
@@ -405,7 +402,7 @@ def many(count: int = 30) -> Highlights:
 
 def test_bundles_keep_the_light_and_are_small():
     """Parts of rings, in which the PSF changes little in its own frame."""
-    squares = squares_on_sensor(LENS, sensor(), many(300), 200.0, CHANGE)
+    squares = squares_on_sensor(LENS, sensor(), many(300), 200.0, change=CHANGE)
     owner, bundles = bundled(LENS, squares, CHANGE, 0.1)
     count = len(bundles.light)
     assert 3 < count < len(owner) / 2 and sorted(set(owner)) == list(range(count))
@@ -434,9 +431,9 @@ def test_a_bundle_lights_pixels_as_its_squares_do(device: Device, monkeypatch):
     """Three lamps of ten samples each, by few kernels and by one each."""
     camera = sensor()
     bundles = on_sensor(device, camera, many()).astype(float)
-    stage = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3)
-    assert len(stage.tables) < len(stage.squares.light) * 0.9
-    monkeypatch.setattr(module, "BUNDLE", 1e-9)
+    planned = plan_highlights(LENS, camera, many(), SPECTRA, 1e-3)
+    assert len(planned.tables) < len(planned.squares.light) * 0.9
+    monkeypatch.setattr(highlight_plan, "BUNDLE", 1e-9)
     alone = on_sensor(device, camera, many()).astype(float)
     # Across a square CHANGE of a PSF's light may lie elsewhere, across a bundle BUNDLE of that;
     # what is too much on one side of its middle is too little on the other.
@@ -474,9 +471,9 @@ def test_tables_too_many_for_one_dispatch_go_into_several(device: Device, monkey
     squares = squares_on_sensor(LENS, camera, many(), kernels.reach_um)
     used, tables = distinct(mixture(LENS.places(150.0)[1], squares, 16).keys)
     assert (np.diff(used[:, 0]) >= 0).all() and tables.max() == len(used) - 1 > 10
-    samples = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
+    samples = plan_highlights(LENS, camera, many(), SPECTRA, 1e-3).sampling.samples
     bytes_each = 16 * 3 * samples
-    monkeypatch.setattr(module, "DISPATCH_BYTES", 17 * bytes_each)
+    monkeypatch.setattr(highlight_plan, "DISPATCH_BYTES", 17 * bytes_each)
     cut = groups(tables, bytes_each)
     assert len(cut) > 2
     assert sorted(np.concatenate(cut)) == list(range(len(tables)))
@@ -491,10 +488,10 @@ def test_spectra_and_channels_too_many_for_one_dispatch_take_turns(device, monke
     six = np.concatenate([SPECTRA, SPECTRA[::-1] * np.linspace(0.5, 1.5, SPECTRA.shape[1])])
     camera, seen = sensor(), many()
     seen = replace(seen, excess=np.random.default_rng(9).uniform(0, 1e9, (30, 6)))
-    whole = PointSources(device, LENS, camera, seen, six, 1e-3)
-    one = 16 * whole.sampling.samples * whole.tables.shape[1]
-    monkeypatch.setattr(module, "DISPATCH_BYTES", most * one)
-    parts = PointSources(device, LENS, camera, seen, six, 1e-3)
+    whole = of_highlights(device, LENS, camera, seen, six, 1e-3)
+    one = 16 * whole.planned.sampling.samples * whole.planned.tables.shape[1]
+    monkeypatch.setattr(highlight_plan, "DISPATCH_BYTES", most * one)
+    parts = of_highlights(device, LENS, camera, seen, six, 1e-3)
     assert len(whole.shares) == 1 and len(parts.shares) == {3: 2, 2: 4}.get(most, 6)
     tile = [(0, 0, camera.rows, camera.cols)]
     calls = []
@@ -502,13 +499,6 @@ def test_spectra_and_channels_too_many_for_one_dispatch_take_turns(device, monke
     # The order of the sums is another; what a cubic takes below zero is cut off for each part.
     assert_close(found[0], expected[0], rtol=1e-5, atol=1e-6 * expected[0].max())
     assert calls[-1][0] == calls[-1][1] == len(calls)
-
-
-def test_highlights_that_no_pixel_sees_are_left_out(device: Device):
-    camera = sensor()
-    far = Highlights(np.array([[300.0, 0.0], [1e6, 1e6]]), PITCH, np.ones((2, 3)))
-    assert_close(on_sensor(device, camera, far), np.zeros((96, 128)), atol=0)
-    assert len(squares_on_sensor(LENS, camera, far, 20.0).light) == 0
 
 
 def test_tables_are_light_and_end():
@@ -568,47 +558,6 @@ def test_mixing_between_angles_errs_with_powers_of_their_step():
     assert mixing_errors(kernels, [field]) == pytest.approx(errors[1], rel=0.2)
 
 
-WIDE = Highlights(PLACES[:1], 4 * PITCH, np.ones((1, 1)))  # of a lens that does not change
-STILL = bank(coma_um=0.0)
-
-
-@pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-4, 1e-5])
-def test_angles_are_as_many_as_the_tolerance_asks(device: Device, tolerance: float):
-    stage = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], tolerance)
-    assert stage.tables.shape == (1, 16) and len(stage.squares.light) == 1
-    error = mixing_errors(stage.kernels, [STILL.field(n) for n in range(len(STILL.psf))]).cubic
-    errs = error * (TRIED / stage.bins) ** 4  # as the test above says
-    # Half of the tolerance is MIXING; one angle fewer would not hold it.
-    assert errs <= tolerance / 2
-    assert stage.bins == FEWEST or errs * (stage.bins / (stage.bins - 1)) ** 4 > tolerance / 2
-    assert (stage.bins == FEWEST) == (tolerance > 1e-2)
-
-
-def test_squares_are_cut_up_where_the_memory_does_not_hold_the_angles(device: Device, monkeypatch):
-    """Until few angles are enough, and no further; then there are few, whatever they take."""
-    few = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
-    monkeypatch.setattr(module, "TABLE_BYTES", 1)
-    cut = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-3)
-    assert few.bins > cut.bins == FEWEST
-    parts = len(cut.squares.light)
-    assert parts > 1
-    error = mixing_errors(cut.kernels, [STILL.field(n) for n in range(len(STILL.psf))]).cubic
-    assert error * (TRIED / FEWEST) ** 4 <= 1e-3 / 2
-    light = [one.squares.light.sum() for one in (few, cut)]
-    assert light[0] == pytest.approx(light[1], rel=1e-3)  # of the map's slope
-    strict = PointSources(device, STILL, monochrome(), WIDE, SPECTRA[:1], 1e-6)
-    assert strict.bins == FEWEST and strict.squares.size_um.max() <= PITCH
-
-
-def test_squares_of_a_lens_without_an_axis_need_no_angles(device: Device, monkeypatch):
-    """Its PSFs are not turned: nothing is mixed, and nothing cut up for want of memory."""
-    monkeypatch.setattr(module, "TABLE_BYTES", 1)
-    stage = PointSources(device, plane_bank(coma_um=0.0), monochrome(), WIDE, SPECTRA[:1], 1e-5)
-    whole = squares_on_sensor(stage.bank, monochrome(), WIDE, 200.0, CHANGE / 10)
-    assert len(stage.squares.light) == len(whole.light)
-    assert stage.bins == FEWEST and set(stage.used[:, 1]) == {0}
-
-
 def test_lamps_of_few_colours_need_tables_of_few_spectra(device: Device):
     """Sixteen bands, three colours of lamps and their mixtures: the light stays what it was."""
     rng = np.random.default_rng(3)
@@ -617,12 +566,12 @@ def test_lamps_of_few_colours_need_tables_of_few_spectra(device: Device):
     bands = rng.uniform(0, 1, (16, SPECTRA.shape[1]))
     camera, seen = sensor(), many()
     light = share @ colours * 10.0 ** rng.uniform(3, 9, (30, 1))
-    stage = PointSources(device, LENS, camera, replace(seen, excess=light), bands, 1e-3)
-    assert stage.squares.light.shape[1] == 3
-    three = PointSources(
+    stage = of_highlights(device, LENS, camera, replace(seen, excess=light), bands, 1e-3)
+    assert stage.planned.squares.light.shape[1] == 3
+    three = of_highlights(
         device, LENS, camera, replace(seen, excess=light @ bands), np.eye(61), 1e-3
     )
-    assert three.squares.light.shape[1] == 3
+    assert three.planned.squares.light.shape[1] == 3
     tile = [(0, 0, camera.rows, camera.cols)]
     found, expected = stage.light(tile)[0], three.light(tile)[0]
     # A tenth of the tolerance is what colours may differ by; the dark has the f32 of the bright.
@@ -713,16 +662,16 @@ def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Devi
     made = []
     table = Tables.table
     monkeypatch.setattr(Tables, "table", lambda *given: made.append(1) or table(*given))
-    stage = PointSources(device, LENS, sensor(), many(), SPECTRA, 1e-6)
-    assert len(stage.used) >= 60
+    stage = of_highlights(device, LENS, sensor(), many(), SPECTRA, 1e-6)
+    assert len(stage.planned.used) >= 60
 
     def stop(done: int, total: int) -> None:
-        assert total >= len(stage.used)
+        assert total >= len(stage.planned.used)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         stage.light([(0, 0, 96, 128)], stop)
-    assert len(made) < len(stage.used) / 2
+    assert len(made) < len(stage.planned.used) / 2
     in_use = device.pool.in_use
     steps = []
     stage.light([(0, 0, 96, 128)], lambda *step: steps.append(step))
@@ -733,28 +682,9 @@ def test_whoever_stops_it_waits_for_no_more_than_the_tables_in_work(device: Devi
 def test_sums_are_cut_into_pieces_that_take_a_moment(device: Device, monkeypatch):
     """Whose sums are, bit for bit, those of the whole."""
     camera = sensor()
-    stage = PointSources(device, LENS, camera, many(), SPECTRA, 1e-3)
+    stage = of_highlights(device, LENS, camera, many(), SPECTRA, 1e-3)
     whole, *_ = stage.light([(0, 0, 96, 128)])
     monkeypatch.setattr(module, "PIECE_S", 1e-4)
     pieces = stage._pieces(stage._lists(stage.groups[0])[0], (0, 0, 48, 64))
     assert len(pieces) > 6
     assert_close(stage.light([(0, 0, 96, 128)])[0], whole.copy(), atol=0)
-
-
-def test_the_work_is_counted():
-    """One highlight takes the tables of its fields and angles, and the pixels within its reach."""
-    one = PointSources(
-        None, LENS, sensor(960, 1280), Highlights(PLACES[:1], 0.1, np.ones((1, 3))), SPECTRA, 1e-3
-    )
-    work = one.work()
-    assert work["tables"] == 16 * 3 * one.kernels.side**2
-    assert work["point sources"] == pytest.approx(np.pi * (one.kernels.reach_um / PITCH) ** 2)
-    far = PointSources(
-        None,
-        LENS,
-        sensor(),
-        Highlights(np.array([[1e6, 0.0]]), 0.1, np.ones((1, 3))),
-        SPECTRA,
-        1e-3,
-    )
-    assert far.work() == {"tables": 0.0, "point sources": 0.0}

@@ -37,7 +37,7 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
     steps, colours = (-0.5, 0.0, 0.5), (-0.004, 0.0, 0.003)
     for x_um, y_um in ((0.0, 0.0), (70.0, 20.0), (-30.0, 61.0), (-80.0, -44.0)):
         at = np.array([x_um, y_um])
-        kernel = sampled_kernels(kernels, x_um, y_um, 0.5, 40, 1)[0, 0]
+        kernel = sampled_kernels(kernels, x_um, y_um, 0.5, 40, planes=1)[0, 0]
         expected = 0.25 * (2.0 * at / 165.0 + coma)
         expected = expected + at * colours[place] + steps[place] * np.array(prism)
         # Bicubic in angle, of what is linear in its tangent, times light that goes with its square.
@@ -67,7 +67,7 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
     angle = np.radians(azimuth_deg)
     height = kernels.places.radius_um[field]
     outward = np.array([np.cos(angle), np.sin(angle)])
-    found = sampled_kernels(kernels, *(height * outward), 0.6, 24, 1)[0, 0]
+    found = sampled_kernels(kernels, *(height * outward), 0.6, 24, planes=1)[0, 0]
     if height == 0:
         outward = np.array([1.0, 0.0])
     y, x = (np.indices((48, 48)) - 24) * 0.6
@@ -107,7 +107,7 @@ def test_splines_are_evaluated_as_scipy_does():
     share = np.abs(expected)
     expected += (lacking / share.sum(axis=(2, 3)))[..., None, None] * share
     for planes in (1, 2):
-        found = sampled_kernels(kernels, x_um, y_um, 0.6, half, planes)
+        found = sampled_kernels(kernels, x_um, y_um, 0.6, half, planes=planes)
         assert_close(found, expected[:planes], atol=F64_SPLINE * expected.max())
 
 
@@ -115,7 +115,7 @@ def test_a_quarter_turn_is_exact():
     kernels = everything(pitch_um=0.6)
     height = float(kernels.places.radius_um[2])
     right, down, left = (
-        sampled_kernels(kernels, height * x, height * y, 0.6, 20, 2)
+        sampled_kernels(kernels, height * x, height * y, 0.6, 20, planes=2)
         for x, y in ((1, 0), (0, 1), (-1, 0))
     )
     # K_right[y, x] = h(radial x, tangential y); downwards the radius is y and the tangent -x.
@@ -134,7 +134,7 @@ def test_between_fields_kernels_are_interpolated_and_beyond_the_last_they_go_on_
     radius = kernels.places.radius_um
 
     def at(height: float) -> np.ndarray:
-        return sampled_kernels(kernels, height, 0.0, 0.6, 20, 2)
+        return sampled_kernels(kernels, height, 0.0, 0.6, 20, planes=2)
 
     # At the fields, and at the second beyond the axis: seen from there, turned by half a turn.
     fields = [at(-radius[1]), *(at(one) for one in radius)]
@@ -158,11 +158,11 @@ def test_sampled_kernels_hold_the_energy():
     kernels = everything(pitch_um=0.6)
     expected = np.einsum("jcl,l->jc", WEIGHTS, LENS.relative_illumination[2])
     height = kernels.places.radius_um[2]
-    found = sampled_kernels(kernels, 0.6 * height, -0.8 * height, 0.6, 24, 2)
+    found = sampled_kernels(kernels, 0.6 * height, -0.8 * height, 0.6, 24, planes=2)
     # Sums over samples of a band-limited kernel are its integral, but for what lies in its band
     # above 1/0.6 - 0.83 cycles/um: exp(-2 pi^2 (0.95 * 0.83)^2) = 5e-6; f32 of PSF and splines.
     assert_close(found.sum(axis=(2, 3)), expected, rtol=3e-5)
-    assert sampled_kernels(kernels, 1.0, 1.0, 0.6, 24, 1).shape == (1, 3, 48, 48)
+    assert sampled_kernels(kernels, 1.0, 1.0, 0.6, 24, planes=1).shape == (1, 3, 48, 48)
 
 
 @pytest.mark.parametrize("axis", [0, 1])

@@ -186,10 +186,10 @@ def test_planes_are_for_what_a_spectral_scene_shows(camera: Sensor):
     bumps = np.exp(-((np.linspace(0, 1, 31) - rng.uniform(0, 1, (4, 1))) ** 2) / 0.1)
     shown = rng.uniform(0.01, 1, (60, 4)) @ bumps
     order, tolerance = np.arange(31), 5e-3
-    given = bands, tolerance, order, 0.0, WAVELENGTHS_NM
-    basis = camera_basis(lens, camera, *given, shown)
+    given = bands, tolerance, order
+    basis = camera_basis(lens, camera, *given, place_error=0.0, mixtures=shown)
     planes = basis.coefficients.shape[1]
-    whole = camera_basis(lens, camera, *given).coefficients.shape[1]
+    whole = camera_basis(lens, camera, *given, place_error=0.0).coefficients.shape[1]
     assert planes < whole <= 31 and planes <= 12
     assert basis.coefficients.shape == (31, planes) and (basis.coefficients < 0).any()
     mixed = replace(basis, coefficients=shown @ basis.coefficients)

@@ -19,7 +19,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.images import field_images
 from gpusim.optics.kernel_spectra import aperture_spectrum
 from gpusim.optics.kernels import field_kernels
-from gpusim.optics.nodes import Scale
+from gpusim.optics.nodes import Rates, Scale
 from gpusim.optics.sampling import node_kernels, sampled_kernels
 from gpusim.psf.bank import Bank
 
@@ -78,7 +78,7 @@ def on_device(
     for block in grid.blocks_for(*rect):
         if needed[block]:
             rec.upload(scratch.planes, blocks[block])
-            stage.record(rec, block, needed[block], scratch, rates, rect)
+            stage.record(rec, block, needed[block], scratch, Rates(rates, rect))
     label = rec.download(rates)
     result = rec.run()[label]
     stage.release()
@@ -133,7 +133,7 @@ def in_space(
             at = np.array([x * spacing[0], y * spacing[1]]) + grid.start - grid.centre
             at *= scale.pitch_um
             nodes[x, y] = sampled_kernels(
-                scale.kernels, *at, scale.pitch_um, grid.half_size, len(WEIGHTS)
+                scale.kernels, *at, scale.pitch_um, grid.half_size, planes=len(WEIGHTS)
             )
         return nodes[x, y]
 

@@ -14,7 +14,7 @@ import pytest
 from optics import made
 from optics.made import FLAT, StubCamera, bank, monochrome
 
-from gpusim.certify import certify
+from gpusim.certify import ExactModel, Measure, Placed, certify
 from gpusim.gpu import Device
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.pareto.knobs import oversampled
@@ -73,7 +73,7 @@ CASES = {
     "white noise, finer than the grid": (noise(4), 0.4, 2),
     "white noise, one sample a pixel": (noise(1), 0.4, 2),
 }
-# Of 48 probes, one that hits a square's corner makes the error 1.6 times as large.
+# Among 48 probes, one that hits a square's corner makes the error 1.6 times as large.
 PROBES = {"edge of 5 degrees, two samples": 96}
 
 
@@ -86,8 +86,9 @@ def test_what_is_predicted_is_found(device: Device, name: str):
     first.release()
     one = Renderer(stub, scene, TIGHT, device, plan=plan, costs=LAVAPIPE, noise=False)
     rate = one.capture(1 / 60, keep=("rate",)).rate
-    given = one.bank, stub.sensor, scene, one.placed, rate, one.glare, 1 / 60
-    found = certify(*given, Accuracy(1e-4, PROBES.get(name, 48))).engine_rms
+    exact = ExactModel(one.bank, stub.sensor, scene, one.placed)
+    by = Measure(stub.sensor, 1 / 60, Accuracy(1e-4, PROBES.get(name, 48)))
+    found = certify(exact, Placed(rate, (0, 0, *rate.shape)), one.glare, by).engine_rms
     one.release()
     predicted = alias_of(stub.bank(), stub.sensor, scene, TIGHT).error(samples)
     assert found > 1e-4  # far above float32's rounding

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,10 +12,37 @@ from gpusim.errors import UserError
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, layout, plan_optics
 from gpusim.plan.costs import LAVAPIPE, Costs
-from gpusim.plan.layout import Memory, cheapest_grid, planes_at_nodes
+from gpusim.plan.layout import Memory, Needed, cheapest_grid, planes_at_nodes
 
 LENS = bank(coma_um=0.5, falloff=0.1)
 COLOURED = scene(shapes())
+
+
+@dataclass(frozen=True)
+class Even:
+    """Transforms of three channels, of which all blocks need as many planes."""
+
+    planes: int
+    costs: Costs
+
+    def needed(self, grid: SimGrid) -> Needed:
+        """Return the planes that each block needs."""
+        return dict.fromkeys(np.ndindex(grid.blocks), self.planes)
+
+    def seconds(self, grid: SimGrid, needed: Needed) -> dict[str, float]:
+        """Return the seconds of the transforms."""
+        return self.costs.transforms(grid, 3, np.array(list(needed.values())))
+
+    def kernels_s(self, grid: SimGrid, needed: Needed) -> float:
+        """Return the seconds of all nodes' kernels."""
+        nodes = 3 * planes_at_nodes(grid, needed).sum()
+        sampled = self.costs.seconds("kernels", nodes * (2 * grid.half_size) ** 2)
+        return sampled + self.costs.seconds("spectra", nodes * grid.length**2)
+
+    def memory(self, grid: SimGrid, needed: Needed) -> Memory:
+        """Return what the kernels of four nodes take."""
+        node = 3 * max(needed.values()) * grid.length**2 * 4
+        return Memory(4 * node, node)
 
 
 def layouts(
@@ -25,23 +52,8 @@ def layouts(
     cols: int = 2028,
     costs: Costs = LAVAPIPE,
 ) -> SimGrid:
-    def needed(grid: SimGrid) -> dict[tuple[int, int], int]:
-        return dict.fromkeys(np.ndindex(grid.blocks), planes)
-
-    def work(grid: SimGrid, needed: dict[tuple[int, int], int]) -> dict[str, float]:
-        return costs.transforms(grid, 3, np.array(list(needed.values())))
-
-    def preparation(grid: SimGrid, needed: dict[tuple[int, int], int]) -> float:
-        nodes = 3 * planes_at_nodes(grid, needed).sum()
-        sampled = costs.seconds("kernels", nodes * (2 * grid.half_size) ** 2)
-        return sampled + costs.seconds("spectra", nodes * grid.length**2)
-
-    def memory(grid: SimGrid, needed: dict[tuple[int, int], int]) -> Memory:
-        node = 3 * max(needed.values()) * grid.length**2 * 4
-        return Memory(4 * node, node)
-
     camera = sensor().model_copy(update={"rows": rows, "cols": cols})
-    return cheapest_grid(camera, 4, 2, 31.0, cells, needed, work, memory, preparation).grid
+    return cheapest_grid(camera, Even(planes, costs), 31.0, cells, stride=4, period=2).grid
 
 
 # By the table two ways to cut are nearly a tie, and the one node more than cells decides.

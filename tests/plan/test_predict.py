@@ -45,15 +45,15 @@ def first_kernels(lens, pitch_um=0.775):
 def test_nodes_of_sharp_psfs_err_as_much_whatever_their_kernels_are_held_as(monkeypatch):
     """Held softly, edges would look blurred, and the error beside them less than it is."""
     lens = bank(coma_um=3.0, fields=24)
-    given = 2.0, 48.0, (99.2, 74.4), 24.0, Edge(16.0, 2)
+    given, edge = (2.0, 48.0, (99.2, 74.4), 24.0), Edge(16.0, 2)
     soft = first_kernels(lens, 2.0)
     assert soft.ringing
-    found = node_error(soft, *given)
+    found = node_error(soft, *given, edge=edge)
     monkeypatch.setattr(optics_kernels, "SOFT_EDGE", optics_kernels.BAND_EDGE)
     sharp = first_kernels(lens, 2.0)  # sharpened by nothing
     # What rings beyond 24 samples is folded back there: 5e-4 of the light beside an edge of 16:1.
-    assert found == pytest.approx(node_error(sharp, *given), rel=0.02)
-    assert node_error(replace(soft, ringing=False), *given) < 0.8 * found  # the control
+    assert found == pytest.approx(node_error(sharp, *given, edge=edge), rel=0.02)
+    assert node_error(replace(soft, ringing=False), *given, edge=edge) < 0.8 * found  # the control
 
 
 def test_nodes_err_by_the_square_of_their_spacing():
@@ -72,14 +72,14 @@ def test_beside_a_harder_edge_nodes_err_more():
     half_um = (99.2, 74.4)
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
     errors = [
-        node_error(kernels, 0.775, 20.0, half_um, 24.0, Edge(contrast, 2))
+        node_error(kernels, 0.775, 20.0, half_um, 24.0, edge=Edge(contrast, 2))
         for contrast in (1.0, 2.0, 4.0, 16.0)
     ]
     assert errors[0] == 0.0
     assert errors == sorted(errors)
     assert errors[2] < errors[3] < 4 * errors[2]
     few, many = (
-        cells_within(kernels, 0.775, 20.0, half_um, 1e-3, 20.0, Edge(contrast, 2))[0]
+        cells_within(kernels, 0.775, 20.0, half_um, 1e-3, beyond_um=20.0, edge=Edge(contrast, 2))[0]
         for contrast in (2.0, 16.0)
     )
     assert np.prod(few) < np.prod(many)
@@ -139,7 +139,7 @@ def test_cells_keep_the_error_that_they_are_allowed():
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
     found = {}
     for allowed in (4e-3, 1e-3, 2.5e-4):
-        cells, error = cells_within(kernels, 0.775, 20.0, half_um, allowed, 20.0)
+        cells, error = cells_within(kernels, 0.775, 20.0, half_um, allowed, beyond_um=20.0)
         assert error <= allowed
         # One cell fewer each way would not do: the error goes with the square.
         assert error * (max(cells) / (max(cells) - 1)) ** 2 > allowed * 0.9
@@ -148,8 +148,10 @@ def test_cells_keep_the_error_that_they_are_allowed():
     # Where nothing changes one cell does; where pixels see more than the sensor around it, cells of
     # half its narrower side, 74.4 um, over 2 x 199.2 and 2 x 174.4 um.
     still = first_kernels(bank(coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0)))
-    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 20.0)[0] == (1, 1) < found[4e-3]
-    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, 100.0)[0] == (6, 6)
+    assert (
+        cells_within(still, 0.775, 20.0, half_um, 1e-3, beyond_um=20.0)[0] == (1, 1) < found[4e-3]
+    )
+    assert cells_within(still, 0.775, 20.0, half_um, 1e-3, beyond_um=100.0)[0] == (6, 6)
 
 
 def test_cells_cover_what_pixels_see_around_the_sensor():
@@ -157,7 +159,8 @@ def test_cells_cover_what_pixels_see_around_the_sensor():
     half_um = (99.2, 74.4)
     kernels = first_kernels(bank(coma_um=3.0, fields=24))
     narrow, wide = (
-        cells_within(kernels, 0.775, 20.0, half_um, 2.5e-4, beyond_um) for beyond_um in (0.0, 99.2)
+        cells_within(kernels, 0.775, 20.0, half_um, 2.5e-4, beyond_um=beyond_um)
+        for beyond_um in (0.0, 99.2)
     )
     assert wide[1] <= 2.5e-4 and narrow[1] <= 2.5e-4
     for few, many, half in zip(narrow[0], wide[0], half_um, strict=True):
@@ -168,9 +171,9 @@ def test_cells_cover_what_pixels_see_around_the_sensor():
 def test_before_a_sensor_of_one_pixel_cells_are_no_smaller_than_they_must_be():
     """16 samples of 0.775 um, over 2 x (0.775 + 20) um: not half a pixel, which no grid allows."""
     kernels = first_kernels(bank(coma_um=0.5))
-    assert cells_within(kernels, 0.775, 20.0, (0.775, 0.775), 1e-2, 20.0)[0] == (4, 4)
+    assert cells_within(kernels, 0.775, 20.0, (0.775, 0.775), 1e-2, beyond_um=20.0)[0] == (4, 4)
     # A row of pixels as well; half its length is no cell either.
-    assert cells_within(kernels, 0.775, 20.0, (31.0, 0.775), 1e-2, 20.0)[0] == (10, 4)
+    assert cells_within(kernels, 0.775, 20.0, (31.0, 0.775), 1e-2, beyond_um=20.0)[0] == (10, 4)
 
 
 def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
@@ -191,7 +194,7 @@ def test_a_tail_that_changes_over_the_field_needs_nodes_of_its_own():
             40.0,
             (99.2, 74.4),
             5e-2,
-            40.0,
+            beyond_um=40.0,
         )[0]
         for part in (0.2, 0.2 * grows)
     ]

@@ -275,7 +275,7 @@ def test_a_decentred_lens_flares_where_its_rays_land(bank):
     """The kernel of the chain on the axis: its centre of gravity is that of the spot diagram."""
     images, places = field_images(bank, at_lines(bank, np.array([[[0.0, 1.0]]])), 1e9)
     kernels = field_kernels(images, places, bank.pitch_um, 0.7, np.ones(images.shape[-2:]))
-    kernel = sampled_kernels(kernels, *bank.centre_um, 0.7, 32, 1)[0, 0]
+    kernel = sampled_kernels(kernels, *bank.centre_um, 0.7, 32, planes=1)[0, 0]
     y, x = (np.indices(kernel.shape) - 32) * 0.7
     found = np.array([(x * kernel).sum(), (y * kernel).sum()]) / kernel.sum()
     system = build(moved())

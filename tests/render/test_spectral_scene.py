@@ -58,7 +58,7 @@ def band_by_band(plan, planes: np.ndarray) -> np.ndarray:
     core = LENS.levels[0]
     for number in range(BANDS):
         spectra = SPECTRA[number : number + 1]
-        basis = camera_basis(core, CAMERA.sensor, spectra, 1e-9, np.array([0]), 0.0)
+        basis = camera_basis(core, CAMERA.sensor, spectra, 1e-9, np.array([0]), place_error=0.0)
         images, places = field_images(core, basis.rates, 1e9)
         part = np.ones(images.shape[-2:])
         kernels = field_kernels(images, places, core.pitch_um, scale.pitch_um, part)
@@ -106,7 +106,7 @@ def test_planes_make_what_the_bands_make(planned):
     true = band_by_band(plan, planes)
     # All planes that three channels and 31 bands tell apart, on the same grid.
     core = LENS.levels[0]
-    basis = camera_basis(core, CAMERA.sensor, SPECTRA, 0.0, np.arange(BANDS), 0.0)
+    basis = camera_basis(core, CAMERA.sensor, SPECTRA, 0.0, np.arange(BANDS), place_error=0.0)
     assert basis.coefficients.shape[1] > 8
     images, places = field_images(core, basis.rates, 1e9)
     (scale,) = plan.scales

@@ -10,7 +10,7 @@ from gpusim.reference.border import border
 from gpusim.sensor.border import record_border
 from gpusim.sensor.frame import Border, overlap, parts_around
 from gpusim.sensor.load import load_sensor
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, SiteLight, record_readout
 from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
@@ -108,7 +108,9 @@ def read_out(
     def runs(name: str) -> bool:
         return has(name) and name not in without
 
-    found = record_readout(rec, sites, glare, sensor, rect, (0, 0, 20, 30), shot, runs)
+    found = record_readout(
+        rec, SiteLight(sites, glare, (0, 0, 20, 30)), sensor, rect, shot=shot, runs=runs
+    )
     labels = {name: rec.download(found[name]) for name in ("rate", "electrons", "dn")}
     result = rec.run()
     return {name: result[label].astype(float) for name, label in labels.items()}

@@ -22,7 +22,7 @@ from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.crosstalk import ROWS, grown, reach, record_crosstalk
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.load import load_sensor
-from gpusim.sensor.readout import Shot, record_readout, rects_of
+from gpusim.sensor.readout import Shot, SiteLight, record_readout, rects_of
 from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
@@ -89,7 +89,7 @@ def on_device(device: Device, signal: np.ndarray, kernels: Kernels, camera: Sens
     rec = Recording(device)
     source = rec.buffer("signal", (rows, cols), F32)
     rec.upload(source, np.ascontiguousarray(signal[row : row + rows, col : col + cols]))
-    label = rec.download(record_crosstalk(rec, source, kernels, camera, given, rect))
+    label = rec.download(record_crosstalk(rec, source, kernels, camera, given=given, wanted=rect))
     return rec.run()[label]
 
 
@@ -199,7 +199,12 @@ def flat_frame(device: Device, spread: Crosstalk | None) -> np.ndarray:
     rec.clear(glare)
     frame = (0, 0, 256, 512)
     made = record_readout(
-        rec, planes, glare, camera, frame, frame, Shot(0.01, 3, 0), runs.__contains__
+        rec,
+        SiteLight(planes, glare, frame),
+        camera,
+        frame,
+        shot=Shot(0.01, 3, 0),
+        runs=runs.__contains__,
     )
     label = rec.download(made["electrons"])
     return rec.run()[label].astype(float)
@@ -267,7 +272,14 @@ def test_strips_and_tiles_change_not_one_bit(device: Device, spread: str, noise:
         rec.upload(planes, part)
         rec.clear(glare)
         shot = Shot(0.01, 3, 0)
-        found = record_readout(rec, planes, glare, camera, rect, lit, shot, stages.__contains__)
+        found = record_readout(
+            rec,
+            SiteLight(planes, glare, lit),
+            camera,
+            rect,
+            shot=shot,
+            runs=stages.__contains__,
+        )
         if not (noise or electrical):
             del found["mean"]  # the electrons themselves
         labels = {name: rec.download(array) for name, array in found.items()}

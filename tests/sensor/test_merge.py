@@ -10,7 +10,7 @@ from gpusim.reference.merge import merge
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, Linearity
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.merge import record_merge
-from gpusim.sensor.readout import Shot, record_readout
+from gpusim.sensor.readout import Shot, SiteLight, record_readout
 from gpusim.sensor.sensor import Sensor
 
 F32 = np.float32
@@ -108,7 +108,12 @@ def shot_of(device: Device, sensor: Sensor, mean_e: float, *off: str, seed: int 
     shot = Shot(exposure_s=1.0, seed=seed, frame=0)
     whole = (0, 0, *SHAPE)
     found = record_readout(
-        rec, sites, glare, sensor, whole, whole, shot, lambda name: has(name) and name not in off
+        rec,
+        SiteLight(sites, glare, whole),
+        sensor,
+        whole,
+        shot=shot,
+        runs=lambda name: has(name) and name not in off,
     )
     labels = {name: rec.download(found[name]) for name in ("electrons", "dn")}
     result = rec.run()

@@ -192,7 +192,7 @@ def render(
     Exit code 1 where the certificate does not meet the tolerance (the files are written), 2 for
     mistakes: a tolerance that cannot be met is one, and is refused before the work.
     """
-    from gpusim.cli.render import run
+    from gpusim.cli.render import RenderOptions, run
 
     choose_adapter(adapter)
     show = "json" if as_json else "nothing" if quiet else "table"
@@ -232,10 +232,7 @@ def render(
             show=show,
         )
         return
-    if code := run(
-        camera,
-        scene,
-        out,
+    asked = RenderOptions(
         exposure=exposure,
         temperature_c=temperature,
         luminance_cd_m2=luminance,
@@ -260,7 +257,6 @@ def render(
         method=method,
         plan=plan,
         best_effort=best_effort,
-        dry_run=dry_run,
         lens={
             "focal_length_mm": focal_length,
             "f_number": f_number,
@@ -269,6 +265,6 @@ def render(
             "focus_shift_um": focus_shift,
         },
         sensor=sensor,
-        show=show,
-    ):
+    )
+    if code := run(camera, scene, out, asked, dry_run=dry_run, show=show):
         raise typer.Exit(code)

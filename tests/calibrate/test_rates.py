@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from command_line import gpusim
 
+from gpusim.calibrate import rates, timing
 from gpusim.errors import UserError
 from gpusim.gpu import Device
-from gpusim.plan import calibrate
 from gpusim.plan.costs import LAVAPIPE, UNITS, Costs, content_of
 from gpusim.plan.layout import TRANSFORMS
 
@@ -31,15 +31,15 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[Costs]:
         given.append(Costs("a test", ns, dict.fromkeys(TRANSFORMS, 1.0)))
         return given[-1]
 
-    monkeypatch.setattr(calibrate, "measure", measure)
+    monkeypatch.setattr(rates, "measure", measure)
     return given
 
 
 def test_every_rate_is_measured_and_none_is_nothing(device: Device, monkeypatch):
-    monkeypatch.setattr(calibrate, "RUNS", 1)
-    monkeypatch.setattr(calibrate, "TURNS", 1)
+    monkeypatch.setattr(timing, "RUNS", 1)
+    monkeypatch.setattr(rates, "TURNS", 1)
     before, steps = device.pool.in_use, []
-    costs = calibrate.measure(device, lambda done, total: steps.append((done, total)))
+    costs = rates.measure(device, lambda done, total: steps.append((done, total)))
     assert costs.ns.keys() == UNITS.keys() and costs.lengths.keys() == set(TRANSFORMS)
     # Two of the three rates of the FFT of columns may drown in each other; not both, and no other.
     in_columns = ("fft columns", "products", "inverse columns")
@@ -52,13 +52,13 @@ def test_every_rate_is_measured_and_none_is_nothing(device: Device, monkeypatch)
 
 
 def test_rates_are_measured_once(device: Device, cache: Path, measured: list[Costs]):
-    assert calibrate.cached_costs(device) is None
-    first = calibrate.adapter_costs(device)
-    assert calibrate.adapter_costs(device) == first == calibrate.cached_costs(device)
+    assert rates.cached_costs(device) is None
+    first = rates.adapter_costs(device)
+    assert rates.adapter_costs(device) == first == rates.cached_costs(device)
     assert len(measured) == 1 and len(list(cache.iterdir())) == 1
-    again = calibrate.adapter_costs(device, again=True)
+    again = rates.adapter_costs(device, again=True)
     assert len(measured) == 2 and again != first
-    assert calibrate.cached_costs(device) == again
+    assert rates.cached_costs(device) == again
 
 
 @pytest.mark.parametrize(
@@ -66,56 +66,56 @@ def test_rates_are_measured_once(device: Device, cache: Path, measured: list[Cos
     ["", "{}", "[]", "null", json.dumps({"source": "x", "ns": {}, "lengths": {}}), "\x00"],
 )
 def test_a_spoilt_file_is_measured_again(device: Device, cache, measured, text: str):
-    calibrate.adapter_costs(device)
+    rates.adapter_costs(device)
     (file,) = cache.iterdir()
     file.write_text(text)
-    assert calibrate.cached_costs(device) is None
-    calibrate.adapter_costs(device)
-    assert len(measured) == 2 and calibrate.cached_costs(device) == measured[1]
+    assert rates.cached_costs(device) is None
+    rates.adapter_costs(device)
+    assert len(measured) == 2 and rates.cached_costs(device) == measured[1]
 
 
 @pytest.mark.parametrize("rate", ["NaN", "-1.0", "Infinity", "true_", "1e999"])
 @pytest.mark.parametrize("where", ["ns", "lengths"])
 def test_a_rate_that_is_none_is_refused(device: Device, cache: Path, measured, rate, where):
-    calibrate.adapter_costs(device)
+    rates.adapter_costs(device)
     (file,) = cache.iterdir()
     before, name, after = file.read_text().partition(f'"{where}"')
     file.write_text(before + name + after.replace("1.0", rate, 1))
-    assert calibrate.cached_costs(device) is None
+    assert rates.cached_costs(device) is None
 
 
 def test_rates_survive_a_report(tmp_path: Path):
     file = tmp_path / "report.json"
     file.write_text(json.dumps({"costs": content_of(LAVAPIPE)}))
-    assert calibrate.planned_costs(file) == LAVAPIPE
+    assert rates.planned_costs(file) == LAVAPIPE
 
 
 @pytest.mark.parametrize("text", ["{}", "[]", '{"costs": 3}', '{"costs": {"ns": {}}}', "{"])
 def test_a_report_without_rates_is_refused(tmp_path: Path, text: str):
     (tmp_path / "report.json").write_text(text)
     with pytest.raises(UserError) as caught:
-        calibrate.planned_costs(tmp_path / "report.json")
+        rates.planned_costs(tmp_path / "report.json")
     assert caught.value.file == tmp_path / "report.json"
 
 
 def test_other_shaders_or_another_driver_have_rates_of_their_own(
     device: Device, cache: Path, measured, monkeypatch
 ):
-    calibrate.adapter_costs(device)
-    monkeypatch.setattr(calibrate, "shaders_sha256", lambda: "others")
-    assert calibrate.cached_costs(device) is None
+    rates.adapter_costs(device)
+    monkeypatch.setattr(rates, "shaders_sha256", lambda: "others")
+    assert rates.cached_costs(device) is None
     monkeypatch.undo()
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache.parents[1]))
-    assert calibrate.cached_costs(device) is not None
+    assert rates.cached_costs(device) is not None
     report = device.report() | {"driver": "a newer one"}
     monkeypatch.setattr(Device, "report", lambda self: report)
-    assert calibrate.cached_costs(device) is None
+    assert rates.cached_costs(device) is None
 
 
 def test_without_a_cache_to_write_it_is_measured_each_time(device: Device, measured, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc/none")
     for count in (1, 2):
-        assert calibrate.adapter_costs(device).ns["fft rows"] == count
+        assert rates.adapter_costs(device).ns["fft rows"] == count
 
 
 def test_devices_shows_the_rates_and_measures_them_again(cache: Path, measured: list[Costs]):

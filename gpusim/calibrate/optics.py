@@ -1,23 +1,17 @@
-"""Measure an adapter's rates for the cost model, once, and keep them in the user's cache."""
+"""The rates of the optics' stages, on the device and on the host."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from scipy.optimize import nnls
 
-from gpusim.config.text import read_json
-from gpusim.errors import UserError
+from gpusim.calibrate.timing import fastest
 from gpusim.gpu import Device, Kernel, Recording, Use
-from gpusim.gpu.wgsl import shaders_sha256
 from gpusim.optics.chief_ray import radial_map
 from gpusim.optics.convolve import Convolve
 from gpusim.optics.direct import Direct, direct_work
@@ -27,33 +21,16 @@ from gpusim.optics.kernel_spectra import kernel_spectra
 from gpusim.optics.kernels import FieldKernels, interleaved
 from gpusim.optics.methods import Convolution
 from gpusim.optics.modes import Decomposition, Modes
-from gpusim.optics.nodes import Scale
+from gpusim.optics.nodes import Rates, Scale
 from gpusim.optics.paint import SIGMA, TILE, Paint
 from gpusim.optics.point_sources import HIGHLIGHT, SQUARE
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.optics.warp import Warp
-from gpusim.plan.costs import UNITS, Costs, content_of, costs_of
+from gpusim.plan.costs import UNITS, Costs
 from gpusim.plan.layout import TRANSFORMS
-from gpusim.plan.stage import stage_of
 from gpusim.psf.places import Heights
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster
-from gpusim.sensor.adc import record_adc
-from gpusim.sensor.adc_model import DualGain
-from gpusim.sensor.bloom import record_bloom
-from gpusim.sensor.border import record_border
-from gpusim.sensor.crosstalk import record_crosstalk
-from gpusim.sensor.crosstalk_model import Kernels
-from gpusim.sensor.cti import record_cti
-from gpusim.sensor.cti_model import Cti, Species
-from gpusim.sensor.exposure import record_exposure
-from gpusim.sensor.load import load_sensor
-from gpusim.sensor.merge import record_merge
-from gpusim.sensor.mosaic import record_mosaic
-from gpusim.sensor.noise import record_noise
-from gpusim.sensor.smear import record_smear
-from gpusim.sensor.smear_model import Smear
-from gpusim.sensor.traps import record_traps
 
 # Numbers that shaders/optics/fft_columns loads and stores for a sample of a transform, of a
 # product, and of the inverse; and how much they weigh against a measured time.
@@ -61,131 +38,12 @@ LOADS, HELD = np.array([9.0, 2.0, 6.0]), 0.2
 NODES = 16  # of which kernels are timed
 # Blocks of 256 that one run convolves: a pass of one such dispatch is mostly its beginning and end.
 BLOCKS = 3
-TURNS = 2  # in which everything is timed; the first also compiles
-RUNS = 3  # in each turn, of which the fastest counts
-SIDE = 512  # of the frame for the sensor's stages, pixels
 PLANES = 3
 # Boxes take that share of a table's time: 0.26 and 0.23 for tables of 294 and 420 samples a side (a
 # desk's lamps before the demonstration camera and the phone).
 BOXES = 0.24
 SUPPORT = 12  # of the direct sum, sim samples
 FLAT = radial_map(lambda real_um: real_um * (1 + 0.01 * (real_um / 1e4) ** 2), 1e4)
-NOTHING = """
-struct Params { number: u32 }
-@group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read_write> found: array<u32>;
-@compute @workgroup_size(1, 1, 1)
-fn main() { found[0] = params.number; }
-"""
-Progress = Callable[[int, int], None]
-
-
-def adapter_costs(
-    device: Device, *, again: bool = False, progress: Progress | None = None
-) -> Costs:
-    """Return the rates of a device, from the cache or measured now.
-
-    Parameters
-    ----------
-    device : Device
-    again : bool
-        Measure even if the cache has them.
-    progress : callable, optional
-        Called with (measurements done, measurements in all).
-
-    Notes
-    -----
-    The cache is ``$XDG_CACHE_HOME/gpusim/costs`` (``~/.cache`` where unset). The key is a hash of
-    the adapter, its driver, the shaders and this file. Where the cache cannot be written the rates
-    are measured every time.
-    """
-    path = _path(device)
-    found = None if again else _read(path)
-    if found is None:
-        found = measure(device, progress)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(json.dumps(content_of(found), indent=1))
-            part.replace(path)
-        except OSError:
-            pass  # the next process measures again
-    return found
-
-
-def cached_costs(device: Device) -> Costs | None:
-    """Return the rates of a device if they were measured before."""
-    return _read(_path(device))
-
-
-def _path(device: Device) -> Path:
-    report = device.report()
-    digest = hashlib.sha256(shaders_sha256().encode() + Path(__file__).read_bytes())
-    for name in ("adapter", "driver", "backend", "wgpu"):
-        digest.update(str(report[name]).encode() + b"\0")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "costs"
-    return folder / f"{digest.hexdigest()[:32]}.json"
-
-
-def _read(path: Path) -> Costs | None:
-    """Return what a file holds, or None if it is no whole set of rates."""
-    try:
-        return costs_of(read_json(path, "the rates"))
-    except (UserError, ValueError):
-        return None
-
-
-def planned_costs(file: Path) -> Costs:
-    """Return the rates that the plan of a report was made from: they make the same plan again.
-
-    Raises
-    ------
-    UserError
-        The file is no report of a render, or its rates are none.
-    """
-    report = read_json(file, "the report")
-    try:
-        return costs_of(report["costs"] if isinstance(report, dict) else None)
-    except (KeyError, ValueError) as error:
-        raise UserError(
-            "the file does not say which rates its plan was made from",
-            file=file,
-            field="costs",
-            value=str(error),
-            allowed="a report.json that gpusim render wrote",
-        ) from error
-
-
-def measure(device: Device, progress: Progress | None = None) -> Costs:
-    """Time every stage on a small piece of its work.
-
-    All are timed in turns, and each counts as in the turn that it took least time in: a plan weighs
-    them against one another, and a machine with other work runs now faster and now slower.
-    """
-    tell = progress or (lambda done, total: None)
-    parts = (_host, _point_sources, _source, _transforms, _others, _sensor, _ccd, _dispatch)
-    best: dict[Callable, tuple[float, dict[str | int, float]]] = {}
-    for number, part in enumerate(TURNS * parts):
-        tell(number, TURNS * len(parts))
-        started = time.perf_counter()
-        rates = part(device)
-        spent = time.perf_counter() - started
-        if part not in best or spent < best[part][0]:
-            best[part] = (spent, rates)
-    tell(TURNS * len(parts), TURNS * len(parts))
-    ns: dict[str, float] = {}
-    lengths: dict[int, float] = {}
-    for _, rates in best.values():
-        lengths |= {key: float(rates.pop(key)) for key in TRANSFORMS if key in rates}
-        ns |= {name: float(rate) for name, rate in rates.items()}
-    return Costs(f"measured on {device.report()['adapter']}", ns, lengths)
-
-
-def _fastest(rec: Recording) -> dict[str, float]:
-    """Return the least seconds of each stage over some runs."""
-    rec.run()  # compiles, and fills the pool
-    runs = [rec.run().times_s for _ in range(RUNS)]
-    return {stage_of(path): min(run[path] for run in runs) for path in runs[0]}
 
 
 def _grid(length: int, period: int) -> SimGrid:
@@ -203,7 +61,7 @@ def _scale(grid: SimGrid, channels: int = 1) -> Scale:
     return Scale("calibration", grid, 1.0, SIGMA, nothing)
 
 
-def _host(device: Device) -> dict[str | int, float]:
+def host_rates(device: Device) -> dict[str | int, float]:
     """Time the making of kernels, on all cores, and their way to the device.
 
     Kernels of three planes and three channels go into memory that the second turn finds in use, as
@@ -216,7 +74,7 @@ def _host(device: Device) -> dict[str | int, float]:
     kernels = replace(kernels, splines=splines)
 
     def sample(number: int) -> np.ndarray:
-        return sampled_kernels(kernels, 0.2, 0.01 * number, 0.775, half_size, 3)
+        return sampled_kernels(kernels, 0.2, 0.01 * number, 0.775, half_size, planes=3)
 
     def spectra(sampled: np.ndarray) -> np.ndarray:
         outputs = [(channel, 0.5, 0.5) for channel in range(3)]
@@ -242,7 +100,7 @@ def _host(device: Device) -> dict[str | int, float]:
     }
 
 
-def _point_sources(device: Device) -> dict[str | int, float]:
+def point_source_rates(device: Device) -> dict[str | int, float]:
     """Time the spectra of tables' boxes, on all cores, and highlights that light every pixel.
 
     The boxes are BOXES of what a table takes.
@@ -251,7 +109,7 @@ def _point_sources(device: Device) -> dict[str | int, float]:
     shifts = np.linspace(-1.0, 1.0, 2 * lines).reshape(lines, 2)
 
     def one(number: int) -> np.ndarray:
-        return boxes(side, 0.5, 1.55, shifts, 0.1 * number, 2.0 * np.eye(2))
+        return boxes(side, 0.5, 1.55, shifts, angle=0.1 * number, square=2.0 * np.eye(2))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         started = time.perf_counter()
@@ -284,11 +142,11 @@ def _point_sources(device: Device) -> dict[str | int, float]:
     kernel.record(rec, groups, whole | sites, **buffers, rates=rates)
     return {
         "tables": 1e9 * boxes_s / BOXES / (lines * side**2),
-        "point sources": 1e9 * _fastest(rec)["point sources"] / (count * 4 * cells**2),
+        "point sources": 1e9 * fastest(rec)["point sources"] / (count * 4 * cells**2),
     }
 
 
-def _source(device: Device) -> dict[str | int, float]:
+def source_rates(device: Device) -> dict[str | int, float]:
     """Time paint on tiles with and without edges, and warp."""
     scale = _scale(_grid(512, 2))
     samples = BLOCKS * np.prod(scale.grid.block)
@@ -325,10 +183,10 @@ def _stage_time(device: Device, stage: Paint | Warp) -> dict[str, float]:
     planes = rec.buffer("planes", (1, *stage.grid.block[::-1]), np.float32)
     for _ in range(BLOCKS):
         stage.record(rec, (0, 0), planes)
-    return _fastest(rec)
+    return fastest(rec)
 
 
-def _transforms(device: Device) -> dict[str | int, float]:
+def transform_rates(device: Device) -> dict[str | int, float]:
     """Time FFT of rows, FFT of columns and inverse FFT: by planes, channels and length."""
     at_256 = {
         (channels, planes): _convolved(device, 256, channels, planes)
@@ -379,13 +237,13 @@ def _transforms(device: Device) -> dict[str | int, float]:
     return ns | lengths
 
 
-def _others(device: Device) -> dict[str | int, float]:
+def other_rates(device: Device) -> dict[str | int, float]:
     """Time the forward pass of modes, and the direct sum."""
     grid, sites = _grid(512, 2), [0, 1, 1, 2]
     size = (2, 1, 3, 2 * grid.half_size, 2 * grid.half_size)
     two = Decomposition(np.zeros(size, np.float32), np.ones((2, 2, 2)), np.ones(2), np.zeros(2))
-    modes = Modes(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, two)
-    direct = Direct(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, SUPPORT)
+    modes = Modes(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, decomposition=two)
+    direct = Direct(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, support=SUPPORT)
     for one in (modes, direct):
         one.load([(0, 0)])
     times = [_blocks_time(device, one, 1) for one in (modes, direct)]
@@ -417,57 +275,8 @@ def _blocks_time(device: Device, convolution: Convolution, planes: int) -> dict[
     rec.clear(scratch.planes)
     rec.clear(rates)
     for _ in range(blocks):
-        rect = (0, 0, grid.rows, grid.cols)
-        convolution.record(rec, (0, 0), planes, scratch, rates, rect)
-    found = _fastest(rec)
+        whole = Rates(rates, (0, 0, grid.rows, grid.cols))
+        convolution.record(rec, (0, 0), planes, scratch, whole)
+    found = fastest(rec)
     convolution.release()
     return {stage: seconds / blocks for stage, seconds in found.items()}
-
-
-def _sensor(device: Device) -> dict[str | int, float]:
-    """Time mosaic, border, cross-talk of 3 x 3, exposure, noise, adc, merge at a mid-grey."""
-    sensor = load_sensor("imx477").roi(SIDE, SIDE)
-    rec = Recording(device)
-    planes = rec.buffer("planes", (4, SIDE // 2, SIDE // 2), np.float32)
-    glare = rec.buffer("glare", 4, np.float32)
-    rec.upload(planes, np.full(planes.shape, 1e5, np.float32))
-    rec.clear(glare)
-    rate = record_mosaic(rec, planes, glare, sensor, (SIDE, SIDE))
-    whole, even = (0, 0, SIDE, SIDE), Kernels({"*": [[1 / 9] * 3] * 3})
-    rate = record_border(rec, rate, whole, whole)
-    rate = record_crosstalk(rec, rate, even, sensor, whole, whole)
-    mean = record_exposure(rec, rate, sensor, 0.01)
-    dn = record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
-    low = {"temporal_dark_noise_e": 12, "black_level_dn": 256, "switch_dn": 3800}
-    dual = DualGain(system_gain_dn_per_e=sensor.system_gain_dn_per_e / 8, **low)
-    record_merge(rec, dn, dn, sensor.model_copy(update={"dual_gain": dual}), label="merged")
-    found = {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
-    return found | {"crosstalk": found["crosstalk"] / 9}
-
-
-def _ccd(device: Device) -> dict[str | int, float]:
-    """Time what CCDs do to their charge, at a mid-grey."""
-    rec = Recording(device)
-    rate = rec.buffer("rate", (SIDE, SIDE), np.float32)
-    rec.upload(rate, np.full(rate.shape, 1e3, np.float32))
-    charge = record_smear(rec, rate, rate, Smear(kind="frame_transfer", row_s=1e-6))
-    charge, _ = record_bloom(rec, charge, 1e5)
-    charge = record_cti(rec, charge, 1e-5, label="shifted")
-    traps = Cti(traps=(Species(density=1.0, release_transfers=5.0),), groups=1)
-    record_traps(rec, charge, traps, well_e=1e5)
-    return {stage: 1e9 * seconds / SIDE**2 for stage, seconds in _fastest(rec).items()}
-
-
-def _dispatch(device: Device) -> dict[str | int, float]:
-    """Time what a dispatch of next to nothing costs, in a pass of its own, host and device."""
-    kernels = [Kernel.from_text(f"calibration/{name}", NOTHING) for name in ("this", "that")]
-    spans = []
-    for _ in range(RUNS + 1):
-        started = time.perf_counter()
-        rec = Recording(device)
-        found = rec.buffer("found", 1, np.uint32)
-        for number in range(64):
-            kernels[number % 2].record(rec, (1, 1, 1), {"number": number}, found=found)
-        rec.run()
-        spans.append((time.perf_counter() - started) / 64)
-    return {"dispatch": 1e9 * min(spans)}
