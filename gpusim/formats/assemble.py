@@ -163,6 +163,8 @@ def make_bank(
     misfit_um = max(misfit for _, misfit in fits)
 
     steps, ideal, window = _divided(ideal_height_um, window.astype(np.float32))
+    history = f"read from {file.name}; {len(ideal_height_um)} fields of the table, "
+    history += f"{steps} intervals of the bank in each of its own"
     count = len(wavelengths_nm)
     unknown = np.full((len(ideal), count), np.nan)
     solid_angle = np.pi / (2 * stated.working_f_number) ** 2
@@ -186,15 +188,7 @@ def make_bank(
         f_number=stated.f_number,
         pitch_um=float(pitch_um),
         spectral_degree=spectral_degree,
-        provenance={
-            **_provenance(
-                stated,
-                f"read from {file.name}; {len(ideal_height_um)} fields of the table, "
-                f"{steps} intervals of the bank in each of its own",
-                misfit_um,
-            ),
-            **provenance,
-        },
+        provenance=_provenance(stated, history, misfit_um) | provenance,
     )
     check_bank(bank, file)
     if stated.exit_pupil_mm is None:

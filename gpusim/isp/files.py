@@ -33,7 +33,7 @@ def write_picture(path: Path, picture: np.ndarray, space: str = "srgb") -> None:
         A ``.png``, ``.tif`` or ``.tiff``; of 8 bits also a ``.jpg`` or ``.jpeg``.
     picture : ndarray (rows, cols, 3), uint8 or uint16
     space : str
-        Of `gpusim.isp.transfer.SPACES`.
+        One of `gpusim.isp.transfer.SPACES`.
     """
     suffix, wide = path.suffix.lower(), picture.dtype == np.uint16
     if suffix in TIFFS:

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from gpusim.lens.layout import Element, beam, elements
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import Pupil
+from gpusim.parallel import each
 from gpusim.psf import transfer
 from gpusim.psf.bank import Bank
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import working_f_number
-
-Result = TypeVar("Result")
 
 # Parts of the largest field, by the bank's fields.
 CURVE_FIELDS = {"axis": 0.0, "half field": 0.5, "full field": 1.0}
@@ -120,38 +117,32 @@ def lens_page(
     wavelengths = bank.wavelengths_nm[lines]
     light = (bank.transmission * quadrature(bank))[lines]
     reference = bank.reference // 2
-    steps = iter(range(1, 2 * len(fields) + 2))
+    steps = itertools.count(1)
 
-    def each(work: Iterable[Result]) -> list[Result]:
-        """Return the results of the work, counting each."""
-        results = []
-        for result in work:
-            results.append(result)
-            if progress is not None:
-                progress(next(steps), 2 * len(fields) + 1)
-        return results
+    def advance(_done: int, _total: int) -> None:
+        if progress is not None:
+            progress(next(steps), 2 * len(fields) + 1)
 
     def traced(theta: float) -> transfer.FieldPupils:
         return transfer.field_pupils(system, theta, wavelengths, light, reference=reference)
 
-    with threadpool_limits(1), ThreadPoolExecutor() as pool:
-        pupils = each(pool.map(traced, fields))
-        top, half = _frequencies(bank, pupils[0])
-        focus_frequency = half if frequency is None else frequency
-        frequency = np.linspace(0, top, 101)
-        depth_mm = _depth_mm(bank, pupils, focus_frequency)
-        focus_mm = np.linspace(-depth_mm, depth_mm, 61)
+    pupils = each(traced, fields, advance)
+    top, half = _frequencies(bank, pupils[0])
+    focus_frequency = half if frequency is None else frequency
+    frequency = np.linspace(0, top, 101)
+    depth_mm = _depth_mm(bank, pupils, focus_frequency)
+    focus_mm = np.linspace(-depth_mm, depth_mm, 61)
 
-        def curves(one: tuple[str, float, transfer.FieldPupils]) -> tuple[Curves, np.ndarray]:
-            name, theta, field = one
-            mtf = Curves(name, float(np.degrees(theta)), _both(field.otf, frequency))
-            return mtf, _through_focus(field, focus_frequency, focus_mm)
+    def curves(one: tuple[str, float, transfer.FieldPupils]) -> tuple[Curves, np.ndarray]:
+        name, theta, field = one
+        mtf = Curves(name, float(np.degrees(theta)), _both(field.otf, frequency))
+        return mtf, _through_focus(field, focus_frequency, focus_mm)
 
-        drawn = each(pool.map(curves, zip(CURVE_FIELDS, fields, pupils, strict=True)))
-        chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
-        chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
-        chief = pool.map(_chief_um(system, chief_nm), np.radians(chief_deg))
-        (chief_um,) = each([np.stack(list(chief))])
+    drawn = each(curves, zip(CURVE_FIELDS, fields, pupils, strict=True), advance)
+    chief_nm = np.append(bank.reference_nm, COLOUR_WAVELENGTHS_NM)
+    chief_deg = np.linspace(0, bank.field_deg[-1], CHIEF_RAYS)
+    chief_um = np.stack(each(_chief_um(system, chief_nm), np.radians(chief_deg)))
+    advance(1, 1)
     return LensPage(
         bank=bank,
         system=system,
