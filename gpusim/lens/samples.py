@@ -5,7 +5,7 @@ Each has its direction cosines there and its W: see `gpusim.lens.wavefront`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,14 @@ if TYPE_CHECKING:
 RAY_OVERSIZE = 1.04
 # Rays across the stop: 81 x 41 on the half pupil, 26 rays per coefficient of degree 18.
 RAYS_ACROSS = 81
+COARSE_ACROSS = 21  # rays that tell which part of the stop a field uses
+# Rings and their spokes: four rays a coefficient of degree 18. The outermost ring is so far beyond
+# the rim that pupils of other wavelengths are within it, and two nodes of a grid across the rim.
+RINGS, SPOKES, RINGS_OVERSIZE = 16, 48, 1.06
+# Where the rim lies is first told by polynomials through coarse rays that pass within so much of
+# it: to a percent.
+ROUGH_DEGREE, ROUGHLY_WITHIN = 4, 1.3
+PAD = ((0, 0), (1, 0))  # the chief ray goes before the others
 
 
 @dataclass(frozen=True)
@@ -185,14 +193,32 @@ def _sample(
     whole: bool = False,
 ) -> Samples:
     """Do what ``sample_rays`` promises, for a field whose launch plane is known."""
-    geometry = system.geometry
     tolerance = AIM_TOLERANCE * system.stop_radius_mm
-    px, py, found = aim(geometry, index, launch, stop_x, stop_y, tolerance_mm=tolerance)
+    px, py, found = aim(system.geometry, index, launch, stop_x, stop_y, tolerance_mm=tolerance)
+    # As aimed: a ray that failed before the stop has a place there too.
+    aimed2 = np.broadcast_to(np.append(0.0, stop_x**2 + stop_y**2), np.pad(found, PAD).shape)
+    return _arrived(system, index, launch, (px, py), found, aimed2, whole=whole)
+
+
+def _arrived(
+    system: System,
+    index: np.ndarray,
+    launch: Launch,
+    p_mm: tuple[np.ndarray, np.ndarray],
+    found: np.ndarray,
+    stop2: np.ndarray | None,
+    *,
+    whole: bool,
+) -> Samples:
+    """Trace rays (L, R) from the launch plane, the chief rays with them.
+
+    ``stop2``, shape (L, R + 1): their (height at the stop)^2, mm^2; by default as traced.
+    """
+    geometry, (px, py) = system.geometry, p_mm
     # The chief ray goes first.
-    first = ((0, 0), (1, 0))
     lossy = goes_with_the_ray(system.prescription)
-    rays = trace(geometry, index, launch, np.pad(px, first), np.pad(py, first), crossings=lossy)
-    ok = np.pad(found, first, constant_values=True) & rays.ok & (rays.direction[2] > 0)
+    rays = trace(geometry, index, launch, np.pad(px, PAD), np.pad(py, PAD), crossings=lossy)
+    ok = np.pad(found, PAD, constant_values=True) & rays.ok & (rays.direction[2] > 0)
     if not ok[:, 0].all():
         raise no_chief_ray(system, launch.theta)
     alpha, beta, gamma = rays.direction
@@ -209,9 +235,7 @@ def _sample(
     path = rays.path + to_image - alpha * land_x - beta * land_y
     height2 = rays.own_x**2 + rays.own_y**2
     margin = height2 / system.semi_diameter_mm[:, None, None] ** 2 - 1
-    # As aimed: a ray that failed before the stop has a place there too.
-    aimed2 = np.append(0.0, stop_x**2 + stop_y**2) / system.stop_radius_mm**2
-    diaphragm = np.broadcast_to(aimed2 - 1, rays.ok.shape)
+    diaphragm = (height2[geometry.stop] if stop2 is None else stop2) / system.stop_radius_mm**2 - 1
     return Samples(
         chief_x_mm=chief_x[:, 0],
         chief_y_mm=chief_y[:, 0],
@@ -265,17 +289,11 @@ def sample_field(system: System, index: np.ndarray, theta: float, azimuth: float
         return x[keep], y[keep]
 
     rim = RAY_OVERSIZE * radius
-    coarse = 21
+    coarse = COARSE_ACROSS
     x, y = grid(0.0 if half else -rim, rim, -rim, rim, coarse)
     lit = _sample(system, index, launch, x, y).inside
     if not lit.any(axis=1).all():
-        raise UserError(
-            f"no light passes the lens at {np.degrees(theta):.4g} deg",
-            file=system.prescription.file,
-            field="max_field_deg",
-            value=f"{np.degrees(theta):.4g}",
-            allowed="a smaller field",
-        )
+        raise _no_light(system, theta)
     inside = lit.any(axis=0)
     # The rim lies within one coarse spacing of the last ray inside; one more reaches beyond it.
     spare = 2 * (2 * rim / (coarse - 1))
@@ -283,3 +301,94 @@ def sample_field(system: System, index: np.ndarray, theta: float, azimuth: float
     y_low, y_high = max(-rim, y[inside].min() - spare), min(rim, y[inside].max() + spare)
     box = (0.0 if half else x_low, x_high, y_low, y_high)
     return _sample(system, index, launch, *grid(*box, RAYS_ACROSS))
+
+
+def _no_light(system: System, theta: float) -> UserError:
+    """Return the error of a field at which nothing passes the lens."""
+    return UserError(
+        f"no light passes the lens at {np.degrees(theta):.4g} deg",
+        file=system.prescription.file,
+        field="max_field_deg",
+        value=f"{np.degrees(theta):.4g}",
+        allowed="a smaller field",
+    )
+
+
+def sample_rings(
+    system: System, index: np.ndarray, theta: float, azimuth: float, line: int
+) -> Samples:
+    """Trace rays on rings about the middle of the light, the last one beyond its rim.
+
+    They are fewer than those of `sample_field`, and are aimed at one wavelength alone. At the
+    others rays go where those cross the launch plane, from their own chief ray: to nearly the same
+    points of the stop, and what a ray tells is told by where it goes.
+
+    Parameters
+    ----------
+    system, index, theta, azimuth
+        As for ``sample_rays``.
+    line : int
+        The wavelength that rays are aimed at.
+
+    Raises
+    ------
+    UserError
+        Where no ray of some wavelength passes the lens at this field.
+    """
+    radius = system.stop_radius_mm
+    launch = field_launch(system, index, theta, azimuth)
+    alone = replace(launch, base=launch.base[:, [line]])
+
+    def sample(x: np.ndarray, y: np.ndarray) -> Samples:
+        tolerance = AIM_TOLERANCE * radius
+        aimed = aim(system.geometry, index[:, [line]], alone, x, y, tolerance_mm=tolerance)
+        px, py, found = (np.repeat(one, index.shape[1], axis=0) for one in aimed)
+        return _arrived(system, index, launch, (px, py), found, None, whole=True)
+
+    side = np.linspace(-RAY_OVERSIZE, RAY_OVERSIZE, COARSE_ACROSS)
+    x, y = (one.ravel() for one in np.meshgrid(side, side))
+    keep = np.hypot(x, y) <= RAY_OVERSIZE
+    x, y = x[keep], y[keep]
+    coarse = sample(radius * x, radius * y)
+    lit = coarse.inside
+    if not lit.any(axis=1).all():
+        raise _no_light(system, theta)
+    inside = lit.any(axis=0)
+    middle = np.array([x[inside].mean(), y[inside].mean()])
+    turn = 2 * np.pi * np.arange(2 * SPOKES) / (2 * SPOKES)
+    way = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    rim = _rim_along(coarse, line, np.stack([x, y]), middle, way)
+    # As dense towards the rim as Chebyshev's points; every other ring is turned by half a step.
+    rings = np.arange(RINGS)
+    share = RINGS_OVERSIZE * np.sin(np.pi / 2 * (rings + 0.5) / (RINGS - 0.5))
+    spokes = (2 * np.arange(SPOKES) + rings[:, None] % 2) % (2 * SPOKES)
+    at = middle + (share[:, None] * rim[spokes])[..., None] * way[spokes]
+    return sample(*(radius * at.reshape(-1, 2)).T)
+
+
+def _rim_along(
+    coarse: Samples, line: int, at: np.ndarray, middle: np.ndarray, way: np.ndarray
+) -> np.ndarray:
+    """Return how far from a point of the stop the rim lies in some directions (A, 2), of radii.
+
+    ``at``, shape (2, R): where the coarse rays meet the stop. Polynomials follow each surface's
+    margin between them; that of the stop itself is known.
+    """
+    margin = coarse.margin[:-1, line]
+    known = coarse.ok[line] & (margin < ROUGHLY_WITHIN**2 - 1).all(axis=0)
+    clipping = margin[:, known].max(axis=1) > 0
+    far = np.linspace(0.0, 2.0, 201)
+    x, y = np.moveaxis(middle + far[:, None, None] * way, -1, 0)
+    outside = np.hypot(x, y) >= 1
+    if clipping.any():
+        design = _monomials(*at[:, known])
+        terms = np.linalg.lstsq(design, margin[clipping][:, known].T, rcond=None)[0]
+        outside |= (_monomials(x, y) @ terms >= 0).any(axis=-1)
+    first = np.maximum(outside.argmax(axis=0), 1)
+    return far[first]
+
+
+def _monomials(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the products x^i y^j up to ROUGH_DEGREE in all, along a new last axis."""
+    degrees = range(ROUGH_DEGREE + 1)
+    return np.stack([x**i * y**j for i in degrees for j in degrees if i + j in degrees], axis=-1)

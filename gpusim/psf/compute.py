@@ -14,7 +14,7 @@ from gpusim.lens.system import System, build
 from gpusim.psf.bank import Bank
 from gpusim.psf.chief_rays import between_fields
 from gpusim.psf.field_map import FieldMap, ideal_height_um
-from gpusim.psf.generator import RAYS, TRANSFORM, Generator
+from gpusim.psf.generator import RAYS, Generator
 from gpusim.psf.halo import distances_um, fall, halo_of
 from gpusim.psf.provenance import of_lens
 from gpusim.psf.sampling import (
@@ -26,6 +26,7 @@ from gpusim.psf.sampling import (
 )
 from gpusim.psf.scatter import shown_by
 from gpusim.psf.store import from_cache
+from gpusim.psf.transform import TRANSFORM
 
 
 def compute_bank(

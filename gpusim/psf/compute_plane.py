@@ -1,4 +1,4 @@
-"""Computing the bank of a lens without an axis, in float64 from the whole pupil."""
+"""Computing the bank of a lens without an axis, from the whole pupil."""
 
 from __future__ import annotations
 
@@ -7,19 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.lens.entering import stretch
+from gpusim.gpu import default_device
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.projection import RECTILINEAR
-from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
-from gpusim.lens.wavefront import OVERSIZE, Pupil
 from gpusim.parallel import each
 from gpusim.psf.chief_rays import rays_on_rings
-from gpusim.psf.cone import cone_of
-from gpusim.psf.halo import distances_um, fall, field_halo, wave_of, whole_halo
+from gpusim.psf.halo import whole_halo
 from gpusim.psf.plane_bank import PlaneBank
+from gpusim.psf.plane_generator import PlaneGenerator, Pupils
 from gpusim.psf.provenance import of_lens
-from gpusim.psf.psf import intensity, losses_of, unfolded_pupil
 from gpusim.psf.sampling import (
     REFERENCE_NM,
     WAVELENGTHS_NM,
@@ -28,11 +25,10 @@ from gpusim.psf.sampling import (
     default_sides_deg,
 )
 from gpusim.psf.store import from_cache
+from gpusim.psf.transform import TRANSFORM
 
 SIZE = 128
-# Nodes across the pupil grid. Against 1024 nodes, the double Gauss at f/2.8 over 14 deg changes by
-# 1.9e-3 of the PSF's peak with 256 nodes.
-PUPIL_NODES = 256
+TOGETHER = 16  # fields whose pupils wait for the device: 7 MB each
 
 
 def compute_plane_bank(
@@ -60,7 +56,7 @@ def compute_plane_bank(
     pitch_um : float, optional
         Spacing of the PSF's samples (``sampling.default_pitch_um``).
     size : int
-        Samples across, even.
+        Samples across, even, up to half of the transform.
     progress : callable, optional
         Called with (fields done, fields in all).
 
@@ -82,13 +78,8 @@ def compute_plane_bank(
     reach_deg = min(RECTILINEAR.end_deg, -x_deg[0], x_deg[-1], -y_deg[0], y_deg[-1])
     rays = rays_on_rings(system, reference_nm, min(reach_deg, prescription.max_field_deg))
     fields = [(x, y) for y in y_deg for x in x_deg]
-    rows = each(
-        lambda one: plane_field_of(
-            system, wavelengths, one, size=size, pitch_um=pitch_um, reference_nm=reference_nm
-        ),
-        fields,
-        progress,
-    )
+    given = {"size": size, "pitch_um": pitch_um, "reference_nm": reference_nm}
+    rows = _rows(PlaneGenerator(default_device(), system, wavelengths, **given), fields, progress)
     return plane_bank_of(
         system,
         wavelengths,
@@ -98,6 +89,29 @@ def compute_plane_bank(
         reference_nm=reference_nm,
         pitch_um=pitch_um,
     )
+
+
+def _rows(
+    generator: PlaneGenerator,
+    fields: list[tuple[float, float]],
+    progress: Callable[[int, int], None] | None,
+) -> list[dict[str, np.ndarray]]:
+    """Return what a generator makes of each field, in their order."""
+
+    def on_host(field: tuple[float, float]) -> tuple[Pupils, dict[str, np.ndarray]]:
+        pupils = generator.pupils(field)
+        return pupils, generator.beside(pupils)
+
+    rows = []
+    try:
+        for first in range(0, len(fields), TOGETHER):
+            for laid in each(on_host, fields[first : first + TOGETHER]):
+                rows.append(generator.row(*laid))
+                if progress is not None:
+                    progress(len(rows), len(fields))
+    finally:
+        generator.release()
+    return rows
 
 
 def plane_bank_of(
@@ -119,7 +133,7 @@ def plane_bank_of(
     sides_deg : (ndarray (X,), ndarray (Y,))
         The grid's field angles. The illumination is relative to the field nearest to the axis.
     rows : list of dict
-        What `plane_field_of` returns for each field, row after row.
+        What `gpusim.psf.plane_generator.PlaneGenerator.row` returns of each field, row after row.
     rays : dict
         Chief rays of the map, by the names of the bank's variables.
     reference_nm, pitch_um : float
@@ -168,70 +182,6 @@ def cached_plane_bank(prescription: Prescription, **settings: object) -> PlaneBa
     return from_cache(PlaneBank, compute_plane_bank, prescription, settings)
 
 
-def plane_field_of(
-    system: System,
-    wavelengths: np.ndarray,
-    field_deg: tuple[float, float],
-    *,
-    size: int,
-    pitch_um: float,
-    reference_nm: float,
-    nodes: int = PUPIL_NODES,
-) -> dict[str, np.ndarray]:
-    """Return all wavelengths of one field, by the names of the bank's variables.
-
-    `nodes`: across the pupil's grid.
-    """
-    largest_deg = system.prescription.max_field_deg
-    theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
-    samples = sample_field(system, system.index(wavelengths), theta, azimuth)
-    # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
-    radius_um = size / 2 * pitch_um
-    distance_um = distances_um(size, pitch_um)
-    inside, within = distance_um < radius_um, fall(distance_um, radius_um)
-    lines, waves = [], []
-    for line, wavelength in enumerate(wavelengths):
-        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, nodes)
-        _check_pitch(system, pupil, wavelength, pitch_um)
-        window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
-        waves.append(wave_of(pupil, 2 * len(pupil.beta) // nodes))
-        lines.append(
-            {
-                "outside_energy": 1 - window.sum(),
-                "core": (window * within).sum(),
-                # Rows are x in the pupil, and y in the image.
-                "psf": window.T.astype(np.float32),
-                "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half),
-                "light_sr": pupil.entered,
-                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
-            }
-        )
-    levels, beyond = field_halo(waves.__getitem__, wavelengths, pitch_um, radius_um)
-    stacked = {name: np.stack([one[name] for one in lines]) for name in lines[0]}
-    stacked["light_sr"] /= stretch(system, reference_nm, theta, azimuth).area()
-    return stacked | {
-        "levels": levels.swapaxes(-1, -2),
-        "beyond": beyond,
-        "chief_x_um": 1e3 * samples.chief_x_mm,
-        "chief_y_um": 1e3 * samples.chief_y_mm,
-        "chief": samples.chief_direction,
-    }
-
-
-def _check_pitch(system: System, pupil: Pupil, wavelength_nm: float, pitch_um: float) -> None:
-    """Refuse a pitch above the Nyquist limit of the PSF, lambda / (2 pupil width)."""
-    width = max((2 if pupil.half else 1) * np.ptp(pupil.alpha), np.ptp(pupil.beta))
-    limit = wavelength_nm * 1e-3 / (2 * width) * OVERSIZE
-    if pitch_um > limit:
-        raise UserError(
-            f"the PSF pitch is too coarse for this aperture at {wavelength_nm:g} nm",
-            file=system.prescription.file,
-            field="pitch_um",
-            value=pitch_um,
-            allowed=f"<= {limit:.3g}",
-        )
-
-
 def _check(
     prescription: Prescription,
     wavelengths: np.ndarray,
@@ -259,5 +209,10 @@ def _check(
                 value=f"{farthest:g}",
                 allowed=f"0 to {prescription.max_field_deg:g} from the axis",
             )
-    if size % 2:
-        raise UserError("the PSF window must be even", field="size", value=size, allowed="even")
+    if size % 2 or not 0 < size <= TRANSFORM // 2:
+        raise UserError(
+            "the PSF window has a size that is not computed",
+            field="size",
+            value=size,
+            allowed=f"even, up to {TRANSFORM // 2}",
+        )

@@ -29,38 +29,22 @@ from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import Wave, rim_lost, through_few
 from gpusim.psf.psf import mirrored
 from gpusim.psf.rim import beside, continued, rim_share
+from gpusim.psf.transform import GRID, TRANSFORM, Transform, uploaded_grids
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
 # at f/2.8). The pupil itself is sampled on the transform's grid.
 RAYS = 128
-TRANSFORM = 1024  # cells each way: with a pitch of 0.5 um the PSF repeats after 512 um
-FIRST_RADIX = {512: 8, 1024: 2}  # for shaders/common/line_fft: length = FIRST_RADIX 8^k
 AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.04 stops
 # Degree of the polynomial from the directions in which rays leave to where they enter. It only has
 # to lead rays to within 1e-3 of a node's direction: see shaders/psf/wavefront.
 DEGREE = 9
 NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
-# Rays fade from so many windows' widths off the chief ray on: none lands in the window from there.
-# For the Tessar at f/2.8, 20 deg, of whose light 10 % lands beyond the period, line spreads are off
-# by 1.5e-4 with 0.5, 0.75 and 1, 7e-4 with 1.45 (a rim, nearly) and 8e-2 where nothing fades.
-FADES_FROM = 0.75
 NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
 # Light of a node over the chief ray's, at least. Within their rims the library's pupils have 0.8 to
 # 1.4 of it; beyond them the polynomials may say 0, which has no logarithm.
 LEAST = 1e-3
 SPARE = 3  # nodes beyond the pupil's bounds: cubic interpolation needs two
-
-_GRID = np.dtype(
-    [
-        ("first", "f4", 2),
-        ("step", "f4", 2),
-        ("centre", "f4"),
-        ("cell", "f4"),
-        ("chief_beta", "f4"),
-        ("waves_per_mm", "f4"),
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -143,10 +127,9 @@ class Generator:
         self.chief_y_mm, self.chief_beta = self._beams.chief_y_mm, self._beams.chief_beta
         self.between = ChiefRays(system, wavelengths_nm)
         self._stretches: dict[tuple[int, float], Stretch] = {}
-        phase = -2j * np.pi * np.arange(transform) / transform
-        self._twiddle = device.resident("twiddle", np.exp(phase).astype(np.complex64))
+        self._to_psfs = Transform(device, pitch_um=pitch_um, size=size, cells=transform)
         shape = (len(field_deg), len(wavelengths_nm))
-        self._grids = np.zeros(shape, _GRID)
+        self._grids = np.zeros(shape, GRID)
         self.failed_rays = np.zeros(shape, np.int32)
         self.residual_waves = np.zeros(shape)
         self._entering_at_chief = np.zeros(shape)
@@ -261,9 +244,9 @@ class Generator:
         step_b = (top - bottom) / (self._nb - 2 * SPARE)
         grid["first"] = step_a / 2, bottom - (SPARE - 0.5) * step_b
         grid["step"] = step_a, step_b
-        grid["centre"] = (bottom + top) / 2
+        grid["origin"] = 0, (bottom + top) / 2
         grid["cell"] = wavelength_um / (self._transform * self.pitch_um)
-        grid["chief_beta"] = self.chief_beta[field, line]
+        grid["chief"] = 0, self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
 
         # A strongly vignetted beam has few rays: each coefficient takes at least two.
@@ -361,18 +344,13 @@ class Generator:
             rec,
             (-(-self._nb // 64), self._na, shape[0]),
             {"na": self._na, "nb": self._nb},
-            grids=self._uploaded_grids(rec, field),
+            grids=uploaded_grids(rec, self._grids[field]),
             opd=opd,
             directions=directions,
             nodes=nodes,
         )
         rec.run()
         return nodes
-
-    def _uploaded_grids(self, rec: Recording, field: int):
-        grids = rec.buffer("grids", (len(self.wavelengths_nm), 8), "f4")
-        rec.upload(grids, self._grids[field].view(np.float32).reshape(grids.shape))
-        return grids
 
     def _check(self, field: int, aimed: list) -> None:
         """Compare the interpolated wavefront with the rays that were aimed at the stop."""
@@ -422,59 +400,10 @@ class Generator:
         rim : bool
             Whether to add what sampling the rim loses: see `gpusim.psf.halo.rim_lost`.
         """
-        lines, rows, size = len(self.wavelengths_nm), self._rows, self.size
-        transform = self._transform
-        rec = Recording(self.device)
-        filled = rec.buffer("field", (lines, rows, transform, 2), "f4")
-        sums = rec.buffer("sums", (lines, rows, 2), "f4")
-        half = rec.buffer("lines", (lines, size, rows, 2), "f4")
-        intensity = rec.buffer("intensity", (lines, size // 2 + 1, size), "f4")
-        Kernel("psf/pupil", T=transform, NB=self._nb).record(
-            rec,
-            (rows, lines, 1),
-            {
-                "na": self._na,
-                "fade_um": FADES_FROM * size * self.pitch_um,
-                "fold_um": (transform - size / 2) * self.pitch_um,
-                "focus_mm": focus_mm,
-            },
-            grids=self._uploaded_grids(rec, field),
-            nodes=self._nodes[field],
-            exponent=self._exponents[field],
-            field=filled,
-            sums=sums,
+        nodes, exponent = self._nodes[field], self._exponents[field]
+        psf, light, folded = self._to_psfs.spread(
+            self._grids[field], nodes, exponent, self._rows, focus_mm
         )
-        overrides = {
-            "T": transform,
-            "LANES": transform // 8,
-            "FIRST_RADIX": FIRST_RADIX[transform],
-            "N": size,
-        }
-        Kernel("psf/fft_along", **overrides).record(
-            rec,
-            (-(-rows // 2), lines, 1),
-            {"rows": rows},
-            twiddle=self._twiddle,
-            field=filled,
-            lines=half,
-        )
-        Kernel("psf/fft_across", **overrides).record(
-            rec,
-            (size // 2, lines, 1),
-            {"rows": rows},
-            twiddle=self._twiddle,
-            lines=half,
-            intensity=intensity,
-        )
-        rec.download(sums)
-        rec.download(intensity)
-        found = rec.run()
-        light, folded = found["sums"].sum(axis=1, dtype=float).T
-        upper = found["intensity"]
-        # Its first row is eta = 0; the halves mirror one another.
-        psf = np.concatenate([upper[:, :0:-1], upper[:, : size // 2]], axis=1)
-        # Parseval: all of the light is T^2 times the sum over both halves of the pupil.
-        psf /= (2 * light * transform**2).astype(np.float32)[:, None, None]
         if rim:
             psf += self._rim_lost(field, 1e3 * focus_mm)
         return Spread(
@@ -483,7 +412,7 @@ class Generator:
             * light
             * self._grids[field]["cell"].astype(float) ** 2
             * self._entering_at_chief[field],
-            folded_energy=folded / light,
+            folded_energy=folded,
         )
 
     def _rim_lost(self, field: int, focus_um: float) -> np.ndarray:
@@ -512,7 +441,8 @@ class Generator:
         passed = np.exp(-2.0 * self.device.read(self._exponents[field])[line])
         light = rim_share(reach[None])[0] * passed
         opd_um = 1e-3 * self.wavelengths_nm[line] * nodes[..., 0]
-        chief = grid["chief_beta"] / np.sqrt(1 - grid["chief_beta"] ** 2)
+        beta_c = grid["chief"][1]
+        chief = beta_c / np.sqrt(1 - beta_c**2)
         gamma = np.sqrt(np.maximum(1 - alpha[:, None] ** 2 - beta**2, 1e-6))
         opd_um += focus_um * (gamma + chief * beta - np.hypot(1, chief))
 
@@ -548,7 +478,8 @@ class Generator:
     def release(self) -> None:
         """Give the device memory back."""
         self._beams.release()
-        for one in (self._twiddle, *self._nodes, *self._exponents):
+        self._to_psfs.release()
+        for one in (*self._nodes, *self._exponents):
             one.destroy()
 
 

@@ -52,8 +52,6 @@ ELEMENTS = 64  # rim elements whose light is binned at once
 # one node of the pupil's grid to the next: no light is thrown into the angle between its sides.
 TURN = 2 * np.pi / 512
 CORNER = np.radians(20)
-# Rays for each node of the pupil's grid, each way, where they land beyond the core.
-RAYS_PER_NODE = 6
 MOST_SCALED = 5.0  # 1.5 is met in windows of 64 samples at f/2.8, 1.1 in those of 256
 # What sampling the rim loses is worked out from this part of the window's radius on, in bins of
 # this width in ln r: nearer it is less than 1e-3 of the rim's light.
@@ -79,6 +77,8 @@ class Wave:
         Light that enters and passes there, over that about the chief ray; 1 where it is even.
     mirrored : bool
         Whether alpha and -alpha are alike: one half is then worked out for both.
+    rays_per_node : int
+        Rays for each node of the grid, each way, where they land beyond a core.
     """
 
     alpha: np.ndarray
@@ -88,6 +88,7 @@ class Wave:
     light: np.ndarray
     passed: np.ndarray | float = 1.0
     mirrored: bool = False
+    rays_per_node: int = 6
 
     @property
     def slope(self) -> list[np.ndarray]:
@@ -551,7 +552,8 @@ def _far_rays(
     rows += first
     # Straight lines: beyond the rim slopes run wild, and a spline of them all would ring inside.
     # Beyond the outer nodes there is no light.
-    away = (np.arange(RAYS_PER_NODE) + 0.5) / RAYS_PER_NODE - 0.5
+    rays = wave.rays_per_node
+    away = (np.arange(rays) + 0.5) / rays - 0.5
     nodes = np.stack([np.maximum(-away, 0), 1 - np.abs(away), np.maximum(away, 0)], axis=1)
     own = rows[:, None, None] + np.arange(3)[:, None], cols[:, None, None] + np.arange(3)
     light, *landing = (
@@ -559,7 +561,7 @@ def _far_rays(
     )
     landing = -np.stack(landing)
     there = (light > 0) & (np.hypot(*landing) > 0.8 * radius_um)
-    return light[there] / (RAYS_PER_NODE**2 * wave.light.sum()), landing[:, there]
+    return light[there] / (rays**2 * wave.light.sum()), landing[:, there]
 
 
 def _deposited(light: np.ndarray, place: np.ndarray, mirrored: bool) -> np.ndarray:

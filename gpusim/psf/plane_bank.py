@@ -26,8 +26,8 @@ class PlaneBank(FieldBank):
     """PSFs and chief rays of a lens over its field: Y by X fields, L wavelengths, n x n samples.
 
     A field (x, y) in degrees lies hypot(x, y) off the axis of the lens, in the direction of
-    (x, y): that holds beyond 90 deg too. In the corners of the grid, beyond the lens's largest
-    field, is what the largest field in the same direction shows.
+    (x, y): that holds beyond 90 deg too. In the corners of the grid, a quarter beyond the lens's
+    largest field and more, is what the last field in the same direction shows that rays pass.
 
     Light lands within a circle about the chief ray of field (0, 0), the largest that the fields
     fill; beyond it the image is black.

@@ -19,11 +19,12 @@ from gpusim.gpu import default_device
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.psf.field_map import WIDE_DEG
-from gpusim.psf.generator import TRANSFORM, Generator
+from gpusim.psf.generator import Generator
 from gpusim.psf.halo import distances_um, fall
 from gpusim.psf.sampling import REFERENCE_NM, window
 from gpusim.psf.store import Table, Variables, dataset_of, from_cache, load_dataset, save_dataset
 from gpusim.psf.traced import field_of as traced_field
+from gpusim.psf.transform import TRANSFORM
 
 Progress = Callable[[int, int], None]
 # Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of

@@ -17,10 +17,10 @@ from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System, build
 from gpusim.parallel import each
 from gpusim.psf.bank import Bank
-from gpusim.psf.compute_plane import plane_bank_of, plane_field_of
+from gpusim.psf.compute_plane import plane_bank_of
 from gpusim.psf.cone import cone_of
 from gpusim.psf.field_map import ideal_height_um
-from gpusim.psf.halo import distances_um, fall, halo_of, wave_of
+from gpusim.psf.halo import distances_um, fall, field_halo, halo_of, wave_of
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.psf.provenance import of_lens
 from gpusim.psf.psf import intensity, losses_of, unfolded_pupil
@@ -142,7 +142,6 @@ def traced_plane_field(
             size=size,
             pitch_um=pitch_um,
             reference_nm=reference_nm,
-            nodes=NODES,
         )
     at = int(np.flatnonzero(lines == reference_nm)[0])
     rays = {"ray_x_deg": x_deg, "ray_y_deg": y_deg}
@@ -194,4 +193,53 @@ def field_of(
         "waves": waves,
         "real_height_um": 1e3 * samples.chief_y_mm,
         "chief": samples.chief_direction[:, ::-1],
+    }
+
+
+def plane_field_of(
+    system: System,
+    wavelengths: np.ndarray,
+    field_deg: tuple[float, float],
+    *,
+    size: int,
+    pitch_um: float,
+    reference_nm: float,
+    nodes: int = NODES,
+) -> dict[str, np.ndarray]:
+    """Return all wavelengths of one field, by the names of the bank's variables.
+
+    `nodes`: across the pupil's grid.
+    """
+    largest_deg = system.prescription.max_field_deg
+    theta, azimuth = np.radians(min(np.hypot(*field_deg), largest_deg)), np.arctan2(*field_deg)
+    samples = sample_field(system, system.index(wavelengths), theta, azimuth)
+    # As of a symmetric bank, whose PSFs are turned: so that a lens has the same light in both.
+    radius_um = size / 2 * pitch_um
+    distance_um = distances_um(size, pitch_um)
+    inside, within = distance_um < radius_um, fall(distance_um, radius_um)
+    lines, waves = [], []
+    for line, wavelength in enumerate(wavelengths):
+        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, nodes)
+        window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+        waves.append(wave_of(pupil, len(pupil.beta) // WAVE_NODES))
+        lines.append(
+            {
+                "outside_energy": 1 - window.sum(),
+                "core": (window * within).sum(),
+                # Rows are x in the pupil, and y in the image.
+                "psf": window.T.astype(np.float32),
+                "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half),
+                "light_sr": pupil.entered,
+                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
+            }
+        )
+    levels, beyond = field_halo(waves.__getitem__, wavelengths, pitch_um, radius_um)
+    stacked = {name: np.stack([one[name] for one in lines]) for name in lines[0]}
+    stacked["light_sr"] /= stretch(system, reference_nm, theta, azimuth).area()
+    return stacked | {
+        "levels": levels.swapaxes(-1, -2),
+        "beyond": beyond,
+        "chief_x_um": 1e3 * samples.chief_x_mm,
+        "chief_y_um": 1e3 * samples.chief_y_mm,
+        "chief": samples.chief_direction,
     }

@@ -44,6 +44,7 @@ def _interpolated(
     place: tuple[np.ndarray, np.ndarray],
     low: tuple[np.ndarray, np.ndarray],
     step: tuple[float, float],
+    mirrored: bool,
 ) -> tuple[np.ndarray, ...]:
     """Interpolate by cubics at points of the pupil; what is not said is as for `pupil`.
 
@@ -54,7 +55,7 @@ def _interpolated(
         Along alpha and beta, in nodes from node (0, 0).
     low : two ndarrays of int (P,)
         Numbers of the nodes below.
-    step
+    step, mirrored
 
     Returns
     -------
@@ -65,7 +66,7 @@ def _interpolated(
     filtered : ndarray (P,)
         The exponent.
     """
-    whole, half = np.concatenate([nodes[::-1], nodes]), len(nodes)
+    whole, half = (np.concatenate([nodes[::-1], nodes]), len(nodes)) if mirrored else (nodes, 0)
     (x, y), (low_a, low_b) = place, low
     cubic = _lagrange()
     slope = [one.deriv() for one in cubic]
@@ -80,11 +81,12 @@ def _interpolated(
             d_alpha += (slope[m](x - low_a) * in_b)[:, None] * node / step[0]
             d_beta += (in_a * slope[n](y - low_b))[:, None] * node / step[1]
     filtered = np.zeros(len(x))
-    mirrored = np.concatenate([exponent[::-1], exponent]).astype(np.float64)
+    filters = np.concatenate([exponent[::-1], exponent]) if mirrored else exponent
+    filters = filters.astype(np.float64)
     for m, node_a in enumerate(_NODES):
         for n, node_b in enumerate(_NODES):
             in_a, in_b = cubic[m](x - low_a), cubic[n](y - low_b)
-            filtered += in_a * in_b * mirrored[half + low_a + node_a, low_b + node_b]
+            filtered += in_a * in_b * filters[half + low_a + node_a, low_b + node_b]
     return value, d_alpha, d_beta, known, filtered
 
 
@@ -93,9 +95,9 @@ def pupil(
     *,
     first: tuple[float, float],
     step: tuple[float, float],
-    centre: float,
+    origin: tuple[float, float],
     cell: float,
-    chief_beta: float,
+    chief: tuple[float, float],
     waves_per_mm: float,
     length: int,
     rows: int,
@@ -103,20 +105,20 @@ def pupil(
     fold_um: float,
     focus_mm: float,
     exponent: np.ndarray,
+    mirrored: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate W and reach, and fill the cells of half the pupil, alpha > 0.
+    """Interpolate W and reach, and fill the cells of half the pupil, alpha > 0, or of all of it.
 
     Parameters
     ----------
     nodes : ndarray (A, B, 2)
         W (waves) and reach at the nodes; reach 0: not known.
     first, step : (float, float)
-        alpha and beta of node (0, 0), and from node to node. The other half of the pupil mirrors
-        this one: node -1 - i is node i.
-    centre, cell : float
-        Cell (i, j) lies at alpha = (i + 1/2) cell, beta = centre + (j - T/2 + 1/2) cell.
-    chief_beta, waves_per_mm : float
-        Direction cosine of the chief ray behind the lens; 1 / wavelength.
+        alpha and beta of node (0, 0), and from node to node.
+    origin, cell : (float, float), float
+        Cell (i, j) lies at alpha = (i + 1/2) cell, beta = (j - T/2 + 1/2) cell, from there.
+    chief, waves_per_mm : (float, float), float
+        Direction cosines of the chief ray behind the lens; 1 / wavelength.
     length, rows : int
         T, and the rows that are wanted.
     fade_um, fold_um : float
@@ -126,6 +128,8 @@ def pupil(
         Shift of the image plane.
     exponent : ndarray (A, B)
         -ln of the amplitude at the nodes: of what enters there, and of what passes of it.
+    mirrored : bool
+        Whether the other half of the pupil mirrors this one: node -1 - i is node i.
 
     Returns
     -------
@@ -135,32 +139,33 @@ def pupil(
         Sums over each row: of the light that each cell passes; of that whose rays are left out.
     """
     nodes = np.asarray(nodes, np.float64)
-    half, across = nodes.shape[:2]
-    alpha = ((np.arange(rows) + 0.5) * cell)[:, None]
-    beta = (centre + (np.arange(length) - length / 2 + 0.5) * cell)[None]
+    down, across = nodes.shape[:2]
+    alpha = (origin[0] + (np.arange(rows) + 0.5) * cell)[:, None]
+    beta = (origin[1] + (np.arange(length) - length / 2 + 0.5) * cell)[None]
     x, y = (alpha - first[0]) / step[0], (beta - first[1]) / step[1]
     low_a, low_b = np.floor(x).astype(int), np.floor(y).astype(int)
-    here = (low_a + 2 < half) & (low_b >= 1) & (low_b + 2 < across)
+    first_a = -1 if mirrored else 1
+    here = (low_a >= first_a) & (low_a + 2 < down) & (low_b >= 1) & (low_b + 2 < across)
     x, y, low_a, low_b = (np.broadcast_to(one, here.shape)[here] for one in (x, y, low_a, low_b))
     alpha, beta = np.broadcast_to(alpha, here.shape)[here], np.broadcast_to(beta, here.shape)[here]
 
     value, d_alpha, d_beta, known, filtered = _interpolated(
-        nodes, exponent, (x, y), (low_a, low_b), step
+        nodes, exponent, (x, y), (low_a, low_b), step, mirrored
     )
     passed = np.exp(-filtered)
     share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)
 
     # The plane moves by focus_mm and the chief ray's point in it by focus_mm times its slope; the
     # path to the foot of the perpendicular grows by what that is along the ray.
-    chief_gamma = np.sqrt(1 - chief_beta**2)
-    chief_slope = chief_beta / chief_gamma
+    chief_gamma = np.sqrt(1 - chief[0] ** 2 - chief[1] ** 2)
+    slope_x, slope_y = chief[0] / chief_gamma, chief[1] / chief_gamma
     gamma = np.sqrt(np.maximum(1 - alpha**2 - beta**2, 1e-6))
-    along_ray = beta * chief_slope + gamma
-    along_chief = chief_beta * chief_slope + chief_gamma
+    along_ray = alpha * slope_x + beta * slope_y + gamma
+    along_chief = chief[0] * slope_x + chief[1] * slope_y + chief_gamma
     w = value[:, 0] + focus_mm * (along_ray - along_chief) * waves_per_mm
     # dW is minus the landing; a shift moves a ray's landing, and the chief ray's, by their slopes.
-    land_x = focus_mm * alpha / gamma - d_alpha[:, 0] / waves_per_mm
-    land_y = focus_mm * (beta / gamma - chief_slope) - d_beta[:, 0] / waves_per_mm
+    land_x = focus_mm * (alpha / gamma - slope_x) - d_alpha[:, 0] / waves_per_mm
+    land_y = focus_mm * (beta / gamma - slope_y) - d_beta[:, 0] / waves_per_mm
     folds = 1e3 * np.maximum(abs(land_x), abs(land_y)) > fold_um
     fading = Polynomial([0, 0, 0, 10, -15, 6])
     kept = np.ones(len(x))

@@ -3,13 +3,13 @@
 // W and reach come from the nodes by cubic interpolation (Lagrange, four nodes each way). A is the share of the cell
 // inside every aperture, reach < 1, whose edge is taken as straight within the cell; times the amplitude that enters
 // there and that stop, surfaces and glass pass of it, exp(-exponent), interpolated like W.
-// A shift of the image plane moves the chief ray's point along the chief ray, (0, beta_c / gamma_c, 1) per mm:
-//   W += focus (gamma + beta beta_c / gamma_c - 1 / gamma_c) / lambda
+// A shift of the image plane moves the chief ray's point along the chief ray c, (alpha_c, beta_c) / gamma_c per mm:
+//   W += focus (gamma + (alpha alpha_c + beta beta_c) / gamma_c - 1 / gamma_c) / lambda
 // A ray that lands farther out than `fold` would come back into the window, as the transform is periodic. It counts
 // less from `fade` on, and from `fold` not at all: smoothly, so that what is left out ends in no rim that diffracts.
 // Cells of a row share their alpha: the nodes are interpolated along it once for the row, and along beta for each cell.
 // nodes (P, NA, NB): see wavefront; exponent (P, NA, NB)
-// -> field (P, A, T), cell (i, j) at alpha = (i + 1/2) cell, beta = centre + (j - T/2 + 1/2) cell
+// -> field (P, A, T), cell (i, j) at alpha = origin + (i + 1/2) cell, beta = origin + (j - T/2 + 1/2) cell
 // -> sums (P, A, 2), over j: of the light, share exp(-2 exponent), wherever it lands; of that which lands beyond `fold`.
 // Dispatch: (A, P, 1) workgroups of 64 invocations, each a row.
 #include "grid"
@@ -17,6 +17,7 @@
 
 override T: u32 = 1024u;      // transform length
 override NB: u32 = 128u;      // nodes along beta
+override MIRRORED: bool = true; // the pupil's other half mirrors alpha > 0: node -1 - i is node i
 
 struct Params {
     na: u32,
@@ -83,10 +84,15 @@ struct Cell {
     sums: vec2f,
 }
 
-// Interpolate the nodes to alpha, x steps from the first; the pupil's other half mirrors this one.
+// Whether nodes lie on both sides of alpha, the one below it at `low`.
+fn surrounded(low: f32) -> bool {
+    return low + 2.0 < f32(params.na) && (MIRRORED || low >= 1.0);
+}
+
+// Interpolate the nodes to alpha, x steps from the first.
 fn interpolate_row(pair: u32, x: f32, t: u32) {
     let low = floor(x);
-    if (low + 2.0 >= f32(params.na)) {
+    if (!surrounded(low)) {
         return;
     }
     let w = weights(x - low);
@@ -109,7 +115,7 @@ fn interpolate_row(pair: u32, x: f32, t: u32) {
 fn cell_at(grid: Grid, at: vec2f) -> Cell {
     let x = (at - grid.first) / grid.step;
     let low = floor(x);
-    if (low.x + 2.0 >= f32(params.na) || low.y < 1.0 || low.y + 2.0 >= f32(NB)) {
+    if (!surrounded(low.x) || low.y < 1.0 || low.y + 2.0 >= f32(NB)) {
         return Cell();
     }
     let w = weights(x.y - low.y);
@@ -128,10 +134,10 @@ fn cell_at(grid: Grid, at: vec2f) -> Cell {
     let per_cell = grid.cell / grid.step;
     let share = half_plane_share(1.0 - value.y, value.w * per_cell.x, along_b.y * per_cell.y);
     let gamma = sqrt(max(1.0 - dot(at, at), 1e-6));
-    let chief = grid.chief_beta / sqrt(1.0 - grid.chief_beta * grid.chief_beta);
-    let farther = gamma + at.y * chief - sqrt(1.0 + chief * chief);
+    let chief = grid.chief / sqrt(1.0 - dot(grid.chief, grid.chief));
+    let farther = gamma + dot(at, chief) - sqrt(1.0 + dot(chief, chief));
     let slope = vec2f(value.z, along_b.x) / (grid.step * grid.waves_per_mm)
-        + params.focus_mm * (vec2f(0.0, chief) - at / gamma);
+        + params.focus_mm * (chief - at / gamma);
     let lands_um = 1e3 * abs(slope);
     let folds = any(lands_um > vec2f(params.fold_um));
     let kept = left_over((lands_um - params.fade_um) / (params.fold_um - params.fade_um));
@@ -145,12 +151,12 @@ fn cell_at(grid: Grid, at: vec2f) -> Cell {
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) t: u32) {
     let row = group.y * groups.x + group.x;
     let grid = grids[group.y];
-    let alpha = grid.cell * (f32(group.x) + 0.5);
+    let alpha = grid.cell * (f32(group.x) + 0.5) + grid.origin.x;
     interpolate_row(group.y, (alpha - grid.first.x) / grid.step.x, t);
     workgroupBarrier();
     // Software drivers run a cell to its end wherever it lies, but not a loop that is over: cells that the nodes do not
     // surround are left out here, and not in cell_at alone (lavapipe: twice as fast with half of the cells).
-    let first = 0.5 * f32(T) - 0.5 + (grid.first.y - grid.centre) / grid.cell;
+    let first = 0.5 * f32(T) - 0.5 + (grid.first.y - grid.origin.y) / grid.cell;
     let node = grid.step.y / grid.cell;
     let begin = 64u * (u32(clamp(first + node - 1.0, 0.0, f32(T))) / 64u);  // a lane's own cells stay its own
     let end = u32(clamp(first + f32(NB - 2u) * node + 2.0, 0.0, f32(T)));
@@ -159,7 +165,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     }
     var sum = vec2f(0.0);
     for (var j = begin + t; j < end; j += 64u) {
-        let cell = cell_at(grid, vec2f(alpha, grid.cell * (f32(j) - 0.5 * f32(T) + 0.5) + grid.centre));
+        let cell = cell_at(grid, vec2f(alpha, grid.cell * (f32(j) - 0.5 * f32(T) + 0.5) + grid.origin.y));
         field[row * T + j] = cell.field;
         sum += cell.sums;
     }

@@ -14,8 +14,8 @@ NAN_PATTERN = 0x7FC0BEEF
 ALL_ONES = 0xFFFFFFFF
 # Elements of pattern behind every buffer: what reads past the end sees NaN, not the last element
 # again, and what writes there is found. Adapters either drop such accesses or clamp them, and
-# both hide a wrong guard.
-MARGIN = 4096
+# both hide a wrong guard. Whole elements of every struct: grids have 10 words.
+MARGIN = 5120
 
 
 def filled(shape: tuple[int, ...] | int, dtype: np.dtype | type) -> np.ndarray:

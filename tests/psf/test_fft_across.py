@@ -16,29 +16,34 @@ from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.reference.fft_across import fft_across
 
 
-def on_device(lines: np.ndarray, length: int, pairs: int) -> np.ndarray:
+def on_device(lines: np.ndarray, length: int, pairs: int, mirrored: bool = True) -> np.ndarray:
     _, columns, rows = lines.shape
+    high = columns // 2 + 1 if mirrored else columns
     return run_stage(
         "psf/fft_across",
         (columns // 2, pairs, 1),
         {"rows": rows},
         {"twiddle": twiddles(length), "lines": lines},
-        {"intensity": ((len(lines), columns // 2 + 1, columns), np.float32)},
+        {"intensity": ((len(lines), high, columns), np.float32)},
         T=length,
         LANES=length // 8,
         FIRST_RADIX=FIRST_RADIX[length],
         N=columns,
+        MIRRORED=mirrored,
     )["intensity"]
 
 
+@pytest.mark.parametrize("mirrored", [True, False])
 @pytest.mark.parametrize(
     ("length", "columns", "rows"),
     [(512, 64, 37), (1024, 16, 512), (1024, 512, 40), (512, 512, 1), (1024, 2, 101)],
 )
-def test_intensities_are_those_of_the_reference(length: int, columns: int, rows: int):
+def test_intensities_are_those_of_the_reference(
+    length: int, columns: int, rows: int, mirrored: bool
+):
     lines = complex_noise(np.random.default_rng(rows), 2, columns, rows)
-    found = on_device(lines, length, 2)
-    expected = fft_across(lines, length)
+    found = on_device(lines, length, 2, mirrored)
+    expected = fft_across(lines, length, mirrored)
     parts = np.abs(lines.real.astype(float)) + np.abs(lines.imag.astype(float))
     off = 2**0.5 * 108 * ULP * 2 * 2 * parts.sum(axis=2).max()
     bound = 2 * np.sqrt(expected) * off + off**2 + 2 * ULP * expected
@@ -46,6 +51,17 @@ def test_intensities_are_those_of_the_reference(length: int, columns: int, rows:
     if columns > 2:
         with pytest.raises(AssertionError, match="elements are bad"):
             assert_close(found[:, :, ::-1], expected, atol=bound)
+    if columns > 2 and rows > 1 and not mirrored:
+        with pytest.raises(AssertionError, match="elements are bad"):
+            assert_close(found[:, :0:-1], expected[:, 1:], atol=bound[:, 1:])
+
+
+def test_a_whole_pupil_may_have_as_many_rows_as_cells():
+    lines = complex_noise(np.random.default_rng(8), 1, 8, 512)
+    found, expected = on_device(lines, 512, 1, False), fft_across(lines, 512, False)
+    parts = np.abs(lines.real.astype(float)) + np.abs(lines.imag.astype(float))
+    off = 2**0.5 * 108 * ULP * 2 * parts.sum(axis=2).max()
+    assert_close(found, expected, atol=2 * np.sqrt(expected) * off + off**2 + 2 * ULP * expected)
 
 
 def test_a_beam_that_is_not_dispatched_is_left_alone():
@@ -69,5 +85,5 @@ def test_a_slit_gives_its_closed_form():
 
 def test_the_defaults_are_of_one_grid():
     made = Kernel("psf/fft_across")
-    assert made.overrides == {"T": 1024, "LANES": 128, "FIRST_RADIX": 2, "N": 256}
+    assert made.overrides == {"T": 1024, "LANES": 128, "FIRST_RADIX": 2, "N": 256, "MIRRORED": True}
     assert made.workgroup_size == (128, 1, 1)

@@ -27,18 +27,18 @@ def grid(**changed: float) -> dict[str, object]:
     made = {
         "first": (1 / 128, -0.125 + 1 / 4096),
         "step": (1 / 64, 1 / 128),
-        "centre": 1 / 32,
+        "origin": (0.0, 1 / 32),
         "cell": 3 / 2048,
-        "chief_beta": 0.0625,
+        "chief": (0.0, 0.0625),
         "waves_per_mm": float(np.float32(WAVES)),
     }
-    made["first"] = (made["first"][0], made["centre"] - 27 / 256 + 1 / 4096)
+    made["first"] = (made["first"][0], made["origin"][1] - 27 / 256 + 1 / 4096)
     return made | changed
 
 
 def packed(grids: list[dict]) -> np.ndarray:
     rows = [
-        (*one["first"], *one["step"], one["centre"], one["cell"], one["chief_beta"],
+        (*one["first"], *one["step"], *one["origin"], *one["chief"], one["cell"],
          one["waves_per_mm"])
         for one in grids
     ]  # fmt: skip
@@ -46,7 +46,7 @@ def packed(grids: list[dict]) -> np.ndarray:
 
 
 def on_device(nodes, grids, *, rows=ROWS, pairs=None, fade_um=None, fold_um=FAR, focus_mm=0.0,
-              exponent=None):  # fmt: skip
+              exponent=None, mirrored=True):  # fmt: skip
     """Return field and sums of P beams; of an even amplitude without ``exponent``."""
     count = len(grids)
     exponent = np.zeros(nodes.shape[:3]) if exponent is None else exponent
@@ -70,11 +70,12 @@ def on_device(nodes, grids, *, rows=ROWS, pairs=None, fade_um=None, fold_um=FAR,
         },
         T=T,
         NB=nodes.shape[2],
+        MIRRORED=mirrored,
     )
     return found["field"], found["sums"].astype(float)
 
 
-def twin(nodes, grids, *, rows=ROWS, fade_um=None, fold_um=FAR, focus_mm=0.0):
+def twin(nodes, grids, *, rows=ROWS, fade_um=None, fold_um=FAR, focus_mm=0.0, mirrored=True):
     results = [
         pupil(
             one,
@@ -85,6 +86,7 @@ def twin(nodes, grids, *, rows=ROWS, fade_um=None, fold_um=FAR, focus_mm=0.0):
             fold_um=fold_um,
             focus_mm=focus_mm,
             exponent=np.zeros(one.shape[:2]),
+            mirrored=mirrored,
         )
         for one, place in zip(nodes.astype(np.float32), grids, strict=True)
     ]
@@ -98,8 +100,8 @@ def at_nodes(place: dict) -> np.ndarray:
 
 
 def at_cells(place: dict) -> tuple[np.ndarray, np.ndarray]:
-    alpha = (np.arange(ROWS) + 0.5) * place["cell"]
-    return alpha[:, None], place["centre"] + (np.arange(T) - T / 2 + 0.5) * place["cell"]
+    alpha = place["origin"][0] + (np.arange(ROWS) + 0.5) * place["cell"]
+    return alpha[:, None], place["origin"][1] + (np.arange(T) - T / 2 + 0.5) * place["cell"]
 
 
 def known(place: dict) -> np.ndarray:
@@ -124,7 +126,7 @@ def noise(seed: int, count: int = 2) -> np.ndarray:
     )
 
 
-TWO = [grid(), grid(cell=5 / 4096, centre=-3 / 64, first=(1 / 128, -5 / 32 + 1 / 4096))]
+TWO = [grid(), grid(cell=5 / 4096, origin=(0.0, -3 / 64), first=(1 / 128, -5 / 32 + 1 / 4096))]
 
 
 def test_fields_are_those_of_the_reference():
@@ -179,7 +181,10 @@ def test_a_shift_of_the_image_plane(focus_mm: float):
 def test_a_focused_beam_far_off_axis():
     # A field of 60 deg in the image, and cells beyond alpha^2 + beta^2 = 1, where gamma ends.
     place = grid(
-        centre=0.984375, cell=1 / 2048, chief_beta=0.875, first=(1 / 128, 0.875 + 1 / 4096)
+        origin=(0.0, 0.984375),
+        cell=1 / 2048,
+        chief=(0.0, 0.875),
+        first=(1 / 128, 0.875 + 1 / 4096),
     )
     nodes = noise(3, 1)
     found, _ = on_device(nodes, [place], focus_mm=0.02)
@@ -191,6 +196,36 @@ def test_a_focused_beam_far_off_axis():
     gamma = np.sqrt(np.maximum(gamma2, 1e-6))
     loss = 2 * np.pi * 0.02 * WAVES * ULP * np.where(gamma2 < 2e-6, 1, 1 / gamma)
     assert_close(found, expected, atol=(amplitude_bound(2.0, 3 * 0.02 * WAVES) + 2 * loss)[None])
+
+
+@pytest.mark.parametrize("focus_mm", [0.0, 0.02])
+def test_a_whole_pupil_about_any_direction(focus_mm: float):
+    """Rows begin before the nodes and end beyond them; the chief ray leans both ways."""
+    rng = np.random.default_rng(14)
+    shape = (2, 12, NB)
+    nodes = np.stack([rng.uniform(-2, 2, shape), rng.uniform(0.2, 0.4, shape)], axis=-1)
+    whole = {"origin": (-3 / 128, 1 / 32), "chief": (-0.125, 0.0625), "step": (1 / 256, 1 / 128)}
+    first = 1 / 32 - 27 / 256 + 1 / 4096
+    places = [grid(**whole, first=(-1 / 64 + 1 / 8192, first))]
+    places.append(grid(**whole | {"chief": (0.25, 0.0)}, first=(1 / 32 + 1 / 8192, first)))
+    for place in places:
+        place["first"] = (place["first"][0], first)
+    given = {"mirrored": False, "focus_mm": float(np.float32(focus_mm))}
+    found, sums = on_device(nodes, places, **given)
+    expected, expected_sums = twin(nodes, places, **given)
+    bound = amplitude_bound(2.0, 2 * focus_mm * WAVES)
+    assert_close(found, expected, atol=bound)
+    assert_close(sums, expected_sums, atol=0)  # whole cells: integers
+    for lit in expected != 0:
+        rows = np.flatnonzero(lit.any(axis=1))
+        assert rows[0] > 0 and rows[-1] < ROWS - 1
+    # As half of one, and with the other beam's chief ray, it is out of tolerance.
+    with pytest.raises(AssertionError, match="elements are bad"):
+        assert_close(on_device(nodes, places, focus_mm=focus_mm)[0], expected, atol=bound)
+    if focus_mm:
+        leant = [place | {"chief": (0.0, 0.0625)} for place in places]
+        with pytest.raises(AssertionError, match="elements are bad"):
+            assert_close(on_device(nodes, leant, **given)[0], expected, atol=bound)
 
 
 @pytest.mark.parametrize("place", [(1, 9), (0, 20), (4, 3), (2, 27)])
@@ -452,5 +487,5 @@ def test_weights_and_slopes_are_those_of_four_nodes():
 
 def test_the_defaults_are_of_one_grid():
     made = Kernel("psf/pupil")
-    assert made.overrides == {"T": 1024, "NB": 128}
+    assert made.overrides == {"T": 1024, "NB": 128, "MIRRORED": True}
     assert made.workgroup_size == (64, 1, 1)

@@ -13,9 +13,9 @@ from optics.made import ULP
 from gpusim.reference.wavefront import wavefront
 
 GRIDS = np.array(
-    [  # first, step, centre, cell, chief beta, waves per mm
-        [0.5 / 512, -0.25 + 0.5 / 256, 1 / 512, 1 / 256, 0.0, 1e-3, 0.0, 1 / 550e-6],
-        [1 / 512, 0.125, 1 / 256, 1 / 512, 0.2, 1e-3, 0.1, 1 / 400e-6],
+    [  # first, step, origin, chief ray, cell, waves per mm
+        [0.5 / 512, -0.25 + 0.5 / 256, 1 / 512, 1 / 256, 0.0, 0.0, 0.0, 0.0, 1e-3, 1 / 550e-6],
+        [1 / 512, 0.125, 1 / 256, 1 / 512, 0.0, 0.2, 0.0, 0.1, 1e-3, 1 / 400e-6],
     ],
     np.float32,
 )
@@ -47,14 +47,14 @@ def on_device(opd: np.ndarray, directions: np.ndarray, pairs: int = 2) -> np.nda
 def reference(opd: np.ndarray, directions: np.ndarray) -> np.ndarray:
     return np.array(
         [
-            wavefront(grid[:2], grid[2:4], grid[7], opd[pair], directions[pair])
+            wavefront(grid[:2], grid[2:4], grid[9], opd[pair], directions[pair])
             for pair, grid in enumerate(GRIDS.astype(float))
         ]
     )
 
 
 def tolerance(opd: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    waves = GRIDS[:, 7].astype(float)[:, None, None]
+    waves = GRIDS[:, 9].astype(float)[:, None, None]
     landing = np.abs(opd[..., 2:].astype(float)).sum(axis=-1) * waves
     steps = GRIDS[:, None, None, 2:4].max(axis=-1)
     return 3 * ULP * landing + 6 * ULP * (np.abs(opd[..., 0].astype(float)) + landing * steps)
@@ -99,7 +99,7 @@ def test_a_quadratic_wavefront_is_met_to_second_order():
     _, directions = rays(4, 90, 0.4)
     k = 100.0
     cosines = directions[..., :2].astype(float)
-    landing = -k * cosines / GRIDS[:, None, None, 7:].astype(float)
+    landing = -k * cosines / GRIDS[:, None, None, 9:].astype(float)
     w = 0.5 * k * (cosines**2).sum(axis=-1, keepdims=True)
     opd = np.concatenate([w, np.ones_like(w), landing], axis=-1).astype(np.float32)
     found = on_device(opd, directions)[..., 0]
