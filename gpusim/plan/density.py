@@ -14,74 +14,55 @@ relative to the local signal.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
-from gpusim.optics.spectral_basis import spectral_weights
-from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
-from gpusim.plan.fringes import cycles, lone_points, steps_for_fringes
-from gpusim.plan.signal import brightest_e
+from gpusim.plan.accuracy import SMALLEST, Accuracy
+from gpusim.plan.fringes import steps_for_fringes
 from gpusim.plan.stage import PlanStage
+from gpusim.plan.survey import (
+    COARSE,
+    MEAN,
+    MOST_SHARE,
+    AnyDensity,
+    Axis,
+    Progress,
+    Survey,
+    class_of,
+    contrasts,
+    few_lines,
+    refuse_above,
+    relative,
+)
 from gpusim.psf.beyond import landing_share
 from gpusim.psf.field_bank import FieldBank
-from gpusim.psf.lines import CUBIC, line_shares
 from gpusim.psf.places import lagrange
 from gpusim.psf.sampling import default_fields_deg
 from gpusim.psf.spreads import (
-    ELEVENTHS,
     Spreads,
-    added_intervals,
     cached_spreads,
     cached_traced_spreads,
     even_lines_nm,
     middles_deg,
 )
-from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
-from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
-Progress = Callable[[int, int], None]
-# Banks are made for these tolerances and contrasts, so that few of them serve many renders.
-TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, SMALLEST)
-# White over black of a chart's edges, 1 where it has none: ISO 12233 has 4, charts of wide contrast
-# 16. Photographs count as the former.
-CONTRASTS = (1.0, 5.0, 20.0)
-PHOTOGRAPH = 5.0
 # What the fields and what the lines may each leave: shares of the tolerance. Fields are added where
 # they are missed; lines are doubled for all fields at once, so that most have more than they need.
 FIELDS_SHARE, LINES_SHARE = 0.25, 0.4
 # The engine errs by at most this share of what it is planned for: measured over five scenes and
 # three lenses at three tolerances.
 ENGINE = 0.78
-MOST_SHARE = 0.85  # of the tolerance: a bank that leaves more is refused
-# Lines at which fields are compared, of the twelve: 550 nm and both ends are among them. Below and
-# beyond them every second one, and the last.
-FEW = (0, 2, 4, 7, 9, 11)
 TRACED = 16  # field, of the twenty-nine, at which the pupil's sampling is judged in float64
 LINES_AT = (0, 4, 8, 12, 14)  # fields, of fifteen, at which lines are compared
 STEPS = (1, 2, 3)  # lines in each eleventh of the range; cubic splines err by their fourth power
 ROUNDS = 8  # of halving
-# Cells of the pupil each way for what is compared with itself alone: half of what a bank takes, a
-# quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
-# the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
-COARSE = 512
-ALONE = {"transform": COARSE, "rim": False}
+ALONE = {"transform": COARSE, "rim": False}  # of spreads that are compared with one another
 MOST_SAMPLES = 2**29  # of all PSFs: 2 GiB
-# Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
-# t = -1/2 and 1/2 over that half-way.
-MEAN = 0.5167
-# Pixels are judged within this distance from an edge, and within twice, four times it and so on:
-# the worst RMS counts. The Tessar at f/2.8 between 19.6 and 20.4 deg errs by 1.2e-4 within a pixel,
-# by 3e-3 within 32.
-NEAR_PX = 1.0
-TINY = 1e-6  # of a line spread's peak: less is rounding
 LOOKED_AT = 17  # distances from the middle to the corner at which light from far off may land
 
 
@@ -175,14 +156,14 @@ class LensShare:
 
     Attributes
     ----------
-    density : Density
+    density : AnyDensity
     bank : FieldBank
         Bank that was made so.
     corner_um : float
         From the middle of the sensor to its corner.
     """
 
-    density: Density
+    density: AnyDensity
     bank: FieldBank
     corner_um: float
 
@@ -223,16 +204,6 @@ class LensShare:
         )
 
 
-class _Axis(NamedTuple):
-    """What the planner's bound of the signal asks of a bank."""
-
-    wavelengths_nm: np.ndarray
-    projected_solid_angle_sr: np.ndarray
-    transmission: np.ndarray
-    relative_illumination: np.ndarray
-    spectral_degree: int = CUBIC
-
-
 def bank_density(
     lens: object,
     sensor: Sensor,
@@ -261,11 +232,10 @@ def bank_density(
     """
     if not isinstance(lens, Prescription) or not lens.is_centred:
         return None
-    ratio = _contrast(scene)
-    contrast = next((one for one in CONTRASTS if ratio <= one), CONTRASTS[-1])
+    ratio, contrast = contrasts(scene)
     survey = _Survey(lens, sensor, scene, contrast, progress)
-    asked = _relative(survey, sensor, scene, accuracy, exposure_s)
-    tolerance = _class_of(asked)
+    asked = relative(survey, sensor, scene, accuracy, exposure_s)
+    tolerance = class_of(asked)
     at_um, between = survey.lines_error()
     steps = next((n for n in STEPS if between.max() / n**4 <= LINES_SHARE * tolerance), STEPS[-1])
     steps = max(steps, survey.fringe_steps)
@@ -284,83 +254,27 @@ def bank_density(
         contrast=survey.contrast,
         ratio=ratio,
     )
-    if found.worst > MOST_SHARE * asked and not accuracy.best_effort:
-        nearest = rounded_up(found.worst / MOST_SHARE * accuracy.tolerance / asked)
-        raise UserError(
-            f"The tolerance cannot be met: {found.why}.",
-            field="tolerance",
-            value=accuracy.text,
-            allowed=f"{accuracy.in_words(nearest)} or more{BEST_EFFORT}",
-        )
+    refuse_above(found, asked, accuracy)
     return found
 
 
-def _class_of(tolerance: float) -> float:
-    """Return the tolerance that a bank is made for."""
-    return next((one for one in TOLERANCES if one <= tolerance), TOLERANCES[-1])
+class _Survey(Survey):
+    """That of a lens with an axis."""
 
-
-def _relative(
-    survey: _Survey, sensor: Sensor, scene: Scene, accuracy: Accuracy, exposure_s: float
-) -> float:
-    """Return the tolerance relative to the brightest signal."""
-    if accuracy.unit == "relative":
-        return accuracy.tolerance
-    brightest = sensor.full_well_e
-    if sensor.eqe_map is None:
-        brightest = min(brightest, brightest_e(survey.axis, sensor, scene, exposure_s))
-    signal = brightest, sensor.temporal_dark_noise_e, sensor.full_well_e
-    return replace(accuracy, best_effort=True).relative(*signal).tolerance
-
-
-def _contrast(scene: Scene) -> float:
-    """Return the contrast of a scene's edges, at most the last of CONTRASTS."""
-    if not isinstance(scene.source, Chart):
-        return PHOTOGRAPH
-    if not scene.source.primitives:
-        return CONTRASTS[0]
-    used = {scene.source.background, *(one.material for one in scene.source.primitives)}
-    light = scene.spectra[sorted(used)].sum(axis=1)
-    return float(light.max() / max(light.min(), light.max() / CONTRASTS[-1]))
-
-
-def _few(first_nm: float, last_nm: float) -> list[int]:
-    """Return which of the fewest lines fields are compared at: see `FEW`."""
-    below, beyond = added_intervals(first_nm, last_nm)
-    last = below + ELEVENTHS + beyond
-    inner = {below + place for place in FEW}
-    return sorted({*range(0, below, 2), *inner, *range(last, below + ELEVENTHS, -2)})
-
-
-class _Survey:
-    """Line spreads of a lens, seen by a sensor."""
-
-    def __init__(
-        self,
-        lens: Prescription,
-        sensor: Sensor,
-        scene: Scene,
-        contrast: float,
-        progress: Progress | None,
-    ) -> None:
-        self.lens, self.sensor, self.contrast, self.progress = lens, sensor, contrast, progress
-        self.spectrum = scene.spectra[scene.spectra.sum(axis=1).argmax()]
-        self.corner_um = math.hypot(sensor.rows, sensor.cols) / 2 * sensor.pixel_pitch_um
+    def __init__(self, lens: Prescription, *given: object) -> None:
+        super().__init__(lens, *given)
         self.first_deg = default_fields_deg(lens)
-        self.wavelengths_nm = scene.wavelengths_nm
-        self.ends_nm = tuple(scene.wavelengths_nm[[0, -1]].tolist())
-        lines = even_lines_nm(STEPS[0], *self.ends_nm)[_few(*self.ends_nm)]
+        lines = even_lines_nm(STEPS[0], *self.ends_nm)[few_lines(*self.ends_nm)]
         both = np.sort(np.concatenate([self.first_deg, middles_deg(lens, self.first_deg)]))
-        self.few = cached_spreads(lens, lines, both, progress, **ALONE)
-        self.axis = _Axis(
+        self.few = cached_spreads(lens, lines, both, self.progress, **ALONE)
+        self.axis = Axis(
             lines,
             self.few.light_sr[0],
             self.few.transmission,
             self.few.light_sr / self.few.light_sr[0],
         )
-        self.size = self.few.spread.shape[-1]
+        self.size, self.pitch_um = self.few.spread.shape[-1], self.few.pitch_um
         self.unit_sr = float(self.few.light_sr[0].mean())
-        self.points = lone_points(scene)
         self.seen: dict[float, np.ndarray] = {}
         self.heights: dict[float, float] = {}
         self._take(self.few)
@@ -377,14 +291,6 @@ class _Survey:
         reach_um = self.size / 2 * self.few.pitch_um
         return steps_for_fringes(even_lines_nm(1, *self.ends_nm), reach_um, self.unit_sr)
 
-    @cached_property
-    def told(self) -> int:
-        """Samples from a point of light as far as the few lines tell its fringes apart."""
-        lines = self.few.wavelengths_nm
-        first = int(np.argmin(np.diff(1 / lines)))  # of those that are farthest apart
-        a_um = cycles(1.0, self.unit_sr, *lines[first : first + 2].tolist())
-        return min(max(int(1 / a_um / self.few.pitch_um), 1), self.size // 2)
-
     def lines_error(self) -> tuple[np.ndarray, np.ndarray]:
         """Return heights (A,) and what the fewest lines err by there, of what twice as many see."""
         fields = self.first_deg[list(LINES_AT)]
@@ -398,7 +304,7 @@ class _Survey:
             spread=many.spread[:, ::2],
         )
         true, made = (self._transfer(one, self.unit_sr) for one in (many, few))
-        errors = [self._error(a - b, b) for a, b in zip(made, true, strict=True)]
+        errors = [self.error(a - b, b) for a, b in zip(made, true, strict=True)]
         return many.height_um[:, many.reference], np.array(errors)
 
     def pupil_error(self) -> float:
@@ -410,7 +316,7 @@ class _Survey:
             self._transfer(of(self.lens, found.wavelengths_nm, theta), self.unit_sr)[0]
             for of in surveys
         )
-        return self._error(made - true, true)
+        return self.error(made - true, true)
 
     def refined(self, allowed: float, most: int) -> tuple[np.ndarray, np.ndarray]:
         """Halve intervals until none errs by more than is allowed, or there are too many fields.
@@ -449,7 +355,7 @@ class _Survey:
         for number in used:
             own = self.seen[float(middles[number])]
             numbers, weights = lagrange(nodes, self.height_um(middles[number]))
-            errors[number] = self._error(np.tensordot(weights, both[numbers], axes=1) - own, own)
+            errors[number] = self.error(np.tensordot(weights, both[numbers], axes=1) - own, own)
         return errors
 
     def _take(self, found: Spreads) -> None:
@@ -463,65 +369,6 @@ class _Survey:
             self.heights[float(one)], self.seen[float(one)] = float(height), seen
 
     def _transfer(self, found: Spreads, unit_sr: float) -> np.ndarray:
-        """Return the transfer functions (F, C, 2, n / 2 + 1) of the channels, along xi and eta.
-
-        Light included; lateral colour is as the engine has it, a streak (`gpusim.optics.images`).
-        """
-        n, lines = found.spread.shape[-1], found.wavelengths_nm
-        frequency = np.fft.rfftfreq(n, found.pitch_um)
-        ones = np.ones(len(lines))
-        axis = _Axis(lines, ones, found.transmission, found.light_sr / unit_sr)
-        weights = spectral_weights(axis, self.sensor, self._efficiency, self.wavelengths_nm)
-        weights = weights * self.spectrum
-        weights /= weights.sum(axis=(-2, -1), keepdims=True)
-        shares = line_shares(lines, CUBIC, self.wavelengths_nm)
-        lateral = (found.height_um - found.height_um[:, found.reference, None]) @ shares
-        out = np.empty((len(found.field_deg), len(weights), 2, len(frequency)), complex)
-        # Sample n / 2 is the origin.
-        middle = (-1.0) ** np.arange(len(frequency))
-        pixel = [transfer_along(self.sensor.response_um, frequency, axis) for axis in (0, 1)]
-        for place in range(len(out)):
-            spectra = np.fft.rfft(found.spread[place], axis=-1) * middle
-            # What lands beyond the core lies wide and even: the sum is that of all light.
-            spectra[..., 0] = 1.0
-            spectra *= axis.relative_illumination[place, :, None, None]
-            turn = np.exp(-2j * np.pi * np.outer(lateral[place], frequency))
-            out[place, :, 0] = np.einsum("clf,lf->cf", weights @ turn, spectra[:, 0])
-            out[place, :, 1] = np.einsum("cl,lf->cf", weights.sum(axis=-1), spectra[:, 1])
-            out[place] *= pixel
-        return out
-
-    @property
-    def _efficiency(self) -> np.ndarray:
-        """Quantum efficiency (C, 1, K) on the axis."""
-        return np.stack(list(self.sensor.qe_at(self.wavelengths_nm).values()))[:, None]
-
-    def _error(self, off: np.ndarray, own: np.ndarray) -> float:
-        """Return what an error of transfer functions (C, 2, n / 2 + 1) does to pixels: the RMS."""
-        even = off[..., :1].real / own[..., :1].real
-        if self.contrast == 1:
-            return float(np.sqrt(np.mean(even**2)))
-        pitch_um, dark = self.few.pitch_um, 1 / self.contrast
-        near = int(np.ceil(NEAR_PX * self.sensor.pixel_pitch_um / pitch_um))
-        middle = (-1.0) ** np.arange(off.shape[-1])
-        squares = []
-        steps = [np.cumsum(np.fft.irfft(one * middle), axis=-1) for one in (off, own)]
-        whole = [one[..., :1].real for one in (off, own)]
-        for step in (steps, [a - b for a, b in zip(whole, steps, strict=True)]):
-            change, signal = (dark * a + (1 - dark) * b for a, b in zip(whole, step, strict=True))
-            squares.append(np.square(change / signal))
-        found = [np.mean(even**2)]
-        if self.points:
-            beside = slice(self.size // 2 - self.told, self.size // 2 + self.told)
-            change, signal = (
-                np.fft.irfft(one * middle, axis=-1)[..., beside] for one in (off, own)
-            )
-            found.append(np.mean(np.square(change / np.maximum(signal, TINY * signal.max()))))
-        # The more of the neighbourhood counts the less is one edge in it; but wide PSFs may err
-        # most far out, where black is lit by them alone.
-        while True:
-            beside = slice(max(self.size // 2 - near, 0), self.size // 2 + near)
-            found.append(np.mean([one[..., beside] for one in squares]))
-            if near >= self.size // 2:
-                return math.sqrt(max(found))
-            near *= 2
+        """Return the transfer functions (F, C, 2, n / 2 + 1) of the channels, along xi and eta."""
+        lateral_um = found.height_um - found.height_um[:, found.reference, None]
+        return self.transfer(found, unit_sr, (lateral_um, None))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from gpusim.errors import UserError
@@ -21,14 +19,6 @@ SIZE = 256
 SIZES = (SIZE, SIZE * 3 // 2, SIZE * 2)
 # Share of the rays that the window should catch; caustics leave a few far out.
 CAUGHT = 0.98
-
-
-def default_lines_nm(first_nm: float, last_nm: float) -> np.ndarray:
-    """Return `WAVELENGTHS_NM` and lines no farther apart to both ends, nm."""
-    step = WAVELENGTHS_NM[1] - WAVELENGTHS_NM[0]
-    sides = (first_nm, WAVELENGTHS_NM[0]), (WAVELENGTHS_NM[-1], last_nm)
-    added = [np.linspace(*side, math.ceil((side[1] - side[0]) / step) + 1) for side in sides]
-    return np.unique(np.concatenate([*added, WAVELENGTHS_NM]))
 
 
 def check_reference(reference_nm: float, wavelengths_nm: np.ndarray) -> None:

@@ -10,9 +10,10 @@ from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.band import Band, band_of
-from gpusim.plan.density import Density, bank_density
+from gpusim.plan.density import bank_density
+from gpusim.plan.plane_density import plane_bank_density
+from gpusim.plan.survey import AnyDensity
 from gpusim.psf.field_bank import FieldBank, seen_as
-from gpusim.psf.sampling import default_lines_nm
 from gpusim.scene.scene import Scene
 
 
@@ -21,7 +22,7 @@ class Look(NamedTuple):
 
     band: Band
     scene: Scene
-    density: Density | None
+    density: AnyDensity | None
     bank: FieldBank
 
 
@@ -40,9 +41,9 @@ def look(
     lens, sensor = getattr(camera, "lens", None), camera.sensor
     band = band_of(lens, sensor, scene, accuracy)
     scene = scene.on(band.wavelengths_nm)
-    density = bank_density(lens, sensor, scene, accuracy, exposure_s, progress)
+    plane = isinstance(lens, Prescription) and not lens.is_centred
+    of_lens = plane_bank_density if plane else bank_density
+    density = of_lens(lens, sensor, scene, accuracy, exposure_s, progress)
     sampling = {} if density is None else density.sampling
-    if density is None and isinstance(lens, Prescription):
-        sampling = {"wavelengths_nm": default_lines_nm(*band.wavelengths_nm[[0, -1]])}
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
     return Look(band, scene.before(bank.principal_distance_mm), density, bank)
