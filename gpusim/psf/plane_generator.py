@@ -177,7 +177,10 @@ class PlaneGenerator:
             No light passes at the field, or the pitch does not sample the PSF.
         """
         samples = self._samples(field_deg)
-        laid = [self._laid(samples, line) for line in range(len(self.wavelengths_nm))]
+        scaled = self._kept(samples, self._reference)[-1]
+        # As far as the aimed rays reach: those of the other lines fill as much of their extent.
+        near = _within(scaled, _nodes())
+        laid = [self._laid(samples, line, near) for line in range(len(self.wavelengths_nm))]
         stacked = [np.array(one) for one in zip(*laid, strict=True)]
         return Pupils(samples, *stacked)
 
@@ -200,14 +203,28 @@ class PlaneGenerator:
         theta = np.radians(min(np.hypot(*field_deg), most_deg))
         return float(theta), float(np.arctan2(*field_deg))
 
-    def _laid(self, samples: Samples, line: int) -> tuple[np.ndarray, ...]:
-        """Return what `Pupils` has of one wavelength, in its order."""
-        wavelength_nm = self.wavelengths_nm[line]
-        margin, inside = samples.margin[:, line], samples.inside[line]
-        keep = samples.ok[line] & (margin <= KEPT**2 - 1).all(axis=0)
+    def _kept(
+        self, samples: Samples, line: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return which rays of a wavelength are kept, and the scale of their directions.
+
+        Rays (R,), middle and half width (2,) of the kept ones, and these scaled to -1 .. 1 (2, K).
+        """
+        keep = samples.ok[line] & (samples.margin[:, line] <= KEPT**2 - 1).all(axis=0)
         cosines = np.stack([samples.alpha[line], samples.beta[line]])[:, keep]
-        margin, inside = margin[:, keep], inside[keep]
-        self._check_pitch(line, np.ptp(cosines[:, inside], axis=1).max())
+        low, high = cosines.min(axis=1), cosines.max(axis=1)
+        middle, half = (low + high) / 2, (high - low) / 2
+        return keep, middle, half, (cosines - middle[:, None]) / half[:, None]
+
+    def _laid(self, samples: Samples, line: int, near: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return what `Pupils` has of one wavelength, in its order.
+
+        ``near``: nodes (A, B) that rays surround.
+        """
+        wavelength_nm = self.wavelengths_nm[line]
+        keep, middle, half, scaled = self._kept(samples, line)
+        margin, inside = samples.margin[:, line, keep], samples.inside[line, keep]
+        self._check_pitch(line, (np.ptp(scaled[:, inside], axis=1) * half).max())
         entering = samples.entering
         active = [m for m in range(len(margin) - 1) if margin[m].max() > 0]
         entered = q_of(entering.launch, entering.px, entering.py)[:, line, keep]
@@ -221,9 +238,6 @@ class PlaneGenerator:
         if lossy:
             targets.append(lost)
 
-        low, high = cosines.min(axis=1), cosines.max(axis=1)
-        middle, half = (low + high) / 2, (high - low) / 2
-        scaled = (cosines - middle[:, None]) / half[:, None]
         values = np.stack(targets, axis=1)
         for degree in DEGREES:
             # A strongly vignetted beam has few rays: each coefficient takes at least two.
@@ -233,7 +247,7 @@ class PlaneGenerator:
             if residual < GOOD_FIT_WAVES:
                 break
 
-        nodes = OVERSIZE * (2 * np.arange(NODES) + 1 - NODES) / NODES
+        nodes = _nodes()
         grid = np.zeros((), GRID)
         grid["step"] = 2 * OVERSIZE * half / NODES
         grid["first"] = middle + half * nodes[0]
@@ -242,7 +256,6 @@ class PlaneGenerator:
 
         on = (nodes, nodes)
         reach = 1 + np.max([fit.on(*on, k) for k in range(3, 4 + len(active))], axis=0)
-        near = _within(scaled, nodes)
         reach = np.where(near, np.maximum(reach, 1e-6), 0.0)
         at_chief = _entering(fit, *((chief - middle) / half)[:, None])[0, 0]
         light = np.where(near, np.maximum(_entering(fit, *on) / at_chief, LEAST), 1.0)
@@ -353,6 +366,11 @@ class PlaneGenerator:
     def release(self) -> None:
         """Give the device memory back."""
         self._to_psfs.release()
+
+
+def _nodes() -> np.ndarray:
+    """Return where the nodes lie along either direction, scaled as the rays are."""
+    return OVERSIZE * (2 * np.arange(NODES) + 1 - NODES) / NODES
 
 
 def _entering(fit: Polynomials, a: np.ndarray, b: np.ndarray) -> np.ndarray:
