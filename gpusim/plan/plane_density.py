@@ -101,10 +101,12 @@ class PlaneDensity:
     @property
     def text(self) -> str:
         """What was chosen, in words."""
+        return f"PSFs of {self._many}, what lies between interpolated"
+
+    @property
+    def _many(self) -> str:
         side, lines = len(self.side_deg), len(self.wavelengths_nm)
-        return (
-            f"PSFs of {side} x {side} fields x {lines} wavelengths, what lies between interpolated"
-        )
+        return f"{side} x {side} fields x {lines} wavelengths"
 
 
 def plane_bank_density(
