@@ -22,7 +22,7 @@ from gpusim.psf.sampling import default_sides_deg
 from gpusim.scene.chart import Rect
 
 EDGE = scene((Rect(0.0, 0.0, 0.5, 0.5, 0.08, 1),), np.stack([FLAT, FLAT / 16]))
-SENSOR = monochrome(300, 400)
+SENSOR = monochrome(2000, 2400)
 
 
 def singlet():
@@ -45,7 +45,7 @@ def test_cells_are_asked_towards_every_corner_as_far_as_the_sensor_sees(survey):
     axis, *corners, aside = survey.probes_deg
     assert not axis.any()
     assert {tuple(np.sign(one)) for one in corners} == {(1, 1), (1, -1), (-1, 1), (-1, -1)}
-    # The sensor's corner is 250 pixels of 10 um from its middle, 2.5 mm: 7.5 deg of f = 19 mm. The
+    # The sensor's corner is 1562 pixels of 1.55 um from its middle, 2.4 mm: 7 deg of f = 19 mm. The
     # field ends before, at 6.
     assert np.hypot(*np.transpose(corners)) == pytest.approx(0.9 * 6.0)
     assert 0 < np.hypot(*aside) < 4.0
@@ -131,7 +131,7 @@ def test_a_tolerance_is_met_or_refused_with_the_nearest(monkeypatch):
     monkeypatch.setattr(
         _PlaneSurvey,
         "_in_cells",
-        lambda self, sides: np.array([2e-2 * (8 / (len(sides) - 1)) ** 4]),
+        lambda self, sides: np.array([1e-2 * (8 / (len(sides) - 1)) ** 4]),
     )
     given = singlet(), SENSOR, EDGE
     found = plane_bank_density(*given, Accuracy(1e-3))
