@@ -38,6 +38,8 @@ from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
 # Fields each way, at least and at most: the most, with twelve lines, take 2.1 GiB with their halo.
+# The decentred triplet of tools/matrix.py, at 0.9 of its field beside edges of 16:1 on pixels of
+# 4 um, errs by 7.8e-2 with 9, 2.8e-2 with 17, 8e-3 with 27 and 3e-4 with 41.
 FEWEST, MOST = SIDE, 27
 STEPS = (1, 2)  # lines in each eleventh of the range: see `gpusim.plan.density`
 # What the fields and what the lines may each leave: shares of the tolerance.
