@@ -8,8 +8,8 @@ from optics.made import FLAT, monochrome, scene
 from scipy.special import j1
 
 from gpusim.optics.spectral_basis import spectral_weights
-from gpusim.plan.density import _Survey
 from gpusim.plan.fringes import LONE, MARGIN, cycles, lone_points, steps_for_fringes
+from gpusim.plan.survey import Survey
 from gpusim.psf.spreads import even_lines_nm
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
@@ -95,10 +95,10 @@ def test_what_points_show_of_a_spread_is_its_change_over_itself():
         contrast=5.0,
         size=size,
         sensor=monochrome(8, 8),
-        few=SimpleNamespace(pitch_um=pitch_um),
+        pitch_um=pitch_um,
         points=True,
         told=14,
     )
-    found = _Survey._error(given, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
+    found = Survey.error(given, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
     # 7 of 28 samples are off, both ways.
     assert found == pytest.approx(1e-3 * np.sqrt(7 / 28), rel=1e-6)
