@@ -157,6 +157,7 @@ def _traced_pairs(
         wavelengths_nm=lines,
         field_deg=np.concatenate([[0.0], bank.angle_from_height(radii)[0]]),
         reference_nm=float(lines[np.abs(lines - bank.reference_nm).argmin()]),
+        map_nm=float(bank.reference_nm),
         pitch_um=bank.pitch_um,
         size=bank.psf.shape[-1],
         progress=progress,
@@ -194,6 +195,7 @@ def _traced_points(
     settings = {
         "wavelengths_nm": lines,
         "reference_nm": float(lines[np.abs(lines - bank.reference_nm).argmin()]),
+        "map_nm": float(bank.reference_nm),
         "pitch_um": bank.pitch_um,
         "size": bank.psf.shape[-1],
     }

@@ -114,16 +114,20 @@ def plane_spreads(
     """
     system, lines = build(prescription), np.asarray(wavelengths_nm, float)
     pitch_um = default_pitch_um(prescription, lines)
-    given = {"size": SIZE, "pitch_um": pitch_um, "reference_nm": REFERENCE_NM}
+    given = {"size": SIZE, "pitch_um": pitch_um}
     fields = list(zip(np.asarray(field_x_deg, float), np.asarray(field_y_deg, float), strict=True))
     if traced:
-        rows = [plane_field_of(system, lines, field, **given) for field in fields]
+        rows = [
+            plane_field_of(system, lines, field, map_nm=REFERENCE_NM, **given) for field in fields
+        ]
         psfs = [row["psf"] for row in rows]
         light = [row["light_sr"] for row in rows]
         chief = [np.stack([row["chief_x_um"], row["chief_y_um"]], axis=-1) for row in rows]
         spread = [_sums(psf, pitch_um) for psf in psfs]
     else:
-        generator = PlaneGenerator(default_device(), system, lines, **given, transform=transform)
+        generator = PlaneGenerator(
+            default_device(), system, lines, reference_nm=REFERENCE_NM, **given, transform=transform
+        )
         spread, light, chief = _generated(generator, fields, progress)
     return PlaneSpreads(
         field_x_deg=np.asarray(field_x_deg, float),

@@ -195,7 +195,7 @@ def traced_spreads(
     system = build(prescription)
     lines, angles = np.asarray(wavelengths_nm, float), np.asarray(field_deg, float)
     size, pitch_um = window(system, lines)
-    given = {"size": size, "pitch_um": pitch_um, "reference_nm": REFERENCE_NM}
+    given = {"size": size, "pitch_um": pitch_um, "map_nm": REFERENCE_NM}
     found = [traced_field(system, lines, theta, **given) for theta in angles]
     return _of(
         prescription,

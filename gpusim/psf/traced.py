@@ -38,6 +38,7 @@ def traced_bank(
     field_deg: np.ndarray,
     *,
     reference_nm: float,
+    map_nm: float,
     pitch_um: float,
     size: int,
     progress: Callable[[int, int], None] | None = None,
@@ -54,6 +55,8 @@ def traced_bank(
         Rising from 0.
     reference_nm : float
         One of the wavelengths.
+    map_nm : float
+        Wavelength whose chief rays map the scene on the image: light counts per area of that.
     pitch_um, size : float, int
         Pitch and size of the PSFs.
     progress : callable, optional
@@ -67,9 +70,7 @@ def traced_bank(
     system = build(prescription)
     lines = np.asarray(wavelengths_nm, float)
     rows = each(
-        lambda theta: field_of(
-            system, lines, theta, size=size, pitch_um=pitch_um, reference_nm=reference_nm
-        ),
+        lambda theta: field_of(system, lines, theta, size=size, pitch_um=pitch_um, map_nm=map_nm),
         field_deg,
         progress,
     )
@@ -106,6 +107,7 @@ def traced_plane_field(
     field_deg: tuple[float, float],
     *,
     reference_nm: float,
+    map_nm: float,
     pitch_um: float,
     size: int,
     progress: Callable[[int, int], None] | None = None,
@@ -121,6 +123,8 @@ def traced_plane_field(
         Angles x and y.
     reference_nm : float
         One of the wavelengths.
+    map_nm : float
+        As of `traced_bank`.
     pitch_um, size : float, int
         Pitch and size of the PSFs.
     progress : callable, optional
@@ -141,7 +145,7 @@ def traced_plane_field(
             (x_deg[0], y_deg[0]),
             size=size,
             pitch_um=pitch_um,
-            reference_nm=reference_nm,
+            map_nm=map_nm,
         )
     at = int(np.flatnonzero(lines == reference_nm)[0])
     rays = {"ray_x_deg": x_deg, "ray_y_deg": y_deg}
@@ -165,7 +169,7 @@ def field_of(
     *,
     size: int,
     pitch_um: float,
-    reference_nm: float,
+    map_nm: float,
 ) -> dict[str, object]:
     """Return all wavelengths of one field, by the names of the bank's variables."""
     theta = float(np.radians(theta_deg))
@@ -188,7 +192,7 @@ def field_of(
         )
     waves = [row.pop("waves") for row in rows]
     stacked = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    stacked["light_sr"] /= stretch(system, reference_nm, theta).area()
+    stacked["light_sr"] /= stretch(system, map_nm, theta).area()
     return stacked | {
         "waves": waves,
         "real_height_um": 1e3 * samples.chief_y_mm,
@@ -203,7 +207,7 @@ def plane_field_of(
     *,
     size: int,
     pitch_um: float,
-    reference_nm: float,
+    map_nm: float,
     nodes: int = NODES,
 ) -> dict[str, np.ndarray]:
     """Return all wavelengths of one field, by the names of the bank's variables.
@@ -235,7 +239,7 @@ def plane_field_of(
         )
     levels, beyond = field_halo(waves.__getitem__, wavelengths, pitch_um, radius_um)
     stacked = {name: np.stack([one[name] for one in lines]) for name in lines[0]}
-    stacked["light_sr"] /= stretch(system, reference_nm, theta, azimuth).area()
+    stacked["light_sr"] /= stretch(system, map_nm, theta, azimuth).area()
     return stacked | {
         "levels": levels.swapaxes(-1, -2),
         "beyond": beyond,

@@ -28,14 +28,14 @@ CASES = {
 def both(device: Device, lens, field, pitch_um):
     """Return a field by the device and by the float64 path."""
     system = build(lens)
-    given = {"size": SIZE, "pitch_um": pitch_um, "reference_nm": 550.0}
-    generator = PlaneGenerator(device, system, LINES, **given)
+    given = {"size": SIZE, "pitch_um": pitch_um}
+    generator = PlaneGenerator(device, system, LINES, reference_nm=550.0, **given)
     try:
         pupils = generator.pupils(field)
         found = generator.row(pupils, generator.beside(pupils))
     finally:
         generator.release()
-    true = plane_field_of(system, LINES, field, **given)
+    true = plane_field_of(system, LINES, field, map_nm=550.0, **given)
     return found, true | {"pitch_um": pitch_um}
 
 
