@@ -10,7 +10,8 @@ from optics.made import FLAT, monochrome, scene
 from gpusim.errors import UserError
 from gpusim.formats.lens_file import load_prescription
 from gpusim.plan import Accuracy
-from gpusim.plan.density import FIELDS_SHARE, LINES_SHARE, Density, LensShare, _Survey, bank_density
+from gpusim.plan.density import FIELDS_SHARE, LINES_SHARE, Density, LensShare, bank_density
+from gpusim.plan.survey import Survey
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.places import half_turned
 from gpusim.psf.sampling import default_fields_deg
@@ -185,10 +186,10 @@ def test_what_wide_psfs_do_to_black_far_from_an_edge_counts():
         contrast=contrast,
         size=size,
         sensor=SENSOR,
-        few=SimpleNamespace(pitch_um=pitch_um),
+        pitch_um=pitch_um,
         points=False,
     )
-    found = _Survey._error(survey, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
+    found = Survey.error(survey, np.fft.rfft(off) * middle, np.fft.rfft(own) * middle)
     # 8 of the 2 x 128 samples of the widest stretch, black one way round and white the other.
     black, white = (share * (1 - 1 / contrast) / level for level in (1 / contrast, 1.0))
     assert found == pytest.approx(np.sqrt((black**2 + white**2) / 2 * 8 / size), rel=1e-6)
