@@ -230,7 +230,7 @@ def bank_density(
         Where a field does not pass the lens; where the densest bank errs by more than the tolerance
         leaves to it and no best effort is asked for: with the nearest that can be met.
     """
-    if not isinstance(lens, Prescription) or not lens.is_centred:
+    if not isinstance(lens, Prescription):
         return None
     ratio, contrast = contrasts(scene)
     survey = _Survey(lens, sensor, scene, contrast, progress)

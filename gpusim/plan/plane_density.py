@@ -237,7 +237,7 @@ class _PlaneSurvey(Survey):
     def _in_cells(self, sides: np.ndarray) -> np.ndarray:
         """Return what sixteen fields make of the middles of the cells around the probes, (C,)."""
         low = np.clip(np.searchsorted(sides, self.probes_deg[1:], "right") - 1, 0, len(sides) - 2)
-        # Of which the middle lies within the largest field.
+        # Cells whose middles lie within the largest field.
         inwards = np.where(self.probes_deg[1:] > 0, -1, 1)
         middles = (sides[low] + sides[low + 1]) / 2
         over = np.hypot(*middles.T) > self.lens.max_field_deg

@@ -24,12 +24,13 @@ from gpusim.lens.throughput import goes_with_the_ray
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams, starts
 from gpusim.lens.wavefront import within_hull
+from gpusim.psf.boundary_wave import rim_lost
 from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
-from gpusim.psf.halo import Wave, rim_lost, through_few
-from gpusim.psf.psf import mirrored
+from gpusim.psf.halo import through_few
 from gpusim.psf.rim import beside, continued, rim_share
 from gpusim.psf.transform import GRID, TRANSFORM, Transform, uploaded_grids
+from gpusim.psf.wave import Wave
 
 # Nodes across the pupil. The wavefront is interpolated between them with an error that goes with
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
@@ -398,7 +399,7 @@ class Generator:
         focus_mm : float
             How far the image plane is moved away from the lens.
         rim : bool
-            Whether to add what sampling the rim loses: see `gpusim.psf.halo.rim_lost`.
+            Whether to add what sampling the rim loses: see `gpusim.psf.boundary_wave.rim_lost`.
         """
         nodes, exponent = self._nodes[field], self._exponents[field]
         psf, light, folded = self._to_psfs.spread(
@@ -430,7 +431,7 @@ class Generator:
             for line in few
         ]
         few_lost = np.array(lost, np.float32)
-        return mirrored(np.tensordot(basis.astype(np.float32), few_lost, 1))
+        return np.tensordot(basis.astype(np.float32), few_lost, 1)
 
     def wave(self, field: int, line: int, focus_um: float = 0.0) -> Wave:
         """Return the wavefront of one field and wavelength in an image plane, both halves."""

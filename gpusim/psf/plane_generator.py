@@ -19,10 +19,12 @@ from gpusim.lens.entering import q_of, stretch
 from gpusim.lens.samples import RINGS_OVERSIZE, Samples, sample_rings
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import DEGREES, GOOD_FIT_WAVES
+from gpusim.psf.boundary_wave import rim_lost
 from gpusim.psf.cone import cone_of
-from gpusim.psf.halo import Wave, distances_um, fall, field_halo, rim_lost, through_few
+from gpusim.psf.halo import distances_um, fall, field_halo, through_few
 from gpusim.psf.rim import rim_share
 from gpusim.psf.transform import GRID, TRANSFORM, Transform
+from gpusim.psf.wave import Wave
 
 # Fields of a grid that lie beyond the lens's largest are those of points inside too: cubics reach
 # two fields on. They are what rays say, up to so many times the largest field and no steeper.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -12,75 +11,36 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.parallel import each
 from gpusim.psf.compute_plane import SIZE, TOGETHER
-from gpusim.psf.halo import distances_um, fall
 from gpusim.psf.plane_generator import PlaneGenerator, Pupils
 from gpusim.psf.sampling import REFERENCE_NM, default_pitch_um
-from gpusim.psf.spreads import Progress
-from gpusim.psf.store import Table, Variables, dataset_of, from_cache, load_dataset, save_dataset
+from gpusim.psf.spreads import LINE_SPREADS, PITCH, LineSpreads, Progress, line_sums
+from gpusim.psf.store import Table, from_cache
 from gpusim.psf.traced import plane_field_of
 from gpusim.psf.transform import TRANSFORM
 
-_VARIABLES: Variables = {
-    "field_x_deg": (("field",), "degree", "field angle in object space, along x"),
-    "field_y_deg": (("field",), "degree", "field angle in object space, along y"),
-    "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
-    "chief_um": (("field", "wavelength", "axis"), "um", "x and y where the chief ray lands"),
-    "light_sr": (
-        ("field", "wavelength"),
-        "sr",
-        "what an even scene of unit radiance sends through, per area of the image",
-    ),
-    "transmission": (("wavelength",), "1", "product of the surfaces' transmittances on axis"),
-    "spread": (
-        ("field", "wavelength", "along", "at"),
-        "1",
-        "share of the light per sample, along x and along y; centred on the chief ray",
-    ),
-}
-_TABLE = Table(_VARIABLES, {"pitch_um": ("um", "spacing of the samples")})
 
-
-@dataclass(frozen=True, eq=False)
-class PlaneSpreads:
-    """Line spreads of a lens at F fields of the plane and L wavelengths.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlaneSpreads(LineSpreads):
+    """Line spreads of a lens at fields of the plane; its PSFs' axes are x and y.
 
     Attributes
     ----------
-    field_x_deg, field_y_deg, wavelengths_nm : ndarray (F,), (F,), (L,)
-        The reference wavelength is among these.
+    field_x_deg, field_y_deg : ndarray (F,)
     chief_um : ndarray (F, L, 2)
-    light_sr : ndarray (F, L)
-    transmission : ndarray (L,)
-    spread : ndarray of float32 (F, L, 2, n)
-        The PSF, as far as a bank's first level holds it, summed along y and along x; the chief
-        ray is at sample n / 2.
-    pitch_um : float
-    provenance : dict
     """
 
     field_x_deg: np.ndarray
     field_y_deg: np.ndarray
-    wavelengths_nm: np.ndarray
     chief_um: np.ndarray
-    light_sr: np.ndarray
-    transmission: np.ndarray
-    spread: np.ndarray
-    pitch_um: float
-    provenance: dict[str, str]
-
-    @property
-    def reference(self) -> int:
-        """Index of the reference wavelength."""
-        return int(np.abs(self.wavelengths_nm - REFERENCE_NM).argmin())
-
-    def save(self, path: str | Path) -> None:
-        """Write them as NetCDF, never half a file."""
-        save_dataset(dataset_of(self, _TABLE), path)
-
-    @classmethod
-    def load(cls, path: str | Path, *, sealed: bool = False) -> PlaneSpreads:
-        """Read what ``save`` wrote; raises where the file is not whole, as ``Bank.load`` does."""
-        return cls(**load_dataset(path, _TABLE, sealed))
+    table = Table(
+        {
+            "field_x_deg": (("field",), "degree", "field angle in object space, along x"),
+            "field_y_deg": (("field",), "degree", "field angle in object space, along y"),
+            "chief_um": (("field", "wavelength", "axis"), "um", "x and y of chief rays"),
+            **LINE_SPREADS,
+        },
+        PITCH,
+    )
 
 
 def plane_spreads(
@@ -123,7 +83,7 @@ def plane_spreads(
         psfs = [row["psf"] for row in rows]
         light = [row["light_sr"] for row in rows]
         chief = [np.stack([row["chief_x_um"], row["chief_y_um"]], axis=-1) for row in rows]
-        spread = [_sums(psf, pitch_um) for psf in psfs]
+        spread = [line_sums(psf, pitch_um) for psf in psfs]
     else:
         generator = PlaneGenerator(
             default_device(), system, lines, reference_nm=REFERENCE_NM, **given, transform=transform
@@ -163,7 +123,7 @@ def _generated(
         for first in range(0, len(fields), TOGETHER):
             for pupils, area in each(on_host, fields[first : first + TOGETHER]):
                 psf, entered, _ = generator.spread(pupils)
-                spread.append(_sums(psf.swapaxes(1, 2), generator.pitch_um))
+                spread.append(line_sums(psf.swapaxes(1, 2), generator.pitch_um))
                 light.append(entered / area)
                 chief.append(pupils.chief_um)
                 if progress is not None:
@@ -171,13 +131,6 @@ def _generated(
     finally:
         generator.release()
     return spread, light, chief
-
-
-def _sums(psf: np.ndarray, pitch_um: float) -> np.ndarray:
-    """Return the sums (L, 2, n) of PSFs (L, n, n) along y and along x, as far as cores go."""
-    size = psf.shape[-1]
-    core = psf * fall(distances_um(size, pitch_um), size / 2 * pitch_um)
-    return np.stack([core.sum(axis=1), core.sum(axis=2)], axis=1)
 
 
 def cached_plane_spreads(prescription: Prescription, **settings: object) -> PlaneSpreads:

@@ -6,7 +6,8 @@ import numpy as np
 
 from gpusim.lens.samples import Samples
 from gpusim.lens.wavefront import Pupil, line_pupil
-from gpusim.psf.halo import rim_lost, wave_of
+from gpusim.psf.boundary_wave import rim_lost
+from gpusim.psf.wave import wave_of
 
 # The rim is followed on every fourth node of the pupil, and on no more than these: it is smooth.
 RIM_STEP, RIM_NODES = 4, 128
@@ -62,16 +63,8 @@ def intensity(
     period = [wavelength_um / (side[1] - side[0]) for side in (pupil.alpha, pupil.beta)]
     psf = whole * pitch_um**2 / total
     step = max(RIM_STEP, len(pupil.beta) // RIM_NODES)
-    lost = rim_lost(wave_of(pupil, step), wavelength_um, size, pitch_um, period)
-    psf += mirrored(lost) if pupil.half else lost
+    psf += rim_lost(wave_of(pupil, step), wavelength_um, size, pitch_um, period)
     return psf, 1.0 - float(psf.sum())
-
-
-def mirrored(window: np.ndarray) -> np.ndarray:
-    """Return a window (..., n, n) of which the rows from the middle on mirror those before it."""
-    middle = window.shape[-2] // 2
-    upper = window[..., : middle + 1, :]
-    return np.concatenate([upper, upper[..., middle - 1 : 0 : -1, :]], axis=-2)
 
 
 def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float) -> float:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,10 +31,8 @@ Progress = Callable[[int, int], None]
 # Glass disperses nearly evenly in 1 / lambda, and so lie the lines: 12 of them err by a third of
 # what 13 lines in even steps of 25 nm do. In elevenths of 1/700 to 1/400, 550 nm is one of them.
 SHORTEST_NM, LONGEST_NM, ELEVENTHS = 400.0, 700.0, 11
-_VARIABLES: Variables = {
-    "field_deg": (("field",), "degree", "field angle in object space"),
+LINE_SPREADS: Variables = {
     "wavelengths_nm": (("wavelength",), "nm", "wavelength"),
-    "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
     "light_sr": (
         ("field", "wavelength"),
         "sr",
@@ -43,16 +42,10 @@ _VARIABLES: Variables = {
     "spread": (
         ("field", "wavelength", "along", "at"),
         "1",
-        "share of the light per sample, along xi and along eta; centred on the chief ray",
+        "share of the light per sample, along the first and second axis; centred on the chief ray",
     ),
 }
-_TABLE = Table(
-    _VARIABLES,
-    {
-        "pitch_um": ("um", "spacing of the samples"),
-        "efl_mm": ("mm", "paraxial focal length at the reference wavelength"),
-    },
-)
+PITCH = {"pitch_um": ("um", "spacing of the samples")}
 
 
 def added_intervals(first_nm: float, last_nm: float) -> tuple[int, int]:
@@ -90,32 +83,30 @@ def middles_deg(prescription: Prescription, field_deg: np.ndarray) -> np.ndarray
     return np.degrees(np.arctan((height[1:] + height[:-1]) / 2))
 
 
-@dataclass(frozen=True, eq=False)
-class Spreads:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LineSpreads:
     """Line spreads of a lens at F fields and L wavelengths.
 
     Attributes
     ----------
-    field_deg, wavelengths_nm : ndarray (F,), (L,)
+    wavelengths_nm : ndarray (L,)
         Rising; the reference wavelength is among these.
-    height_um, light_sr : ndarray (F, L)
+    light_sr : ndarray (F, L)
     transmission : ndarray (L,)
     spread : ndarray of float32 (F, L, 2, n)
-        The PSF, as far as a bank's first level holds it, summed along eta and along xi; the chief
-        ray is at sample n / 2.
-    pitch_um, efl_mm : float
+        The PSF, as far as a bank's first level holds it, summed along its second and its first
+        axis; the chief ray is at sample n / 2.
+    pitch_um : float
     provenance : dict
     """
 
-    field_deg: np.ndarray
     wavelengths_nm: np.ndarray
-    height_um: np.ndarray
     light_sr: np.ndarray
     transmission: np.ndarray
     spread: np.ndarray
     pitch_um: float
-    efl_mm: float
     provenance: dict[str, str]
+    table: ClassVar[Table]  # what a file holds
 
     @property
     def reference(self) -> int:
@@ -124,12 +115,37 @@ class Spreads:
 
     def save(self, path: str | Path) -> None:
         """Write them as NetCDF, never half a file."""
-        save_dataset(dataset_of(self, _TABLE), path)
+        save_dataset(dataset_of(self, self.table), path)
 
     @classmethod
-    def load(cls, path: str | Path, *, sealed: bool = False) -> Spreads:
+    def load(cls, path: str | Path, *, sealed: bool = False) -> Self:
         """Read what ``save`` wrote; raises where the file is not whole, as ``Bank.load`` does."""
-        return cls(**load_dataset(path, _TABLE, sealed))
+        return cls(**load_dataset(path, cls.table, sealed))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Spreads(LineSpreads):
+    """Line spreads of a lens with an axis; its PSFs' axes are xi and eta.
+
+    Attributes
+    ----------
+    field_deg : ndarray (F,)
+        Rising.
+    height_um : ndarray (F, L)
+    efl_mm : float
+    """
+
+    field_deg: np.ndarray
+    height_um: np.ndarray
+    efl_mm: float
+    table = Table(
+        {
+            "field_deg": (("field",), "degree", "field angle in object space"),
+            "height_um": (("field", "wavelength"), "um", "height where the chief ray lands"),
+            **LINE_SPREADS,
+        },
+        PITCH | {"efl_mm": ("mm", "paraxial focal length at the reference wavelength")},
+    )
 
 
 def spreads(
@@ -177,7 +193,7 @@ def spreads(
             angles,
             pitch_um,
             height_um=1e3 * generator.chief_y_mm,
-            spread=[_sums(one.psf, pitch_um) for one in found],
+            spread=[line_sums(one.psf, pitch_um) for one in found],
             light_sr=np.array([one.entered for one in found]) / np.array(areas)[:, None],
         )
     finally:
@@ -203,13 +219,13 @@ def traced_spreads(
         angles,
         pitch_um,
         height_um=[one["real_height_um"] for one in found],
-        spread=[_sums(one["psf"], pitch_um) for one in found],
+        spread=[line_sums(one["psf"], pitch_um) for one in found],
         light_sr=[one["light_sr"] for one in found],
     )
 
 
-def _sums(psf: np.ndarray, pitch_um: float) -> np.ndarray:
-    """Return the sums (L, 2, n) of PSFs (L, n, n) along eta and along xi, as far as cores go."""
+def line_sums(psf: np.ndarray, pitch_um: float) -> np.ndarray:
+    """Return the sums (L, 2, n) of PSFs (L, n, n) along rows and columns, as far as cores go."""
     size = psf.shape[-1]
     core = psf * fall(distances_um(size, pitch_um), size / 2 * pitch_um)
     return np.stack([core.sum(axis=1), core.sum(axis=2)], axis=1)

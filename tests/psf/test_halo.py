@@ -12,9 +12,11 @@ from gpusim.gpu import default_device
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils
+from gpusim.psf.boundary_wave import rim_lost
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.generator import Generator
-from gpusim.psf.halo import SIZE, Wave, distances_um, fall, halo, pitches_um, rim_lost
+from gpusim.psf.halo import SIZE, distances_um, fall, halo, pitches_um
+from gpusim.psf.wave import Wave, wave_of
 
 PITCHES = pitches_um(0.5)
 CORE_UM = 64.0
@@ -130,7 +132,8 @@ def test_rays_land_where_the_spot_diagram_has_them(kind):
 def test_half_of_a_mirrored_pupil_throws_what_the_whole_one_does(coma_um):
     """Without and with rays beyond the core, by coma of so many um, which mirrors alpha alone.
 
-    Both do the same sums but for their order; measured 2e-11.
+    Both do the same sums, but float32 places light to 2e-5 of a bin, on which side depends on the
+    processor: measured 2e-11 and 7e-9.
     """
     sine = 0.5 / 2.8
     whole = round_pupil(sine, lambda a, b: coma_um * (a**2 + b**2) * b / sine**3)
@@ -138,13 +141,13 @@ def test_half_of_a_mirrored_pupil_throws_what_the_whole_one_does(coma_um):
         halo(replace(whole, mirrored=one), 0.55, CORE_UM, PITCHES) for one in (True, False)
     )
     for level, expected in zip(own[0], other[0], strict=True):
-        assert np.abs(level - expected).sum() < 1e-9 * expected.sum()
-    assert own[1] == pytest.approx(other[1], rel=1e-9)
+        assert np.abs(level - expected).sum() < 1e-6 * expected.sum()
+    assert own[1] == pytest.approx(other[1], rel=1e-6)
     lost, expected = (
         rim_lost(replace(whole, mirrored=one), 0.55, 128, 0.5, (512.0, 512.0))
         for one in (True, False)
     )
-    assert np.abs(lost - expected).sum() <= 1e-9 * np.abs(expected).sum()
+    assert np.abs(lost - expected).sum() <= 1e-6 * np.abs(expected).sum()
 
 
 def test_no_light_is_lost_between_levels():
@@ -252,3 +255,16 @@ def test_levels_and_what_lands_beyond_them_are_all_the_light(name):
     np.testing.assert_allclose(held + bank.beyond_energy, 1, rtol=0, atol=1e-6)
     assert (bank.beyond_energy > 0).all() and bank.beyond_energy.max() < 2e-4
     assert np.abs(bank.halo_misfit).max() < (0.025 if name == "tessar" else 0.01)
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 4])
+def test_nodes_of_a_thinned_pupil_mirror_one_another(step: int):
+    """What one half of them throws stands for both."""
+    system = build(load_prescription("double-gauss"))
+    samples = sample_field(system, system.index(np.array([550.0])), np.radians(8.0))
+    wave = wave_of(pupils(samples, np.array([550.0]), 64.0, 64)[0], step)
+    assert wave.mirrored
+    np.testing.assert_allclose(wave.alpha, -wave.alpha[::-1], rtol=1e-12)
+    np.testing.assert_allclose(np.diff(wave.alpha), wave.alpha[1] - wave.alpha[0], rtol=1e-9)
+    for values in (wave.light, wave.reach, wave.opd_um):
+        np.testing.assert_array_equal(values, values[::-1])

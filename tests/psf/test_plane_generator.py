@@ -75,7 +75,7 @@ def test_psfs_are_those_of_the_float64_path(rows):
     peak = true["psf"].max(axis=(1, 2))
     bound = 2 * 2.7e-4 * np.sqrt(peak * ideal_peak(true))
     assert (np.abs(found["psf"] - true["psf"]).max(axis=(1, 2)) < bound).all()
-    # Of edges, as of light: see below.
+    # Edges take from that what light does: see below.
     assert np.abs(edges(found["psf"]) - edges(true["psf"])).max() < 2e-4
     # Its mirror images, and the PSFs of the other lines, are far out of tolerance.
     for planted in (np.roll(found["psf"][:, ::-1], 1, 1), found["psf"].swapaxes(1, 2)):

@@ -9,8 +9,9 @@ from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils
-from gpusim.psf.halo import rim_lost, wave_of
+from gpusim.psf.boundary_wave import rim_lost
 from gpusim.psf.psf import folded_share, intensity
+from gpusim.psf.wave import wave_of
 
 WAVELENGTH_NM = 550.0
 WAVELENGTH_UM = 0.55
