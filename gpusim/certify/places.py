@@ -1,7 +1,9 @@
-"""Where in a frame the bank of a lens is judged: between its fields, on the scene's edges.
+"""Where in a frame the bank of a lens is judged: between its fields.
 
 A lens with an axis is judged at image heights and on rings of pixels. A lens without one is judged
-at image points and at pixels near to them.
+at image points and at pixels near to them. As of the engine's probes, half of the pixels lie on the
+steepest edges, where a shift shows most, and half anywhere: beside edges black is lit by PSFs' far
+light alone, and errs more than the edges do.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from gpusim.psf.plane_bank import PlaneBank
 from gpusim.sensor.sensor import Sensor
 
 HEIGHTS = 4  # image heights or points at which the lens is traced
-EACH = 3  # pixels at each of them, on the steepest edges
+EACH = 4  # pixels at each of them
+SEED = 1288  # of those that lie anywhere: fixed, so that two renders are judged alike
 AZIMUTHS = 1440  # places on a ring among which pixels are chosen
 SEEN = 65  # points each way among which those next to the cells' middles are
 # From a point, in pixels, among which pixels are chosen: PSFs are those of the point for all.
@@ -51,8 +54,9 @@ def radii_of(
 def pixels_on_rings(
     sensor: Sensor, rate: np.ndarray, origin: tuple[int, int], radii: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (P, 2) at the heights, on the steepest edges, and the height (P,) of each."""
+    """Return pixels (P, 2) at the heights, and the height (P,) of each."""
     chosen, owners = [], []
+    rng = np.random.default_rng(SEED)
     turn = np.linspace(0, 2 * np.pi, AZIMUTHS, endpoint=False)
     for number, radius in enumerate(radii):
         ring = radius / sensor.pixel_pitch_um * np.stack([np.sin(turn), np.cos(turn)], axis=1)
@@ -60,10 +64,10 @@ def pixels_on_rings(
         inside = np.all((at >= 0) & (at < np.array(rate.shape)), axis=1)
         at, where = at[inside], np.flatnonzero(inside)
         slope = _steepness(sensor, rate, at)
-        for part in np.array_split(np.arange(AZIMUTHS), EACH):
+        for place, part in enumerate(np.array_split(np.arange(AZIMUTHS), EACH)):
             own = np.flatnonzero((where >= part[0]) & (where <= part[-1]) & (slope >= 0))
             if len(own):
-                chosen.append(at[own[slope[own].argmax()]] + origin)
+                chosen.append(at[own[_one_of(slope[own], place + number, rng)]] + origin)
                 owners.append(number)
     return np.array(chosen, int).reshape(-1, 2), np.array(owners, int)
 
@@ -121,22 +125,28 @@ def points_of(
 def pixels_near(
     sensor: Sensor, rate: np.ndarray, origin: tuple[int, int], points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (P, 2) near to image points, on the steepest edges, and the point of each."""
+    """Return pixels (P, 2) near to image points, and the point of each."""
     chosen, owners = [], []
+    rng = np.random.default_rng(SEED)
     for number, (x, y) in enumerate(points):
         middle = np.array([y, x]) / sensor.pixel_pitch_um
         middle = middle + np.array([sensor.rows, sensor.cols]) / 2 - origin
         low = np.maximum(middle.astype(int) - NEAR, 0)
         high = np.minimum(middle.astype(int) + NEAR + 1, rate.shape)
         # In strips: on edges of more than one kind.
-        for rows in np.array_split(np.arange(low[0], high[0]), EACH):
+        for place, rows in enumerate(np.array_split(np.arange(low[0], high[0]), EACH)):
             at = np.stack(np.meshgrid(rows, np.arange(low[1], high[1]), indexing="ij"), -1)
             at = at.reshape(-1, 2)
-            slope = _steepness(sensor, rate, at)
-            if len(at) and slope.max() >= 0:
-                chosen.append(at[slope.argmax()] + origin)
+            at = at[(slope := _steepness(sensor, rate, at)) >= 0]
+            if len(at):
+                chosen.append(at[_one_of(slope[slope >= 0], place + number, rng)] + origin)
                 owners.append(number)
     return np.array(chosen, int).reshape(-1, 2), np.array(owners, int)
+
+
+def _one_of(slope: np.ndarray, number: int, rng: np.random.Generator) -> int:
+    """Return which of some pixels is judged: of every other choice the steepest, else any."""
+    return int(slope.argmax() if number % 2 == 0 else rng.integers(len(slope)))
 
 
 def _steepness(sensor: Sensor, rate: np.ndarray, at: np.ndarray) -> np.ndarray:
