@@ -1,9 +1,10 @@
 """The lens model generator: from a prescription to PSFs, on the device.
 
-Six stages, each a shader in ``shaders/lens``: aim (rays at the stop), trace (where they go, and
-their path), wavefront (W at the nodes of a grid of directions), pupil (the field on the transform's
-grid, in any image plane), along and across (its transform, and the intensity). The first three do
-not depend on the image plane and are done once: a re-focus costs the last three.
+Six stages, each a shader: in ``shaders/lens`` aim (rays at the stop) and trace (where they go, and
+their path), in ``shaders/psf`` wavefront (W at the nodes of a grid of directions), pupil (the field
+on the transform's grid, in any image plane), fft_along and fft_across (its transform, and the
+intensity). The first three do not depend on the image plane and are done once: a re-focus costs the
+last three.
 """
 
 from __future__ import annotations
@@ -12,23 +13,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.polynomial import chebyshev
 from threadpoolctl import threadpool_limits
 
 from gpusim.errors import UserError
 from gpusim.gpu import Device, Kernel, Recording, Resident
 from gpusim.lens.entering import Stretch, stretch
-from gpusim.lens.samples import RAY_OVERSIZE, Losses, field_launch
+from gpusim.lens.samples import Losses, field_launch
 from gpusim.lens.system import System
 from gpusim.lens.throughput import goes_with_the_ray
 from gpusim.lens.trace import trace
 from gpusim.lens.tracer import Beams, starts
-from gpusim.lens.wavefront import within_hull
+from gpusim.psf.aimed import AimedRays, Leads, aimed_rays
 from gpusim.psf.boundary_wave import rim_lost
 from gpusim.psf.chief_rays import ChiefRays
 from gpusim.psf.cone import cone_of
 from gpusim.psf.halo import through_few
-from gpusim.psf.rim import beside, continued, rim_share
+from gpusim.psf.rim import beside, between_nodes, continued, rim_share
 from gpusim.psf.transform import GRID, TRANSFORM, Transform, uploaded_grids
 from gpusim.psf.wave import Wave
 
@@ -36,11 +36,6 @@ from gpusim.psf.wave import Wave
 # their spacing to the fourth power: 128 against 256 change PSFs by 2e-5 of their peak (double Gauss
 # at f/2.8). The pupil itself is sampled on the transform's grid.
 RAYS = 128
-AIMED_ACROSS = 49  # rays across the stop that are aimed at it: 921 on half of 1.04 stops
-# Degree of the polynomial from the directions in which rays leave to where they enter. It only has
-# to lead rays to within 1e-3 of a node's direction: see shaders/psf/wavefront.
-DEGREE = 9
-NEAR = 1.05  # times the aimed rays' directions: where nodes are tried
 NO_RAY = 2.0  # reach of a node that no ray leads to: well beyond a rim
 # Light of a node over the chief ray's, at least. Within their rims the library's pupils have 0.8 to
 # 1.4 of it; beyond them the polynomials may say 0, which has no logarithm.
@@ -95,7 +90,7 @@ class Generator:
     between : ChiefRays
         Those of other fields.
     failed_rays : ndarray of int, shape (F, L)
-        Rays aimed within the stop that did not arrive, of AIMED_ACROSS across.
+        Rays aimed within the stop that did not arrive: see `gpusim.psf.aimed`.
     residual_waves : ndarray, shape (F, L)
         RMS difference of the interpolated wavefront from the rays that were aimed at the stop.
 
@@ -161,12 +156,15 @@ class Generator:
 
     def _trace_fields(self, progress: Callable[[int, int], None] | None) -> None:
         """Trace field by field, and keep the nodes."""
-        for field, aimed in enumerate(self._aimed()):
+        lines = len(self.wavelengths_nm)
+        failed, rays_of = aimed_rays(self._beams, self.system, self.field_deg, lines)
+        self.failed_rays[:] = failed
+        for field, aimed in enumerate(rays_of):
             # OpenBLAS's own threads wait by spinning, which costs more than they save here.
             with threadpool_limits(1):
-                led = [self._lead(field, line, *one) for line, one in enumerate(aimed)]
-            rays, entering, lost = zip(*led, strict=True)
-            self._nodes.append(self._wavefront(field, np.concatenate(rays)))
+                led = [self._lead(field, line, one) for line, one in enumerate(aimed)]
+            started, entering, lost = zip(*led, strict=True)
+            self._nodes.append(self._wavefront(field, np.concatenate(started)))
             self._lost.append(np.stack(lost) if self._filtered else 0.0)
             exponent = np.stack(entering) + self._lost[-1]
             self._exponents.append(self.device.resident("exponent", exponent.astype(np.float32)))
@@ -174,72 +172,44 @@ class Generator:
             if progress is not None:
                 progress(field + 1, len(self.field_deg))
 
-    def _aimed(self):
-        """Yield the rays aimed at the stop, field by field: a list over wavelengths."""
-        radius = self.system.stop_radius_mm
-        line = np.linspace(-RAY_OVERSIZE, RAY_OVERSIZE, AIMED_ACROSS)
-        x, y = (one.ravel() for one in np.meshgrid(line[line >= 0], line))
-        keep = x**2 + y**2 <= RAY_OVERSIZE**2
-        x, y = x[keep], y[keep]
-        p, miss = self._beams.aim(radius * np.stack([x, y], axis=-1))
-        beams, count = miss.shape
-        rays = self._beams.trace(p.reshape(-1, 2), np.repeat(np.arange(beams), count))
-        opd, reach = rays.opd_waves.reshape(miss.shape), rays.reach.reshape(miss.shape)
-        ok = (miss >= 0) & (rays.failed_at == 0).reshape(miss.shape)
-        self.failed_rays[:] = (~ok & (x**2 + y**2 < 1)).sum(axis=1).reshape(self.failed_rays.shape)
-        cosines = rays.cosines.reshape(beams, count, 2).astype(float)
-        lines = len(self.wavelengths_nm)
-        spacing = line[1] - line[0]
-        for field, theta in enumerate(self.field_deg):
-            of_field = range(field * lines, (field + 1) * lines)
-            if not all((reach[beam][ok[beam]] < 1).any() for beam in of_field):
-                raise UserError(
-                    f"no light passes the lens at {theta:.4g} deg",
-                    file=self.system.prescription.file,
-                    field="max_field_deg",
-                    value=f"{theta:.4g}",
-                    allowed="a smaller field",
-                )
-            rays_of_field = []
-            for beam in of_field:
-                inside = ok[beam] & (reach[beam] < 1)
-                extent = max(x[inside].max(), np.ptp(y[inside]) / 2, spacing)
-                # Far outside a rim, rays turn back on others and only spoil the fit; but of a beam
-                # that is vignetted to little there must be rays beyond it.
-                keep = ok[beam] & (reach[beam] < max(RAY_OVERSIZE, 1 + spacing / extent) ** 2)
-                apart = spacing / x[keep].max(), 2 * spacing / np.ptp(y[keep])
-                of_beam = (values[beam][keep] for values in (cosines, p, reach, opd))
-                rays_of_field.append((*of_beam, (x * x + y * y)[keep], apart))
-            yield rays_of_field
-
     def _lead(
-        self,
-        field: int,
-        line: int,
-        cosines: np.ndarray,
-        p_mm: np.ndarray,
-        reach: np.ndarray,
-        _: np.ndarray,
-        rho2: np.ndarray,
-        apart: tuple[float, float],
+        self, field: int, line: int, rays: AimedRays
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """Lay out the grids of one beam; return the rays that lead to its nodes, and their light.
 
-        ``apart``: from one aimed ray to the next, of half their extent each way. The light, shape
-        (A, B), as -ln of the amplitude: that which enters, and what is lost of it where it is.
+        The light, shape (A, B), as -ln of the amplitude: that which enters, and what is lost of it
+        where it is.
         """
-        # By symmetry each ray has a mirror image: keep the one with alpha >= 0.
-        side = np.where(cosines[:, 0] < 0, -1.0, 1.0)
-        alpha, beta = side * cosines[:, 0], cosines[:, 1]
-        half, low, high = alpha.max(), beta.min(), beta.max()
-        centre, half_height = (low + high) / 2, (high - low) / 2
+        exponent = self._filter(field, line, rays) if self._filtered else None
+        leads = Leads(rays, exponent)
+        node_a, node_b = self._laid_out(field, line, leads)
+        p_x, p_y, *lost = leads.at(node_a, node_b)
+
+        def etendue(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+            return self._beams.etendue(field, line, x, y)
+
+        chief = leads.entering(etendue, np.zeros(1), self.chief_beta[field, [line]])[0, 0]
+        light = np.maximum(leads.entering(etendue, node_a, node_b) / chief, LEAST)
+        self._entering_at_chief[field, line] = chief
+        near = leads.near(node_a, node_b)
+        nodes = np.flatnonzero(near)
+        started = starts(
+            np.stack([one.ravel()[nodes] for one in (p_x, p_y)], axis=-1),
+            np.full(len(nodes), field * len(self.wavelengths_nm) + line),
+            line * near.size + nodes,
+        )
+        return started, -0.5 * np.log(light), lost[0] if lost else None
+
+    def _laid_out(self, field: int, line: int, leads: Leads) -> tuple[np.ndarray, np.ndarray]:
+        """Lay out the grids of one beam; return alpha (A,) and beta (B,) of its nodes."""
+        rays, half, half_height = leads.rays, leads.half, leads.half_height
+        alpha, beta = rays.alpha[rays.inside], rays.beta[rays.inside]
+        self._check_pitch(line, max(2 * alpha.max(), np.ptp(beta)))
         # The rim lies within one spacing of the aimed rays beyond the last one inside.
-        inside = reach < 1
-        wide = min(half, alpha[inside].max() + apart[0] * half)
-        bottom = max(low, beta[inside].min() - 2 * apart[1] * half_height)
-        top = min(high, beta[inside].max() + 2 * apart[1] * half_height)
+        wide = min(half, alpha.max() + rays.apart[0] * half)
+        bottom = max(rays.beta.min(), beta.min() - 2 * rays.apart[1] * half_height)
+        top = min(rays.beta.max(), beta.max() + 2 * rays.apart[1] * half_height)
         wavelength_um = 1e-3 * self.wavelengths_nm[line]
-        self._check_pitch(line, max(2 * alpha[inside].max(), np.ptp(beta[inside])))
         grid = self._grids[field, line]
         step_a = wide / (self._na - SPARE)
         step_b = (top - bottom) / (self._nb - 2 * SPARE)
@@ -249,72 +219,20 @@ class Generator:
         grid["cell"] = wavelength_um / (self._transform * self.pitch_um)
         grid["chief"] = 0, self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
-
-        # A strongly vignetted beam has few rays: each coefficient takes at least two.
-        degree = min(DEGREE, int(np.sqrt(len(alpha))) - 1)
-        i, j = np.meshgrid(np.arange(degree + 1), np.arange(degree + 1), indexing="ij")
-        in_a = chebyshev.chebvander(alpha / half, degree)
-        in_b = chebyshev.chebvander((beta - centre) / half_height, degree)
         node_a = grid["first"][0] + np.arange(self._na) * step_a
-        node_b = grid["first"][1] + np.arange(self._nb) * step_b
-        on_a = chebyshev.chebvander(node_a / half, degree)
-        on_b = chebyshev.chebvander((node_b - centre) / half_height, degree)
-        targets = [(1, side * p_mm[:, 0]), (0, p_mm[:, 1])]
-        if self._filtered:
-            targets.append((0, self._filter(field, line, p_mm, rho2)))
-        found = []
-        for odd, target in targets:
-            used = (i % 2 == odd) & (i + j <= degree)
-            design = in_a[:, i[used]] * in_b[:, j[used]]
-            coefficients = np.zeros(i.shape)
-            coefficients[used] = np.linalg.solve(design.T @ design, design.T @ target)
-            found.append(coefficients)
-        p_nodes = [on_a @ one @ on_b.T for one in found]
-        place = node_a / half, (node_b - centre) / half_height
-        middle = np.zeros(1), (self.chief_beta[field, [line]] - centre) / half_height
-        cell = half * half_height
-        chief = self._entering(field, line, found[:2], *middle)[0, 0] / cell
-        light = np.maximum(self._entering(field, line, found[:2], *place) / cell / chief, LEAST)
-        self._entering_at_chief[field, line] = chief
-        # Far beyond the aimed rays the polynomials lead nowhere.
-        near = within_hull(NEAR * alpha, centre + NEAR * (beta - centre), node_a, node_b)
-        nodes = np.flatnonzero(near)
-        rays = starts(
-            np.stack([one.ravel()[nodes] for one in p_nodes[:2]], axis=-1),
-            np.full(len(nodes), field * len(self.wavelengths_nm) + line),
-            line * near.size + nodes,
-        )
-        return rays, -0.5 * np.log(light), p_nodes[2] if self._filtered else None
+        return node_a, grid["first"][1] + np.arange(self._nb) * step_b
 
-    def _entering(
-        self, field: int, line: int, led: list[np.ndarray], a: np.ndarray, b: np.ndarray
-    ) -> np.ndarray:
-        """Return E (A, B) by the polynomials' own variables a, b: see `gpusim.lens.entering`.
-
-        ``led``: coefficients of the polynomials that lead from (a, b) to the launch plane.
-        """
-        value, by_a, by_b = (
-            [chebyshev.chebgrid2d(a, b, one) for one in of]
-            for of in (
-                led,
-                [chebyshev.chebder(one, axis=0) for one in led],
-                [chebyshev.chebder(one, axis=1) for one in led],
-            )
-        )
-        area = np.abs(by_a[0] * by_b[1] - by_a[1] * by_b[0])
-        return area * self._beams.etendue(field, line, *value)
-
-    def _filter(self, field: int, line: int, p_mm: np.ndarray, rho2: np.ndarray) -> np.ndarray:
+    def _filter(self, field: int, line: int, rays: AimedRays) -> np.ndarray:
         """Return -ln of the amplitude that stop, surfaces and glass pass of aimed rays, (R,)."""
-        gaussian = self.system.prescription.gaussian_apodisation * rho2
+        gaussian = self.system.prescription.gaussian_apodisation * rays.rho2
         if not self._lossy:
             return gaussian
         system, wavelength_nm = self.system, self.wavelengths_nm[line]
         index = system.index(np.array([wavelength_nm]))
         launch = field_launch(system, index, float(np.radians(self.field_deg[field])))
-        px, py = p_mm.astype(float).T[:, None]
-        rays = trace(system.geometry, index, launch, px, py, crossings=True)
-        lost = Losses(system.prescription, index, rays.crossings).exponent(0, wavelength_nm)
+        px, py = rays.p_mm.astype(float).T[:, None]
+        traced = trace(system.geometry, index, launch, px, py, crossings=True)
+        lost = Losses(system.prescription, index, traced.crossings).exponent(0, wavelength_nm)
         return gaussian + lost
 
     def _check_pitch(self, line: int, width: float) -> None:
@@ -353,25 +271,17 @@ class Generator:
         rec.run()
         return nodes
 
-    def _check(self, field: int, aimed: list) -> None:
+    def _check(self, field: int, aimed: list[AimedRays]) -> None:
         """Compare the interpolated wavefront with the rays that were aimed at the stop."""
         nodes = self.device.read(self._nodes[field])
         if (beside(nodes[..., 1]) & (nodes[..., 1] == 0)).any():
             nodes = continued(nodes)
             self.device.write(self._nodes[field], nodes)
-        for line, (cosines, _, reach, opd, *_) in enumerate(aimed):
+        for line, rays in enumerate(aimed):
             grid = self._grids[field, line]
-            at = np.stack([np.abs(cosines[:, 0]), cosines[:, 1]], axis=-1)
-            inside = reach < 1
-            place = (at[inside] - grid["first"]) / grid["step"]
-            low = np.floor(place).astype(int)
-            weights = lagrange(place - low)
-            rows = low[:, :1] + np.arange(-1, 3)
-            rows = np.where(rows < 0, -1 - rows, rows)
-            columns = low[:, 1:] + np.arange(-1, 3)
-            stencil = nodes[line].astype(float)[rows[:, :, None], columns[:, None, :]]
-            missing = (stencil[..., 1] == 0).any(axis=(1, 2))
-            if missing.any():
+            at = np.stack([rays.alpha, rays.beta], axis=-1)[rays.inside]
+            found = between_nodes(nodes[line], (at - grid["first"]) / grid["step"])
+            if np.isnan(found).any():
                 raise UserError(
                     f"rays at the pupil's rim fail at "
                     f"{self.field_deg[field]:.4g} deg: the wavefront is not known there",
@@ -380,8 +290,7 @@ class Generator:
                     value=f"{self.field_deg[field]:.4g}",
                     allowed="a smaller field, or clear apertures within which the rays pass",
                 )
-            found = np.einsum("ra,rb,rab->r", weights[:, 0], weights[:, 1], stencil[..., 0])
-            self.residual_waves[field, line] = np.std(found - opd[inside])
+            self.residual_waves[field, line] = np.std(found - rays.opd_waves[rays.inside])
 
     def _directions(self, field: int, line: int) -> tuple[np.ndarray, np.ndarray]:
         """Return alpha (A,) and beta (B,) of the nodes of one beam."""
@@ -482,9 +391,3 @@ class Generator:
         self._to_psfs.release()
         for one in (*self._nodes, *self._exponents):
             one.destroy()
-
-
-def lagrange(t: np.ndarray) -> np.ndarray:
-    """Return the weights of the nodes -1, 0, 1, 2 for cubic interpolation at t, a new last axis."""
-    a, b, c = t + 1, t - 1, t - 2
-    return np.stack([-t * b * c, 3 * a * b * c, -3 * a * t * c, a * t * b], axis=-1) / 6

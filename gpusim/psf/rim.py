@@ -1,4 +1,4 @@
-"""The rim of a pupil on its nodes: shares of their squares, and what lies right beyond."""
+"""The nodes of a pupil: shares of their squares on the rim, what lies right beyond and between."""
 
 from __future__ import annotations
 
@@ -66,3 +66,30 @@ def continued(nodes: np.ndarray) -> np.ndarray:
         new = ~known & (count > 0)
         whole[new] = total[new] / count[new][:, None]
     return whole[:, 4:].astype(np.float32)
+
+
+def between_nodes(nodes: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the wavefront (R,) at places between nodes, by cubics; NaN where a node has no ray.
+
+    Parameters
+    ----------
+    nodes : ndarray (A, B, 2)
+        The wavefront and the reach at the nodes of half a pupil, whose mirror image lies before
+        row 0.
+    place : ndarray (R, 2)
+        Row and column.
+    """
+    low = np.floor(place).astype(int)
+    weights = cubic_weights(place - low)
+    rows = low[:, :1] + np.arange(-1, 3)
+    rows = np.where(rows < 0, -1 - rows, rows)
+    columns = low[:, 1:] + np.arange(-1, 3)
+    stencil = nodes.astype(float)[rows[:, :, None], columns[:, None, :]]
+    found = np.einsum("ra,rb,rab->r", weights[:, 0], weights[:, 1], stencil[..., 0])
+    return np.where((stencil[..., 1] == 0).any(axis=(1, 2)), np.nan, found)
+
+
+def cubic_weights(t: np.ndarray) -> np.ndarray:
+    """Return the weights of the nodes -1, 0, 1, 2 for cubic interpolation at t, a new last axis."""
+    a, b, c = t + 1, t - 1, t - 2
+    return np.stack([-t * b * c, 3 * a * b * c, -3 * a * t * c, a * t * b], axis=-1) / 6

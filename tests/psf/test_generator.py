@@ -13,8 +13,9 @@ from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import System, build
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import pupils
-from gpusim.psf.generator import Generator, lagrange
+from gpusim.psf.generator import Generator
 from gpusim.psf.psf import folded_share, intensity
+from gpusim.psf.rim import cubic_weights
 
 LINES = np.array([450.0, 650.0])
 FIELDS = np.array([0.0, 14.0])
@@ -191,7 +192,7 @@ def test_the_residual_tells_of_wrong_nodes(device, system):
     made = Rippled(device, system, LINES[:1], FIELDS[:1], pitch_um=PITCH, size=SIZE)
     # A mean over t of the sum of the squared weights, each way: interpolation averages noise.
     t = (np.arange(100) + 0.5) / 100
-    kept = (lagrange(t) ** 2).sum(axis=-1).mean()
+    kept = (cubic_weights(t) ** 2).sum(axis=-1).mean()
     assert made.residual_waves[0, 0] == pytest.approx(Rippled.RIPPLE * kept, rel=0.1)
     made.release()
 
@@ -245,7 +246,7 @@ def test_rays_that_fail_within_the_pupil_are_an_error(device, system):
 def test_weights_of_the_host_are_those_of_four_nodes():
     t = np.linspace(0, 1, 9)
     for power in range(4):
-        found = lagrange(t) @ np.array([-1.0, 0.0, 1.0, 2.0]) ** power
+        found = cubic_weights(t) @ np.array([-1.0, 0.0, 1.0, 2.0]) ** power
         np.testing.assert_allclose(found, t**power, rtol=0, atol=1e-14)
 
 
