@@ -197,7 +197,7 @@ def _sample(
     px, py, found = aim(system.geometry, index, launch, stop_x, stop_y, tolerance_mm=tolerance)
     # As aimed: a ray that failed before the stop has a place there too.
     aimed2 = np.broadcast_to(np.append(0.0, stop_x**2 + stop_y**2), np.pad(found, PAD).shape)
-    return _arrived(system, index, launch, (px, py), found, aimed2, whole=whole)
+    return _arrived(system, index, launch, (px, py), found, stop2=aimed2, whole=whole)
 
 
 def _arrived(
@@ -206,8 +206,8 @@ def _arrived(
     launch: Launch,
     p_mm: tuple[np.ndarray, np.ndarray],
     found: np.ndarray,
-    stop2: np.ndarray | None,
     *,
+    stop2: np.ndarray | None = None,
     whole: bool,
 ) -> Samples:
     """Trace rays (L, R) from the launch plane, the chief rays with them.
@@ -343,7 +343,7 @@ def sample_rings(
         tolerance = AIM_TOLERANCE * radius
         aimed = aim(system.geometry, index[:, [line]], alone, x, y, tolerance_mm=tolerance)
         px, py, found = (np.repeat(one, index.shape[1], axis=0) for one in aimed)
-        return _arrived(system, index, launch, (px, py), found, None, whole=True)
+        return _arrived(system, index, launch, (px, py), found, whole=True)
 
     side = np.linspace(-RAY_OVERSIZE, RAY_OVERSIZE, COARSE_ACROSS)
     x, y = (one.ravel() for one in np.meshgrid(side, side))

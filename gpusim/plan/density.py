@@ -209,6 +209,7 @@ def bank_density(
     sensor: Sensor,
     scene: Scene,
     accuracy: Accuracy,
+    *,
     exposure_s: float = math.inf,
     progress: Progress | None = None,
 ) -> Density | None:

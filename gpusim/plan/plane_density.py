@@ -116,6 +116,7 @@ def plane_bank_density(
     sensor: Sensor,
     scene: Scene,
     accuracy: Accuracy,
+    *,
     exposure_s: float = math.inf,
     progress: Progress | None = None,
 ) -> PlaneDensity:

@@ -71,7 +71,7 @@ def compute_plane_bank(
         default_sides_deg(prescription) if one is None else np.array(one, float)
         for one in (field_x_deg, field_y_deg)
     )
-    _check(prescription, wavelengths, x_deg, y_deg, reference_nm, size)
+    _check(prescription, wavelengths, (x_deg, y_deg), reference_nm, size)
     if pitch_um is None:
         pitch_um = default_pitch_um(prescription, wavelengths)
     system = build(prescription)
@@ -185,14 +185,13 @@ def cached_plane_bank(prescription: Prescription, **settings: object) -> PlaneBa
 def _check(
     prescription: Prescription,
     wavelengths: np.ndarray,
-    x_deg: np.ndarray,
-    y_deg: np.ndarray,
+    sides_deg: tuple[np.ndarray, np.ndarray],
     reference_nm: float,
     size: int,
 ) -> None:
     """Refuse settings that make no bank."""
     check_reference(reference_nm, wavelengths)
-    for name, angles in (("field_x_deg", x_deg), ("field_y_deg", y_deg)):
+    for name, angles in zip(("field_x_deg", "field_y_deg"), sides_deg, strict=True):
         if len(angles) < 2 or not (0 in angles and (np.diff(angles) > 0).all()):
             raise UserError(
                 "field angles must rise and hold 0",

@@ -82,7 +82,7 @@ def folded_share(pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float)
 
 
 def unfolded_pupil(
-    samples: Samples, line: int, wavelength_nm: float, size: int, pitch_um: float, nodes: int
+    samples: Samples, line: int, wavelength_nm: float, *, size: int, pitch_um: float, nodes: int
 ) -> Pupil:
     """Return a pupil that is sampled so finely that no light folds into a window.
 
@@ -105,7 +105,7 @@ def unfolded_pupil(
 
 
 def losses_of(
-    samples: Samples, line: int, pupil: Pupil, wavelength_nm: float, size: int, pitch_um: float
+    samples: Samples, line: int, pupil: Pupil, wavelength_nm: float, *, size: int, pitch_um: float
 ) -> dict[str, float]:
     """Return how good the PSF of a field and wavelength is, by the names of a bank's variables.
 

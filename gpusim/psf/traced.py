@@ -178,11 +178,12 @@ def field_of(
     theta = float(np.radians(theta_deg))
     samples = sample_field(system, system.index(lines), theta)
     inside = distances_um(size, pitch_um) < size / 2 * pitch_um
+    given = {"size": size, "pitch_um": pitch_um}
     rows = []
     for line, wavelength in enumerate(lines):
         # One after the other, because finely sampled pupils are large.
-        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, NODES)
-        psf = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+        pupil = unfolded_pupil(samples, line, wavelength, **given, nodes=NODES)
+        psf = intensity(pupil, wavelength, **given)[0] * inside
         rows.append(
             {
                 "psf": psf.astype(np.float32),
@@ -190,7 +191,7 @@ def field_of(
                 "light_sr": pupil.entered,
                 "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half)[:, [1, 0, 2]],
                 "waves": wave_of(pupil, len(pupil.beta) // WAVE_NODES),
-                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
+                **losses_of(samples, line, pupil, wavelength, **given),
             }
         )
     waves = [row.pop("waves") for row in rows]
@@ -224,10 +225,11 @@ def plane_field_of(
     radius_um = size / 2 * pitch_um
     distance_um = distances_um(size, pitch_um)
     inside, within = distance_um < radius_um, fall(distance_um, radius_um)
+    given = {"size": size, "pitch_um": pitch_um}
     lines, waves = [], []
     for line, wavelength in enumerate(wavelengths):
-        pupil = unfolded_pupil(samples, line, wavelength, size, pitch_um, nodes)
-        window = intensity(pupil, wavelength, size, pitch_um)[0] * inside
+        pupil = unfolded_pupil(samples, line, wavelength, **given, nodes=nodes)
+        window = intensity(pupil, wavelength, **given)[0] * inside
         waves.append(wave_of(pupil, len(pupil.beta) // WAVE_NODES))
         lines.append(
             {
@@ -237,7 +239,7 @@ def plane_field_of(
                 "psf": window.T.astype(np.float32),
                 "cone": cone_of(pupil.alpha, pupil.beta, pupil.arriving, pupil.half),
                 "light_sr": pupil.entered,
-                **losses_of(samples, line, pupil, wavelength, size, pitch_um),
+                **losses_of(samples, line, pupil, wavelength, **given),
             }
         )
     levels, beyond = field_halo(waves.__getitem__, wavelengths, pitch_um, radius_um)

@@ -44,6 +44,7 @@ def _interpolated(
     place: tuple[np.ndarray, np.ndarray],
     low: tuple[np.ndarray, np.ndarray],
     step: tuple[float, float],
+    *,
     mirrored: bool,
 ) -> tuple[np.ndarray, ...]:
     """Interpolate by cubics at points of the pupil; what is not said is as for `pupil`.
@@ -150,7 +151,7 @@ def pupil(
     alpha, beta = np.broadcast_to(alpha, here.shape)[here], np.broadcast_to(beta, here.shape)[here]
 
     value, d_alpha, d_beta, known, filtered = _interpolated(
-        nodes, exponent, (x, y), (low_a, low_b), step, mirrored
+        nodes, exponent, (x, y), (low_a, low_b), step, mirrored=mirrored
     )
     passed = np.exp(-filtered)
     share = known * edge_share(1 - value[:, 1], d_alpha[:, 1] * cell, d_beta[:, 1] * cell)

@@ -43,7 +43,7 @@ def look(
     scene = scene.on(band.wavelengths_nm)
     plane = isinstance(lens, Prescription) and not lens.is_centred
     of_lens = plane_bank_density if plane else bank_density
-    density = of_lens(lens, sensor, scene, accuracy, exposure_s, progress)
+    density = of_lens(lens, sensor, scene, accuracy, exposure_s=exposure_s, progress=progress)
     sampling = {} if density is None else density.sampling
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
     return Look(band, scene.before(bank.principal_distance_mm), density, bank)

@@ -112,9 +112,7 @@ class Renderer:
         report = progress or (lambda what, done, total: None)
         if costs is None:
             # Before the budget counts: a calibration needs some 300 MiB.
-            costs = adapter_costs(
-                self.device, progress=lambda done, total: report("calibrate", done, total)
-            )
+            costs = adapter_costs(self.device, progress=lambda *done: report("calibrate", *done))
         pool.clear()  # what others left behind is no part of this renderer's peak
         # OpenBLAS's own threads wait by spinning: after each call of some size, a tenth of a second
         # of a core that what follows needs.
