@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +24,7 @@ from gpusim.optics.paint import SIGMA, TILE, Paint
 from gpusim.optics.point_sources import HIGHLIGHT, SQUARE
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.optics.warp import Warp
+from gpusim.parallel import each
 from gpusim.plan.costs import UNITS, Costs
 from gpusim.plan.layout import TRANSFORMS
 from gpusim.psf.places import Heights
@@ -80,17 +79,15 @@ def host_rates(device: Device) -> dict[str | int, float]:
         outputs = [(channel, 0.5, 0.5) for channel in range(3)]
         return kernel_spectra(sampled, length, 2.0, SIGMA, outputs)
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        spectra(sample(0))  # what is made once
-        times = [time.perf_counter()]
-        sampled = list(pool.map(sample, range(NODES)))
-        times.append(time.perf_counter())
-        nodes = [
-            device.resident("node", one.view(np.float32), Use.TEXELS)
-            for one in pool.map(spectra, sampled)
-        ]
-        device.wait()
-        times.append(time.perf_counter())
+    spectra(sample(0))  # what is made once
+    times = [time.perf_counter()]
+    sampled = each(sample, range(NODES))
+    times.append(time.perf_counter())
+    nodes = [
+        device.resident("node", one.view(np.float32), Use.TEXELS) for one in each(spectra, sampled)
+    ]
+    device.wait()
+    times.append(time.perf_counter())
     for node in nodes:
         node.destroy()
     of_kernels, of_spectra = np.diff(times) / (9 * NODES)
@@ -111,10 +108,9 @@ def point_source_rates(device: Device) -> dict[str | int, float]:
     def one(number: int) -> np.ndarray:
         return boxes(side, 0.5, 1.55, shifts, angle=0.1 * number, square=2.0 * np.eye(2))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        started = time.perf_counter()
-        list(pool.map(one, range(4)))
-        boxes_s = (time.perf_counter() - started) / 4
+    started = time.perf_counter()
+    each(one, range(4))
+    boxes_s = (time.perf_counter() - started) / 4
 
     rows = np.zeros(count, HIGHLIGHT)
     rows["pixel"], rows["axis"] = cells, (0.1, 0.0)

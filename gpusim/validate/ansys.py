@@ -223,7 +223,7 @@ class Read:
 
     @property
     def lgd_errors(self) -> np.ndarray:
-        """Of LGD at `radii`, measured less the lens's: percentage points."""
+        """LGD at `radii`, measured less the lens's: percentage points."""
         own = self.distortion.fits["chosen"].lgd(self.radii)
         return 100 * (own - self.lens.lgd(self.radii * self.corner_mm))
 

@@ -62,7 +62,7 @@ def electrons_of(camera: Camera, scene: Scene, predictor: Predictor, band: Band)
         Its sensor has efficiencies by angle.
     scene : Scene
     predictor : Predictor
-        Of the whole picture.
+        It predicts the whole picture.
     band : Band
         Whose wavelengths the sensor sees.
     """

@@ -41,7 +41,7 @@ from gpusim.validate.bars import Bar
 from gpusim.validate.edges import ROI_PX, Found
 from gpusim.validate.predict import FIELDS
 
-# Of the part of the sensor that holds the square: a lens's first render costs by its field.
+# Side of the part of the sensor that holds the square: a lens's first render costs by its field.
 CROP_PX = 160
 SPARE_PX = 24  # of the field, beyond the square: PSFs and the slopes about its edges
 SHIFTS_UM = (-10.0, 10.0, 20.0)  # of the image plane: figure 14
@@ -157,7 +157,7 @@ def sharpness(
     ----------
     reading : Reading
     shifts_um : sequence of float
-        Of the image plane, beside 0; none: ROI 3 is not followed through focus.
+        Where the image plane stands, beside 0; none: ROI 3 is not followed through focus.
     progress : callable, optional
         Called with (what, done, total).
     """

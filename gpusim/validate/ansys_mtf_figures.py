@@ -18,7 +18,7 @@ BLUE, RED, GREEN, GOLD = "#2456b8", "#c0342b", "#1b8a6b", "#b8860b"
 MAPS = {"electrons": BLUE, "irradiance": RED}
 REGIONS = {1: BLUE, 3: RED}  # as in the paper's figures 12 and 13
 DASHED = (0, (4, 2))
-# Of the reduced-order model, over what is true.
+# How the reduced-order model is drawn, over what is true.
 SIMPLER = {"Gaussian": GREEN, "no colour": GOLD, "Gaussian, no colour": RED}
 FOCUS_CY_PX = (0.1, 0.25, 0.5)  # whose MTF is drawn over the position of the image plane
 

@@ -45,7 +45,7 @@ class Noise:
     Attributes
     ----------
     number : int
-        Of the region.
+        The region's, in the paper.
     curves : ndarray (N, F)
         SFR of each realisation.
     clean : ndarray (F,)

@@ -62,8 +62,8 @@ KERNEL = ((0.003, 0.012, 0.003), (0.012, 0.940, 0.012), (0.003, 0.012, 0.003))
 MASK_GAIN, MASK_OFFSET_E = 0.01, 40.0  # amplitudes of the masks, drawn from a seed
 # What has to hold: of the effect's own size where both pictures come from one light, in float32.
 READ_BAR = 1e-3
-# Of the flare: gpusim.optics.flare takes the scene's mean before the PSFs, and at the reference
-# wavelength: blue, which is magnified more, comes out 3e-3 off.
+# The flare's error, over the flare: gpusim.optics.flare takes the scene's mean before the PSFs, and
+# at the reference wavelength: blue, which is magnified more, comes out 3e-3 off.
 FLARE_BAR = 5e-3
 LIGHT_BAR = 2 * TOLERANCE
 ADC_BAR = 0.5 + 1e-3  # DN; float32 holds 1023 DN to 6e-5

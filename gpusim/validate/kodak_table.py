@@ -13,7 +13,7 @@ class Place:
     Attributes
     ----------
     number : int
-        Of the edge.
+        The edge's, in table 1.
     x, y : float
         Pixels from the sensor's centre, right and down.
     """

@@ -29,8 +29,8 @@ from gpusim.validate.tracers import PLANE_NM, Bundle
 AIM_MM = 1e-11  # of the stop's radius, some 0.3 mm, 3e-11: 1e-8 um at the image
 STEP_MM = 1e-4  # of the slope for Newton's rule
 RAYS_ACROSS = 45  # over half the pupil some 1000: nine for each coefficient of degree 14
-# Of the paraxial entrance pupil: the real one is some percent larger off the axis, and rays must
-# reach beyond the rim for polynomials to interpolate there.
+# Rays cover so many radii of the paraxial entrance pupil: the real one is some percent larger off
+# the axis, and rays must reach beyond the rim for polynomials to interpolate there.
 OVERSIZE = 1.2
 
 

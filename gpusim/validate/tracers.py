@@ -1,6 +1,6 @@
 """Rays for predictions, from a lens program that is not ours; from our float64 tracer without it.
 
-Of a lens both are given what its file says: surfaces, stop, clear apertures, image plane, and the
+Both are given what the lens's file says: surfaces, stop, clear apertures, image plane, and the
 refractive indices, for catalogues differ in the sixth digit. Each gives rays by direction cosines
 behind the lens with the optical path to Debye's reference sphere (`gpusim.lens.wavefront`), so that
 one code makes line spreads of either.

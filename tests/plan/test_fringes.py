@@ -79,7 +79,7 @@ def test_steps_rise_with_the_reach_and_end_at_the_most():
 
 
 def test_points_count_where_they_bring_more_light_than_what_surrounds_them():
-    # Of 2000 samples two are as bright as many times the others.
+    # Two of 2000 samples are as bright as many times the others.
     assert lone_points(starry(1.01 + 1000 * LONE))
     assert not lone_points(starry(0.99 + 1000 * LONE))
     assert not lone_points(scene((), FLAT[None]))
