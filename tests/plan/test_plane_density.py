@@ -13,12 +13,16 @@ from gpusim.plan.plane_density import (
     FIELDS_SHARE,
     LINES_SHARE,
     MOST,
+    STEPS,
     PlaneDensity,
     _PlaneSurvey,
     plane_bank_density,
 )
 from gpusim.plan.survey import MEAN
+from gpusim.psf import compute_plane, halo
 from gpusim.psf.sampling import default_sides_deg
+from gpusim.psf.spreads import even_lines_nm
+from gpusim.psf.store import BANK_BYTES
 from gpusim.scene.chart import Rect
 
 EDGE = scene((Rect(0.0, 0.0, 0.5, 0.5, 0.08, 1),), np.stack([FLAT, FLAT / 16]))
@@ -144,3 +148,10 @@ def test_a_tolerance_is_met_or_refused_with_the_nearest(monkeypatch):
     assert "27 x 27 fields" in caught.value.problem
     best = plane_bank_density(*given, Accuracy(1e-5, best_effort=True))
     assert len(best.side_deg) == MOST
+
+
+def test_the_densest_bank_can_be_read_again():
+    """Its PSFs and the levels of its halo, float32; else it would be traced for every render."""
+    samples = compute_plane.SIZE**2 + halo.LEVELS * halo.SIZE**2
+    lines = len(even_lines_nm(STEPS[-1]))
+    assert 1.01 * 4 * MOST**2 * lines * samples < BANK_BYTES
