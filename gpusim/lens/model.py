@@ -39,7 +39,7 @@ class LensModel(Strict):
     """The fields of a lens, and the changes that need no ray."""
 
     title: str
-    patent: str | None
+    patent: str | None = None
     source: str
     notes: str = ""
     units: Literal["mm"]
