@@ -63,13 +63,16 @@ def planned_anew(accuracy: Accuracy, attempt: Callable[[Accuracy], Result]) -> R
 
 
 def tighter(accuracy: Accuracy, certificate: Certificate | None) -> float | None:
-    """Return the tolerance to plan for next; None where there is no need, or it was not asked for.
+    """Return the tolerance to plan for next; None where no plan helps, or none was asked for.
 
     Best effort asks for one render, and a time for no second one.
     """
     if certificate is None or certificate.met:
         return None
     if accuracy.best_effort or accuracy.within_s is not None:
+        return None
+    # What the sensor's own stages err by, no plan of the optics mends.
+    if certificate.sensor_rms > accuracy.tolerance:
         return None
     # A probe may err by ten times the tolerance.
     found = max(certificate.total_rms, certificate.total_worst / 10)

@@ -27,9 +27,11 @@ class Made:
     notes: tuple[str, ...] = ()
 
 
-def judged(rms: float, tolerance: float, worst: float = 0.0) -> SimpleNamespace:
+def judged(
+    rms: float, tolerance: float, worst: float = 0.0, sensor: float = 0.0
+) -> SimpleNamespace:
     met = rms <= tolerance and worst <= 10 * tolerance
-    return SimpleNamespace(total_rms=rms, total_worst=worst, met=met)
+    return SimpleNamespace(total_rms=rms, total_worst=worst, sensor_rms=sensor, met=met)
 
 
 def attempts(factor: float, *, refused_below: float = 0.0) -> tuple[list[float], object]:
@@ -49,6 +51,11 @@ def test_a_plan_that_meets_is_made_once():
     asked, attempt = attempts(0.9)
     assert planned_anew(Accuracy(1e-3), attempt).certificate.met
     assert asked == [1e-3]
+
+
+def test_no_plan_is_made_anew_for_what_the_sensor_errs_by():
+    assert tighter(Accuracy(1e-3), judged(2e-3, 1e-3)) is not None
+    assert tighter(Accuracy(1e-3), judged(2e-3, 1e-3, sensor=1.9e-3)) is None
 
 
 def test_a_plan_that_misses_is_made_anew_in_the_ratio_by_which_it_missed():
