@@ -5,12 +5,14 @@ field angles, traced anew at points that are no nodes, behind an edge of 1 : 5; 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from optics.made import FLAT, monochrome, scene
 
 from gpusim.certify import ExactModel, Measure, Placed
+from gpusim.certify import bank as bank_module
 from gpusim.certify.bank import bank_share
 from gpusim.certify.places import pixels_near, points_of
 from gpusim.formats.lens_file import load_prescription
@@ -130,3 +132,16 @@ def test_places_lie_next_to_the_middles_of_cells_and_in_the_frame(sound, rate):
     pixels, owners = pixels_near(SENSOR, rate, ORIGIN, points)
     middle = (pixels[:, ::-1] + 0.5 - 500) * SENSOR.pixel_pitch_um
     assert np.abs(middle - points[owners]).max() <= 129 * SENSOR.pixel_pitch_um
+
+
+def test_lenses_are_traced_over_wider_windows_than_the_banks(sound, monkeypatch):
+    asked = {}
+
+    def traced(lens, **settings):
+        asked.update(settings)
+        return SimpleNamespace(levels=())
+
+    monkeypatch.setattr(bank_module, "cached_traced_plane_field", traced)
+    bank_module._traced_points(sound, object(), np.zeros((1, 2)), None)
+    assert asked["size"] == bank_module.WIDER * sound.psf.shape[-1]
+    assert asked["pitch_um"] == sound.pitch_um
