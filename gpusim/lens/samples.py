@@ -293,7 +293,7 @@ def sample_field(system: System, index: np.ndarray, theta: float, azimuth: float
     x, y = grid(0.0 if half else -rim, rim, -rim, rim, coarse)
     lit = _sample(system, index, launch, x, y).inside
     if not lit.any(axis=1).all():
-        raise _no_light(system, theta)
+        raise no_light(system, theta)
     inside = lit.any(axis=0)
     # The rim lies within one coarse spacing of the last ray inside; one more reaches beyond it.
     spare = 2 * (2 * rim / (coarse - 1))
@@ -303,8 +303,8 @@ def sample_field(system: System, index: np.ndarray, theta: float, azimuth: float
     return _sample(system, index, launch, *grid(*box, RAYS_ACROSS))
 
 
-def _no_light(system: System, theta: float) -> UserError:
-    """Return the error of a field at which nothing passes the lens."""
+def no_light(system: System, theta: float) -> UserError:
+    """Return the error of a field, rad, at which nothing passes the lens."""
     return UserError(
         f"no light passes the lens at {np.degrees(theta):.4g} deg",
         file=system.prescription.file,
@@ -352,7 +352,7 @@ def sample_rings(
     coarse = sample(radius * x, radius * y)
     lit = coarse.inside
     if not lit.any(axis=1).all():
-        raise _no_light(system, theta)
+        raise no_light(system, theta)
     inside = lit.any(axis=0)
     middle = np.array([x[inside].mean(), y[inside].mean()])
     turn = 2 * np.pi * np.arange(2 * SPOKES) / (2 * SPOKES)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from gpusim.errors import UserError
-from gpusim.lens.samples import RAY_OVERSIZE
+from gpusim.lens.samples import RAY_OVERSIZE, no_light
 from gpusim.lens.system import System
 from gpusim.lens.tracer import Beams
 from gpusim.lens.wavefront import within_hull
@@ -101,13 +101,7 @@ def aimed_rays(
     for field, theta in enumerate(field_deg):
         of_field = range(field * lines, (field + 1) * lines)
         if not all((reach[beam][ok[beam]] < 1).any() for beam in of_field):
-            raise UserError(
-                f"no light passes the lens at {theta:.4g} deg",
-                file=system.prescription.file,
-                field="max_field_deg",
-                value=f"{theta:.4g}",
-                allowed="a smaller field",
-            )
+            raise no_light(system, np.radians(theta))
         found.append([])
         for beam in of_field:
             inside = ok[beam] & (reach[beam] < 1)
@@ -170,7 +164,12 @@ class Leads:
         on_a, on_b = self._in(alpha, beta)
         return [on_a @ one @ on_b.T for one in self.coefficients]
 
-    def entering(self, etendue, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+    def entering(
+        self,
+        etendue: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        alpha: np.ndarray,
+        beta: np.ndarray,
+    ) -> np.ndarray:
         """Return E on a grid of directions (A, B): see `gpusim.lens.entering`.
 
         ``etendue``: returns the etendue of places on the launch plane, per area of it.

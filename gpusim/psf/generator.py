@@ -182,7 +182,8 @@ class Generator:
         """
         exponent = self._filter(field, line, rays) if self._filtered else None
         leads = Leads(rays, exponent)
-        node_a, node_b = self._laid_out(field, line, leads)
+        self._lay_out(field, line, leads)
+        node_a, node_b = self._directions(field, line)
         p_x, p_y, *lost = leads.at(node_a, node_b)
 
         def etendue(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -200,8 +201,8 @@ class Generator:
         )
         return started, -0.5 * np.log(light), lost[0] if lost else None
 
-    def _laid_out(self, field: int, line: int, leads: Leads) -> tuple[np.ndarray, np.ndarray]:
-        """Lay out the grids of one beam; return alpha (A,) and beta (B,) of its nodes."""
+    def _lay_out(self, field: int, line: int, leads: Leads) -> None:
+        """Lay out the grids of one beam."""
         rays, half, half_height = leads.rays, leads.half, leads.half_height
         alpha, beta = rays.alpha[rays.inside], rays.beta[rays.inside]
         self._check_pitch(line, max(2 * alpha.max(), np.ptp(beta)))
@@ -219,8 +220,6 @@ class Generator:
         grid["cell"] = wavelength_um / (self._transform * self.pitch_um)
         grid["chief"] = 0, self.chief_beta[field, line]
         grid["waves_per_mm"] = 1e3 / wavelength_um
-        node_a = grid["first"][0] + np.arange(self._na) * step_a
-        return node_a, grid["first"][1] + np.arange(self._nb) * step_b
 
     def _filter(self, field: int, line: int, rays: AimedRays) -> np.ndarray:
         """Return -ln of the amplitude that stop, surfaces and glass pass of aimed rays, (R,)."""

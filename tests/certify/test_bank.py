@@ -118,8 +118,11 @@ def test_a_defect_in_the_bank_turns_the_certificate_red(sound, judged, defect):
 
 
 def test_a_field_that_is_dropped_turns_the_certificate_red(sound, judged):
-    """Cubics bridge a gap of 300 um between fields, and not one of 600 um."""
-    found, met = judged(of_fields(sound, [0, 2, 4, 6, 8, 10, 12, 14]))
-    assert met and found.share.rms < 0.9 * RED_AT.tolerance
+    """Cubics bridge a gap of 300 um between fields, and not one of 600 um.
+
+    Towards the rim, where the lens changes most, 150 um.
+    """
+    found, met = judged(of_fields(sound, [0, 2, 4, 6, 8, 10, 11, 12, 13, 14]))
+    assert met and found.share.rms < 0.7 * RED_AT.tolerance
     found, met = judged(of_fields(sound, [0, 2, 4, 6, 8, 12, 14]))
     assert not met and found.share.rms > RED_AT.tolerance
