@@ -1,6 +1,6 @@
 """Train a small denoiser on 200 crops of simulated raws, in about a minute on two cores.
 
-Needs PyTorch: pip install '.[train]' in the checkout. It leaves denoised.png: raw, denoised and clean.
+Needs PyTorch: pip install '.[train]' in the checkout. It leaves denoised.png: raw, denoised, clean.
 """
 
 import numpy as np
