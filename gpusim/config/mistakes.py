@@ -122,7 +122,7 @@ def _missing(findings: list[dict], model: type[BaseModel], path: Path | None) ->
 def _wrong(finding: dict, model: type[BaseModel], path: Path | None) -> UserError:
     where, value = finding["loc"], finding["input"]
     field = _place(where) or None
-    if finding["type"] == "sensor":
+    if finding["type"] == "contradiction":
         known = finding["ctx"]
         inner = ".".join(part for part in (field, known["field"]) if part)
         return UserError(

@@ -44,6 +44,14 @@ class Strict(BaseModel):
         return copied
 
 
+def wrong(
+    problem: str, allowed: str, *, field: str | None = None, value: object = None
+) -> PydanticCustomError:
+    """Return what a validator of several fields raises: it names one of them, and its value."""
+    known = {"problem": problem, "allowed": allowed, "field": field, "value": value}
+    return PydanticCustomError("contradiction", "{problem}", known)
+
+
 @lru_cache(maxsize=None)
 def _plain_fields(model: type[BaseModel]) -> frozenset[str]:
     """Return the fields of a model in which no truth value, model or arbitrary value stands."""

@@ -33,7 +33,8 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
     ------
     UserError
         Where there is no such lens, or the file is not a complete prescription: names the file,
-        the field, its value and what is allowed.
+        the field, its value and what is allowed. So it is for a glass that no catalogue has, or
+        several have.
     """
     known = presets()
     path = known.get(str(name_or_path), Path(name_or_path))
@@ -55,6 +56,7 @@ def load_prescription(name_or_path: str | Path) -> Prescription:
         lens = lens.absorbing()
     if lens.max_field_deg == 0:
         lens = with_small_field(lens)
+    _ = lens.known  # finds every glass: one that is not known is told here, not at the first ray
     return lens
 
 

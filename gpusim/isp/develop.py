@@ -30,7 +30,7 @@ def develop(
     """Develop a raw file: ours, or one that LibRaw can read.
 
     By default nothing is automatic: a picture is as bright as its exposure made it, and white is
-    where the first channel saturates. Of less than three colours it is grey.
+    where the first channel saturates. A sensor with fewer than three colours gives a grey one.
 
     Parameters
     ----------

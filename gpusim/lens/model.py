@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.lens.glass import surface_known
@@ -24,6 +24,8 @@ from gpusim.lens.surface import Coating, Surface
 # Fields that state the aperture, of which a lens has one, and those that are lengths.
 APERTURES = ("f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm", "object_na")
 LENGTHS = (*APERTURES[1:3], "object_distance_mm", "focus_distance_mm")
+
+Positive = Annotated[float, Field(gt=0)]
 
 
 class Check(Strict):
@@ -45,7 +47,9 @@ class LensModel(Strict):
     units: Literal["mm"]
     glass_catalogues: tuple[str, ...] = ()
     nearest_glasses: bool = False  # in place of model glasses, of which nd and Vd alone are known
-    design_wavelengths_nm: tuple[float, ...] = Field((486.1327, 587.5618, 656.2725), min_length=1)
+    design_wavelengths_nm: tuple[Positive, ...] = Field(
+        (486.1327, 587.5618, 656.2725), min_length=1
+    )
     reference_nm: float = Field(587.5618, gt=0)
     f_number: float | None = Field(None, gt=0)
     entrance_pupil_diameter_mm: float | None = Field(None, gt=0)
@@ -74,21 +78,50 @@ class LensModel(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if sum(getattr(self, name) is not None for name in APERTURES) != 1:
-            raise ValueError(f"give one of {', '.join(APERTURES)}")
+            given = [name for name in APERTURES if getattr(self, name) is not None]
+            raise wrong(
+                "a lens has one aperture",
+                f"one of {', '.join(APERTURES)}",
+                field=", ".join(given or APERTURES),
+                value=", ".join(f"{getattr(self, name):g}" for name in given) or "none",
+            )
         if self.object_na is not None and self.object_distance_mm is None:
-            raise ValueError("object_na needs object_distance_mm: at infinity it has no meaning")
+            raise wrong(
+                "object_na has no meaning for an object at infinity",
+                "with object_distance_mm",
+                field="object_na",
+                value=self.object_na,
+            )
         if not 1 <= self.stop <= len(self.surfaces):
-            raise ValueError(f"stop must be a surface number from 1 to {len(self.surfaces)}")
-        if any(w <= 0 for w in self.design_wavelengths_nm):
-            raise ValueError("design_wavelengths_nm must be greater than 0")
+            raise wrong(
+                "the stop is none of the surfaces",
+                f"a surface number from 1 to {len(self.surfaces)}",
+                field="stop",
+                value=self.stop,
+            )
         for number, surface in enumerate(self.surfaces[:-1], start=1):
             if surface.thickness is None:
-                raise ValueError(f"surface {number} needs a thickness (only the last may lack it)")
+                raise wrong(
+                    "a thickness is missing",
+                    "mm; the last surface alone may lack it",
+                    field=f"surfaces.{number}.thickness",
+                    value="none",
+                )
         if self.surfaces[-1].glass is not None:
-            raise ValueError("the last surface must have air behind it: the image lies in air")
+            raise wrong(
+                "the image lies in air",
+                "no glass behind the last surface",
+                field=f"surfaces.{len(self.surfaces)}.glass",
+                value=self.surfaces[-1].glass,
+            )
         last = self.surfaces[-1].thickness
         if self.focus == "as-given" and (last is None or last <= 0):
-            raise ValueError("focus: as-given needs a thickness > 0 behind the last surface")
+            raise wrong(
+                "focus: as-given takes the image plane from the last surface's thickness",
+                "greater than 0 (mm), or focus: best or paraxial",
+                field=f"surfaces.{len(self.surfaces)}.thickness",
+                value="none" if last is None else last,
+            )
         return self
 
     @property

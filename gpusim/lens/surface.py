@@ -12,7 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.lens.dispersion import FORMULAS
 
 ASPHERE_POWERS = tuple(range(2, 31, 2))  # r^2 to r^30: extended aspheres of phone lenses need them
@@ -141,26 +141,49 @@ class Surface(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.radius is None) == (self.curvature is None):
-            raise ValueError("give either radius or curvature")
+            given = "none" if self.radius is None else f"{self.radius:g}, {self.curvature:g}"
+            allowed = "one of the two: radius in mm, or curvature in 1/mm"
+            raise wrong("a shape is given once", allowed, field="radius, curvature", value=given)
         if self.radius is not None and (self.radius == 0 or math.isnan(self.radius)):
-            raise ValueError("radius must not be 0 (a plane is .inf)")
-        if self.glass == "constant":
-            if self.nd is None or self.vd is not None:
-                raise ValueError("a constant glass needs nd and no vd: it does not disperse")
-        elif (self.nd is None) != (self.vd is None):
-            raise ValueError("nd and vd come together")
-        if self.glass is None and self.nd is not None:
-            raise ValueError("nd and vd need a glass (glass: model uses them as they are)")
-        if self.glass == "model" and self.nd is None:
-            raise ValueError("a model glass needs nd and vd")
-        if self.glass != "model" and self.dpgf is not None:
-            raise ValueError("dpgf needs a model glass")
-        if self.dispersion is not None and self.glass in (None, "model", "constant"):
-            raise ValueError("a dispersion needs the name of its glass")
+            allowed = "mm, not 0; a plane is .inf"
+            raise wrong("no surface has this radius", allowed, field="radius", value=self.radius)
+        self._check_glass()
         # In air a step back is a way to place a diaphragm beside the vertex of a lens.
         if self.glass is not None and self.thickness is not None and self.thickness <= 0:
-            raise ValueError("a glass thickness must be greater than 0")
+            raise wrong(
+                "a glass has a thickness",
+                "greater than 0 (mm)",
+                field="thickness",
+                value=self.thickness,
+            )
         return self
+
+    def _check_glass(self) -> None:
+        given = {name: getattr(self, name) for name in ("nd", "vd", "dpgf")}
+        values = ", ".join(f"{name}: {v:g}" for name, v in given.items() if v is not None)
+        numbers = values or "no nd, no vd"
+        if self.glass == "constant":
+            if self.nd is None or self.vd is not None:
+                allowed = "nd alone: it does not disperse"
+                raise wrong("a constant glass has one index", allowed, field="nd", value=numbers)
+        elif (self.nd is None) != (self.vd is None):
+            raise wrong("half of a glass is given", "both nd and vd", field="nd, vd", value=numbers)
+        if self.glass is None and self.nd is not None:
+            allowed = "a glass's name, or model, which takes nd and vd as they are"
+            raise wrong("nd and vd are of no glass", allowed, field="glass", value="none")
+        if self.glass == "model" and self.nd is None:
+            raise wrong("a model glass lacks its numbers", "nd and vd", field="nd", value="none")
+        if self.glass != "model" and self.dpgf is not None:
+            raise wrong(
+                "dpgf is a model glass's", "glass: model", field="glass", value=self.glass or "none"
+            )
+        if self.dispersion is not None and self.glass in (None, "model", "constant"):
+            raise wrong(
+                "a dispersion is of no glass",
+                "the name of its glass",
+                field="glass",
+                value=self.glass or "none",
+            )
 
     @property
     def vertex_curvature(self) -> float:

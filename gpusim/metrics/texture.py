@@ -1,8 +1,8 @@
 """Texture MTF from dead leaves: what is left of fine detail of low contrast in a picture.
 
 The power spectrum of a region is divided by that of the target, which is known. Leaves lie one over
-another. Of those that cover either of two points d apart, the front one covers both, and gives both
-the same grey, with the probability
+another. Take the front leaf of all that cover either of two points d apart: it covers both points,
+and gives both the same grey, with the probability
 
     gamma(d) / (2 gamma(0) - gamma(d))
 

@@ -62,8 +62,8 @@ class Bank(FieldBank):
 
         PSFs lie beside their chief rays and change with the field, so what they spread of a light K
         adds up to K - div(K c) + div div(K S) / 2 where the scene is even: c and S are their first
-        and second moments about the chief ray of the reference wavelength. Of a ready-made bank
-        only what such a scene shows is known, and this is the K that makes it so.
+        and second moments about the chief ray of the reference wavelength. A ready-made
+        bank tells only what such a scene shows, and this is the K that makes it so.
         """
         if self.field_light is not None:
             return self.field_light

@@ -30,8 +30,8 @@ class LocalPsfs:
     Attributes
     ----------
     places_um : ndarray (N, 2)
-        Where the light lands, x and y from the axis. Of a lens with an axis along x, as
-        ``turned`` says: elsewhere at the same distance a PSF is the same, turned about the axis.
+        Where the light lands, x and y from the axis. A lens with an axis has its places along x,
+        as ``turned`` says: elsewhere at the same distance a PSF is the same, turned about the axis.
     turned : bool
     light : ndarray (N, k, k, 3) or (N, k, k)
         What red, green and blue photosites see, or all, per sample and with a sum of 1 at most;

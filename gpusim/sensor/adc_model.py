@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, ValidationInfo, model_validator
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.config.text import read_text
 from gpusim.errors import UserError
-from gpusim.sensor.strict import NotNegative, Positive, wrong
+from gpusim.sensor.strict import NotNegative, Positive
 
 MAX_POINTS = 4096  # of a measured response
 LINEAR_SHARES = (0.05, 0.95)  # of saturation, between which EMVA 1288 judges the linearity

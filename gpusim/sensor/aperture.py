@@ -12,8 +12,7 @@ from itertools import combinations
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from gpusim.config.model import Strict
-from gpusim.sensor.strict import wrong
+from gpusim.config.model import Strict, wrong
 
 ROUNDING = 1e-9  # pixels, by which rectangles given as decimal fractions may touch or reach out
 MAX_CELLS = 32  # along a side of a map

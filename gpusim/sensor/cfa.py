@@ -6,9 +6,8 @@ from itertools import chain
 
 from pydantic import field_validator, model_validator
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.config.names import perhaps
-from gpusim.sensor.strict import wrong
 
 # Red, green, blue, cyan, magenta, yellow, white (no filter): those that a DNG can name, in the
 # order of TIFF/EP's CFAPattern (ISO 12234-2), in which red is 0 and white 6.

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from gpusim.config.model import wrong
 from gpusim.errors import UserError
 from gpusim.sensor.aperture import AREA_ROUNDING
-from gpusim.sensor.strict import wrong
 
 if TYPE_CHECKING:
     from gpusim.sensor.sensor import Sensor
@@ -23,7 +23,7 @@ def check_fields(sensor: Sensor) -> None:
     Raises
     ------
     PydanticCustomError
-        See :func:`gpusim.sensor.strict.wrong`.
+        See :func:`gpusim.config.model.wrong`.
     UserError
         The file of the quantum efficiency by angle has other channels.
     """

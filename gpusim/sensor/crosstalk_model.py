@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import RootModel, field_validator, model_validator
 
-from gpusim.config.model import Strict
-from gpusim.sensor.strict import wrong
+from gpusim.config.model import Strict, wrong
 
 MAX_SIDE = 7  # of a kernel, pixels
 ANY = "*"  # stands for every channel

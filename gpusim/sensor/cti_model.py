@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
-from gpusim.config.model import Strict
-from gpusim.sensor.strict import NotNegative, Positive, wrong
+from gpusim.config.model import Strict, wrong
+from gpusim.sensor.strict import NotNegative, Positive
 
 MAX_SPECIES = 4
 

@@ -37,9 +37,9 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from gpusim.config.mistakes import checked
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.config.text import read_json
-from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid
 
 Cube = list[list[list[NotNegative]]]
 KEYS = "source, wavelengths_nm, theta_deg, phi_deg, channels: see gpusim/sensor/eqe_model.py"

@@ -11,11 +11,11 @@ import numpy as np
 from pydantic import ValidationInfo, model_validator
 
 from gpusim.config.mistakes import checked
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.config.text import read_text
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid
 
 
 class Filter(Strict):

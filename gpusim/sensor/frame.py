@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 from pydantic import Field, model_validator
 
-from gpusim.config.model import Strict
-from gpusim.sensor.strict import wrong
+from gpusim.config.model import Strict, wrong
 
 MAX_BORDER = 4096  # pixels
 

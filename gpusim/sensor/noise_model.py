@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from gpusim.config.arrays import read_npy, read_tiff
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.errors import UserError
-from gpusim.sensor.strict import NotNegative, Positive, wrong
+from gpusim.sensor.strict import NotNegative, Positive
 
 BOLTZMANN_J_PER_K = 1.380649e-23  # exact in the SI of 2019, as is
 ELEMENTARY_CHARGE_C = 1.602176634e-19

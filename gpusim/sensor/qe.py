@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 from pydantic import model_validator
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, wrong
 from gpusim.scene.spectra import WAVELENGTHS_NM
-from gpusim.sensor.strict import NotNegative, Positive, check_grid, wrong
+from gpusim.sensor.strict import NotNegative, Positive, check_grid
 
 
 class QuantumEfficiency(Strict):

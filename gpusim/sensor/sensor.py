@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 from pydantic import ValidationInfo, model_validator
 
+from gpusim.config.model import wrong
 from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -25,7 +26,6 @@ from gpusim.sensor.eqe_model import read_eqe
 from gpusim.sensor.filters_model import passed
 from gpusim.sensor.frame import Frame, Overscan
 from gpusim.sensor.misregistration import mixed
-from gpusim.sensor.strict import wrong
 
 # What a step of the analogue gain changes: all of it acts when the charge is read.
 OF_GAIN = ("analogue_gain", "system_gain_dn_per_e", "temporal_dark_noise_e")

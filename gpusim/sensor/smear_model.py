@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from gpusim.config.model import Strict
-from gpusim.sensor.strict import Positive, wrong
+from gpusim.config.model import Strict, wrong
+from gpusim.sensor.strict import Positive
 
 
 class Smear(Strict):

@@ -1,4 +1,4 @@
-"""What the models of sensor files share: bounds, and errors that say what is allowed."""
+"""What the models of sensor files share: bounds of numbers, and grids of wavelengths."""
 
 from __future__ import annotations
 
@@ -7,20 +7,12 @@ from itertools import pairwise
 from typing import Annotated
 
 from pydantic import Field
-from pydantic_core import PydanticCustomError
 
+from gpusim.config.model import wrong
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-
-
-def wrong(
-    problem: str, allowed: str, *, field: str | None = None, value: object = None
-) -> PydanticCustomError:
-    """Return what a validator raises; one of several fields says of which, and its value."""
-    known = {"problem": problem, "allowed": allowed, "field": field, "value": value}
-    return PydanticCustomError("sensor", "{problem}", known)
 
 
 def check_grid(wavelengths_nm: Sequence[float]) -> None:

@@ -1,9 +1,9 @@
 """Edge spread functions of the Samsung validation (its figure 9), at three wavelengths.
 
 Near-vertical edges lie on the axis, at half the field to the right (their light spreads along the
-radius) and, where the sensor reaches so far, at half the field below (across it). Of a filter array
-each channel passes one wavelength, so that one render shows all three. Predictions are an
-independent tracer's: of light as a wave, against which the edges are held, and of its rays alone,
+radius) and, where the sensor reaches so far, at half the field below (across it). Each
+channel of a filter array passes one wavelength, so that one render shows all three. An independent
+tracer predicts them: of light as a wave, against which the edges are held, and of its rays alone,
 which is what the paper compares. Pixels of the sensor are in both.
 """
 

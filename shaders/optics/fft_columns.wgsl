@@ -8,21 +8,21 @@
 //   folded[site, m, kx] = exp(2 pi i kx o_x / T) sum_ky X_c(site)[ky, kx] exp(2 pi i ky (D m + o_y) / T)
 // Where the PSFs are sums of modes (shaders/optics/modes), NODES = 2: there are no weights in y and no lower nodes, `planes`
 // are pairs of lines, and the left and right node's kernels are those of a pair's two lines. NODES = 1: of a single line.
-// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D. Of a block that
-// is convolved as its mirror image (shaders/optics/fft_rows), sites lie the other way round.
+// Photosite m of a site lies D m + o samples after the block's window; (o_x, o_y) are multiples of STEP below D. Where a
+// block is convolved as its mirror image (shaders/optics/fft_rows), sites lie the other way round.
 //
 // T = 16 16 E: with y = n + 16 r + 256 e and ky = E (p + 16 q) + g, the sums over e (turned by g y / T), r and q are taken in
 // that order, for one g after another. Between r and q, and between q and p on the way back, sixteen times sixteen numbers
-// wait in `lines`: each is stored and loaded once, which is what costs on lavapipe; arithmetic hides behind it. Of the
-// inverse transform over q only those results are kept on which photosites lie: nothing else is left of the fold onto them.
+// wait in `lines`: each is stored and loaded once, which is what costs on lavapipe; arithmetic hides behind it. The
+// inverse transform over q keeps only those results on which photosites lie: nothing else is left of the fold onto them.
 // Three kernels of this file do that, for a function of all its memory accesses takes the compilers of software drivers more
 // than twice as long as the three together: PHASE 0 makes the sums over r, 1 those over q, the products and the inverse over q,
 // 2 the rest. Overrides are what shapes the code; lengths and counts are params, so that few kernels serve all grids.
 // spectra (planes, height, T), kernels (planes, T/16, E, 16, C, 8, 8, 2) per node [electrons/s per unit of the plane, divided
 // by T^2]: [j, kx/8, g, p, c, q/2, kx%8, q%2], what eight lanes load lies together
 // -> folded (ceil(S/2), T/D, T/2, 2) electrons/s: sites 2 i and 2 i + 1 side by side. Kernels have no frequency kx = T/2.
-// Dispatch: (T/16, 1, 1) workgroups of 8 invocations; PHASE 0, then 1, then 2. Of more than four
-// channels PHASE 1 once for each four of them, from `first` on. Then each site has a kernel of its own, and a dispatch makes
+// Dispatch: (T/16, 1, 1) workgroups of 8 invocations; PHASE 0, then 1, then 2. With more than four
+// channels PHASE 1 runs once for each four of them, from `first` on. Then each site has a kernel of its own, and a dispatch makes
 // the sites of its kernels.
 #include "sixteen"
 #include "texels"

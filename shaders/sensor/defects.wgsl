@@ -1,7 +1,7 @@
 // Defects: pixels of a list, changed in place:
 //   plane[at] = min(keep plane[at] + add, limit)
 // Mean electrons, before the noise: a dead pixel keeps no light (keep 0, add its dark signal), a hot one has
-// dark current of its own (keep 1). Of electrons that were read: a stuck pixel gives the same always (keep 0).
+// dark current of its own (keep 1). After read-out a stuck pixel gives the same number always (keep 0).
 // Units: electrons. at: place in the plane (rows, cols), row by row, each once.
 // In: at, keep, add (count). In and out: plane.
 // Dispatch: ceil(count/64) workgroups of 64, one pixel of the list each.

@@ -6,7 +6,7 @@
 // cloud that it has half-way through them. Groups of one site are one transfer after the other. Sites that the packets
 // before have not seen come with empty traps, so that no electron is lost or made at any size of the groups.
 // What is filled is a pile of levels, highest and oldest first: electrons in v sites and unit volume between a level's
-// height and that of the next, when it was made. A cloud takes off the levels below its own height. Of a pile that is too
+// height and that of the next, when it was made. A cloud takes off the levels below its own height. In a pile that is too
 // high the two oldest levels become one, which holds what both did.
 // Units: electrons; time in transfers. In: charge (rows, cols). Out: arrived (rows, cols); trapped (lines), to which is
 // added what the traps of the group hold in the end; levels (DEPTH lines (1 or 2) + 3 lines) vec4f is scratch.

@@ -224,7 +224,7 @@ def test_a_dispersion_may_stand_in_the_lens_and_must_name_its_glass(tmp_path):
     with pytest.raises(UserError, match="dispersion formula of glass own of surface 1 fails"):
         indices(load_prescription(file), np.array([500.0]))
     for change, words in (
-        ({"glass": "model", "nd": 1.5, "vd": 60.0}, "a dispersion needs the name"),
+        ({"glass": "model", "nd": 1.5, "vd": 60.0}, "a dispersion is of no glass"),
         ({"dispersion": law | {"formula": 0}}, "13 Extended 3"),
     ):
         wrong = data | {"surfaces": [data["surfaces"][0] | change, data["surfaces"][1]]}

@@ -3,8 +3,8 @@
 Tolerances. A ray meets up to eleven surfaces with some 30 roundings each, of coordinates of up to
 20 mm and of angles; most of them are small: ANGLE and PLACE_MM are 30 and 20 roundings in all. By
 Fermat the path is right to second order: (5e-6 mm)^2 over gaps of 0.5 mm are 5e-11 mm, 1e-7 waves;
-100 roundings of 2^-44 of paths of 50 mm are 3e-10 mm, 6e-7 waves at most. Of the oval's two
-surfaces and 100 mm there are a dozen roundings of 2^-47, 2e-8 waves, and on its axis no W to cover
+100 roundings of 2^-44 of paths of 50 mm are 3e-10 mm, 6e-7 waves at most. The oval's two
+surfaces and 100 mm take a dozen roundings of 2^-47, 2e-8 waves, and on its axis no W to cover
 them up. W belongs to the direction that the device found, so the reference is moved there along its
 slope, minus the landing. Three roundings of the result: of W in mm, of 1 / lambda, of their
 product.

@@ -28,7 +28,7 @@ def test_the_sfr_is_that_of_the_closed_form(mtf50, angle):
     found = measure_sfr(edge(mtf50, angle, off_px=0.3), WHOLE)
     f = found.frequency_cy_px[found.frequency_cy_px <= 0.6]
     # A cubic spline through knots 0.25 px apart misses (0.25 f)^4 * 0.6 of the response at f (de
-    # Boor 1978, XII): 3e-4 at 0.6. Of an edge as sharp as its pixels, the line lies within 1e-3
+    # Boor 1978, XII): 3e-4 at 0.6. The line of an edge as sharp as its pixels lies within 1e-3
     # degrees of its place, 7e-4 px at the region's ends, which is less.
     assert np.abs(found.sfr[: len(f)] - mtf(f, sigma_of(mtf50, angle), angle)).max() < 4e-4
     assert found.falls_to(0.5).value == pytest.approx(mtf50, rel=3e-4)

@@ -1,7 +1,7 @@
 """Blur: the whole against a sum over every sample, and what it refuses.
 
-Tolerance: the error of a transform goes with the root mean square of what it transforms. Of images
-between 0 and 1 and PSFs of unit sum, at most eight roundings of 2^-24 of the largest result were to
+Tolerance: the error of a transform goes with the root mean square of what it transforms. For images
+between 0 and 1 and PSFs of unit sum, at most eight roundings of 2^-24 of the largest result are to
 be expected (five transforms of 7 levels, random roundings); 1e-6 of the peak is the design's bar.
 """
 

@@ -149,7 +149,7 @@ def test_rays_are_added_until_their_map_meets_the_next():
         chief = FieldMap(np.radians(rays_deg), rays_um[:, 0], 1e3)
         fine = np.linspace(0, np.pi / 6, 999)
         assert np.abs(chief.height_um(fine) - height(fine)).max() < MISS_UM / 20
-        # The image plane moved away: along each ray. Of the fields it is the caller's.
+        # The image plane moved away: places move along each ray. The fields' own are the caller's.
         new = np.flatnonzero(~np.isin(moved_deg.round(9), angles.round(9)))
         slope = np.tan(np.radians(moved_deg[new]))
         assert_close(moved_um[new, 0] - height(np.radians(moved_deg[new])), 40 * slope, atol=1e-9)

@@ -2,7 +2,7 @@
 
 Tolerance of d: the place s takes three roundings, of at most n, and d changes by its slope over n
 from one whole number to the next; Horner's scheme six more, of sums that are at most the sum of
-|coefficient|. Of u = x + x d: two.
+|coefficient|. u = x + x d takes two.
 """
 
 import numpy as np

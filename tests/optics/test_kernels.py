@@ -148,7 +148,7 @@ def test_a_sharp_psf_keeps_its_energy_at_every_azimuth():
     """Samples of 0.3875 um along the bank's axes meet what splines add at 2 cycles/um; 45 deg not.
 
     They meet it at 2.58 cycles/um, where a quintic spline has sinc(1.29)^6 / 0.55 = 1e-4 of the
-    0.26 that a Gaussian of 0.45 um has at 0.58; along two axes and to both sides 1e-4. Of a cubic
+    0.26 that a Gaussian of 0.45 um has at 0.58; along two axes and to both sides 1e-4. With a cubic
     one it would be sinc(1.29)^4 / 0.58 = 2.4e-3, and 2.5e-3 in all.
     """
     sharp = bank(sigma_um=(0.45,) * 3, coma_um=0.0, falloff=0.0, lateral=(0.0, 0.0, 0.0))

@@ -106,7 +106,7 @@ def test_the_halo_is_that_of_twice_as_many_nodes(rows):
     held = true["levels"].sum(axis=(-2, -1))
     off = np.abs(found["levels"] - true["levels"]).sum(axis=(-2, -1))
     # Slopes of W are differences over two nodes, and rays lie on straight lines between them: both
-    # go with the square of the spacing. Of the pupil's 1/57 they move 1 % of the light by a sample.
+    # go with the square of the spacing. At the pupil's 1/57 they move 1 % of the light by a sample.
     assert (off[0] < 0.01).all()
     assert (off[1:] < 0.1 * held[1:] + 1e-5).all()
     assert np.abs(edges(found["levels"][0]) - edges(true["levels"][0])).max() < 1.5e-3
