@@ -34,10 +34,9 @@ from gpusim.reference.fields import Grid, Heights, OneHeight, OnePoint, TracedHe
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 
-# Width of the windows of PSFs that are traced anew for a lens without an axis, over the bank's, all
-# of which are alike. Beyond a window light is rays and a rim's diffraction to first order, which
-# what judges a bank must not share: a decentred triplet that throws 15 % beyond 30 um had edges off
-# by 1e-2, and a certificate of 1.1e-3.
+# Width of the windows of PSFs that are traced anew, over the bank's. Beyond a window light is rays
+# and a rim's diffraction to first order, which what judges a bank must not share: a decentred
+# triplet that throws 15 % beyond 30 um had edges off by 1e-2, and a certificate of 1.1e-3.
 WIDER = 2
 THINNED = 1 / 16  # of the error with fields twice as far apart: cubics go with the fourth power
 
@@ -164,7 +163,7 @@ def _traced_pairs(
         reference_nm=float(lines[np.abs(lines - bank.reference_nm).argmin()]),
         map_nm=float(bank.reference_nm),
         pitch_um=bank.pitch_um,
-        size=bank.psf.shape[-1],
+        size=WIDER * bank.psf.shape[-1],
         progress=progress,
     )
     theirs = traced.levels
