@@ -37,18 +37,11 @@ def kodak(out: Path, *, own_tracer: bool) -> int:
 def ansys(out: Path) -> int:
     """Reproduce the Ansys and Meta paper's validation; return the exit code."""
     from gpusim.validate import ansys_page as page
-    from gpusim.validate.ansys import READINGS, read
-    from gpusim.validate.ansys_mtf import SHIFTS_UM, even_scene, sharpness
+    from gpusim.validate.ansys_measured import measured
 
     def made(progress: Progress) -> Report:
-        found = [read(one, progress) for one in READINGS]
-        first, *others = READINGS  # the first is the paper's simulation
-        sharp = [sharpness(first, SHIFTS_UM, progress)]
-        sharp += [sharpness(one, (), progress) for one in others]
-        progress("even scene", 0, 1)
-        even = even_scene(first)
-        progress("even scene", 1, 1)
-        return page.report(found, sharp, even)
+        found = measured(progress)
+        return page.report(found.targets, found.edges, found.even)
 
     return _written(out, made)
 

@@ -227,6 +227,15 @@ class Edges:
     tracer: str
     independent: bool
 
+    @classmethod
+    def of(cls, parts: Sequence[Edges]) -> Edges:
+        """Return the edges of several charts, all predicted by one program."""
+        found, lights = {}, {}
+        for one in parts:
+            found |= one.found
+            lights |= one.lights
+        return cls(found, lights, parts[0].tracer, parts[0].independent)
+
     def apart(self, band: str, axis: str, number: int) -> tuple[float, float]:
         """Return where a band's edge lies from the reference's: predicted and measured, px."""
         own, other = self.found[band, axis, number], self.found[REFERENCE, axis, number]
@@ -258,8 +267,10 @@ def measure_edges(
     rendered: Prescription,
     predictor: Predictor,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    *,
+    sheets: Collection[str] = tuple(SHEETS),
 ) -> Edges:
-    """Render, measure and predict all edges.
+    """Render, measure and predict edges.
 
     Parameters
     ----------
@@ -269,19 +280,22 @@ def measure_edges(
         Predicts the lens by rays.
     progress : callable
         Called with (what, done, total).
+    sheets : collection of str
+        Names of `SHEETS`; by default all edges.
     """
     found, lights = {}, {}
     sensor = three_sensors()
     camera = Camera(lens=rendered, sensor=sensor, title="stand-in, three bands")
     own = {name: band_of(name) for name in sensor.channels}
     flat = {name: even_light(sensor, predictor, band) for name, band in own.items()}
-    sheets = [
+    charts = [
         (where, target)
-        for where, groups in SHEETS.items()
-        for target in targets(predictor, sensor, {n for one in groups for n in one})
+        for where in sheets
+        for target in targets(predictor, sensor, {n for one in SHEETS[where] for n in one})
     ]
-    for where, target in sheets:
-        progress("renders", len(lights), len(sheets))
+    what = f"edges {', '.join(sheets)}"
+    for where, target in charts:
+        progress(what, len(lights), len(charts))
         light, rates = band_lights(camera, target.chart, SHEETS[where])
         lights[f"near-{target.axis} edges {where}"] = light
         for place in (place for place in TABLE_1 if place.number in target.ideal_um):
@@ -291,6 +305,6 @@ def measure_edges(
                 found[name, target.axis, place.number] = compare(
                     place, target, band, picture, sensor=sensor, predictor=predictor
                 )
-    progress("renders", len(sheets), len(sheets))
+    progress(what, len(charts), len(charts))
     tracer = predictor.tracer
     return Edges(found, lights, tracer.name, tracer.independent)

@@ -1,14 +1,16 @@
-"""All that the Kodak report measures, in the order in which it is made."""
+"""All that the Kodak report measures: most of it at once, and then what is timed, alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
+from gpusim.validate.at_once import Progress, at_once
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certificate_bar
 from gpusim.validate.kodak import (
     REFERENCE,
+    SHEETS,
     Edges,
     measure_edges,
     mono_sensor,
@@ -41,7 +43,7 @@ class Measured:
 
 
 def measured(
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = lambda what, done, total: None,
     *,
     own: bool = False,
 ) -> Measured:
@@ -54,20 +56,30 @@ def measured(
     own : bool
         Whether our tracer predicts, which is not independent.
     """
+    parts = [_squares, *(partial(_edges, own, where) for where in SHEETS)]
+    (effects, hues, noises), *edges = at_once(parts, progress)
     lens = stand_in()
     progress("predictions", 0, 2)
     predictor = predictor_of(lens, own=own)
     progress("predictions", 1, 2)
     psfs = measure_psfs(lens, predictor)
     progress("predictions", 2, 2)
-    edges = measure_edges(lens, predictor, progress)
     vertical = targets(predictor, mono_sensor(REFERENCE))[0]
     costs = measure_costs(lens, vertical, predictor, progress)
-    effects, light = measure_effects(lens, progress)
+    return Measured(Edges.of(edges), psfs, effects, hues, noises, costs)
+
+
+def _edges(own: bool, where: str, progress: Progress) -> Edges:
+    lens = stand_in()
+    return measure_edges(lens, predictor_of(lens, own=own), progress, sheets=(where,))
+
+
+def _squares(progress: Progress) -> tuple[Effects, Hues, Noises]:
+    effects, light = measure_effects(stand_in(), progress)
     progress("read-out", 0, 2)
     hues = measure_hues(light)
     progress("read-out", 1, 2)
     noises = measure_noises(light)
     progress("read-out", 2, 2)
     light.release()
-    return Measured(edges, psfs, effects, hues, noises, costs)
+    return effects, hues, noises

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from gpusim.lens.system import build
 from gpusim.validate import samsung_figures as figures
+from gpusim.validate.at_once import Progress, at_once
 from gpusim.validate.certified import certificate_bar, certificate_numbers
+from gpusim.validate.predict import Predictor
 from gpusim.validate.report import Report, Rows, Section
 from gpusim.validate.samsung_camera import STANDARD, lens_of, predictor_of
 from gpusim.validate.samsung_colour import PATCHES, Colours, measure_colours
@@ -40,7 +42,7 @@ NODES_NM = np.array([400.0, 500.0, 600.0, 700.0])  # of the rays: glass goes smo
 
 
 def validated(
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = lambda what, done, total: None,
     *,
     own: bool = False,
 ) -> Report:
@@ -53,20 +55,35 @@ def validated(
     own : bool
         Whether our tracer predicts, which is not independent.
     """
-    edges = measure_edges(own, progress)
-    corners = measure_corners(own, progress)
+    parts = measure_edges, measure_corners, _efficiency, _colours, _noise
+    return report(*at_once([partial(part, own) for part in parts], progress))
+
+
+def _efficiency(own: bool, progress: Progress) -> Efficiency:
     progress("efficiency", 0, 1)
-    lens = lens_of(STANDARD)
-    predictor = predictor_of(build(lens), math.radians(lens.max_field_deg), NODES_NM, own=own)
-    efficiency = measure_qe(lens, predictor)
+    found = measure_qe(lens_of(STANDARD), _predictor(own))
     progress("efficiency", 1, 1)
-    progress("colour", 0, 1)
-    colours = measure_colours(lens)
-    progress("colour", 1, 1)
+    return found
+
+
+def _noise(own: bool, progress: Progress) -> Noise:
     progress("noise", 0, 1)
-    noise = measure_noise(lens, predictor)
+    found = measure_noise(lens_of(STANDARD), _predictor(own))
     progress("noise", 1, 1)
-    return report(edges, corners, efficiency, colours, noise)
+    return found
+
+
+def _colours(own: bool, progress: Progress) -> Colours:
+    """Return the colours, which no rays predict."""
+    progress("colour", 0, 1)
+    found = measure_colours(lens_of(STANDARD))
+    progress("colour", 1, 1)
+    return found
+
+
+def _predictor(own: bool) -> Predictor:
+    lens = lens_of(STANDARD)
+    return predictor_of(build(lens), math.radians(lens.max_field_deg), NODES_NM, own=own)
 
 
 def report(

@@ -13,7 +13,7 @@ from ansys_findings import READING, drawn, even, sharp
 from command_line import gpusim
 
 from gpusim.lens.system import build
-from gpusim.validate import ansys, ansys_mtf, ansys_square
+from gpusim.validate import ansys, ansys_measured, ansys_mtf, ansys_square
 from gpusim.validate.spheres import SphereTracer
 from gpusim.validate.tracers import OwnTracer
 
@@ -88,10 +88,10 @@ def test_the_command_writes_its_pages_and_ends_with_1_where_a_bar_is_lost(
 ):
     board, distortion, peaks, captures = drawn(lens)
     found = ansys.Read(READING, lens, distortion, board, peaks, captures)
-    monkeypatch.setattr(ansys, "read", lambda one, progress: found)
     made = sharp(rms=share * ansys_square.TOLERANCE)
-    monkeypatch.setattr(ansys_mtf, "sharpness", lambda one, shifts_um, progress: made)
-    monkeypatch.setattr(ansys_mtf, "even_scene", lambda one: even())
+    count = len(ansys.READINGS)
+    gave = [*[made] * count, *[found] * count, even()]
+    monkeypatch.setattr(ansys_measured, "at_once", lambda parts, progress: gave)
     ended = gpusim("validate", "ansys", "--out", tmp_path)
     facts = json.loads((tmp_path / "ansys.json").read_text())
     lost = [bar["name"] for bar in facts["bars"] if not bar["held"]]

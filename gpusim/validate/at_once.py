@@ -1,0 +1,75 @@
+"""Parts of a report that are measured at once, each in a process of its own.
+
+Planning, tracing and predicting keep one core busy for most of their time; so many processes as
+there are cores keep all of them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from multiprocessing import active_children, get_context
+from multiprocessing.queues import SimpleQueue
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from gpusim.calibrate.rates import adapter_costs
+from gpusim.gpu import default_device
+
+Progress = Callable[[str, int, int], None]
+Part = Callable[[Progress], Any]
+
+LOOK_S = 0.2  # between looks at what the parts tell of their progress
+
+_told: SimpleQueue
+
+
+def at_once(parts: Sequence[Part], progress: Progress) -> list[Any]:
+    """Return what parts give, in their order.
+
+    Parameters
+    ----------
+    parts : sequence of callable
+        Each is called with ``progress``. They and what they give are pickled. They begin in their
+        order: those that take longest come first.
+    progress : callable
+        Called with (what, done, total).
+    """
+    adapter_costs(default_device())  # measured before: parts would slow one another's measurement
+    context = get_context("spawn")  # a copy of this process would share its GPU's device
+    told = context.SimpleQueue()
+    count = min(len(parts), os.cpu_count() or 1)
+    workers = ProcessPoolExecutor(count, context, _begin, (told,))
+    try:
+        made = [workers.submit(_measured, part) for part in parts]
+        running = set(made)
+        while running:
+            done, running = wait(running, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
+            while not told.empty():
+                progress(*told.get())
+            for one in done:
+                one.result()  # what failed ends the others
+        return [one.result() for one in made]
+    except BaseException:
+        for process in active_children():
+            process.terminate()
+        raise
+    finally:
+        workers.shutdown(cancel_futures=True)
+
+
+def _begin(told: SimpleQueue) -> None:
+    """Prepare a process: whoever started it is the one that an interrupt stops."""
+    global _told
+    _told = told
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")  # numba, which optiland uses, warns of its own insides
+
+
+def _measured(part: Part) -> Any:
+    with threadpool_limits(1):
+        return part(lambda what, done, total: _told.put((what, done, total)))
