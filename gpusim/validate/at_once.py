@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.queues import SimpleQueue
 from typing import Any
 
@@ -67,7 +68,14 @@ def _begin(told: SimpleQueue) -> None:
     global _told
     _told = told
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     warnings.simplefilter("ignore")  # numba, which optiland uses, warns of its own insides
+
+
+def _end_with_parent() -> None:
+    """End when whoever started this process is gone: a killed one tells nobody."""
+    parent_process().join()
+    os._exit(1)
 
 
 def _measured(part: Part) -> Any:

@@ -163,7 +163,7 @@ def draw_costs(costs: Costs) -> Figure:
     """Return error against run time at N samples a pixel."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.2, 4.9))
-        told = "a region of 64 x 64 pixels, one band; the paper works with N = 2"
+        told = "in the dots: N; a region of 64 x 64 pixels, one band; the paper works with N = 2"
         titles(figure, "Error against run time at N samples a pixel", [told], top=4.85)
         panels = [panel(figure, 0.85 + 3.55 * k, 0.75, 2.8, 2.95) for k in range(3)]
         seconds = [one.median_s for one in costs.found]
@@ -177,11 +177,11 @@ def draw_costs(costs: Costs) -> Figure:
         for axes, (part, title) in zip(panels, parts.items(), strict=True):
             for edge, color in zip(EDGES, ("#c0342b", "#2456b8"), strict=True):
                 errors = [abs(getattr(one.errors[edge], part)) for one in costs.found]
-                look = {"color": color, "marker": "o", "markersize": 4, "linestyle": "none"}
+                look = {"color": color, "marker": "o", "markersize": 9, "linestyle": "none"}
                 axes.errorbar(seconds, errors, xerr=within, label=f"edge {edge}", **look)
                 for one, x, y in zip(costs.found, seconds, errors, strict=True):
-                    axes.annotate(f"N = {one.samples}", (x, y), (5, 4), fontsize=7, color=color,
-                                  textcoords="offset points")  # fmt: skip
+                    axes.annotate(f"{one.samples}", (x, y), ha="center", va="center_baseline",
+                                  fontsize=7, color="white")  # fmt: skip
             axes.set(yscale="log", xlabel="run time [s]", title=title)
             axes.set_xlim(0, 1.2 * spread.max())
             axes.margins(y=0.15)

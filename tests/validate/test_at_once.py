@@ -3,8 +3,9 @@
 import os
 import time
 from functools import partial
-from multiprocessing import active_children
+from multiprocessing import active_children, get_context
 
+import psutil
 import pytest
 
 from gpusim.errors import UserError
@@ -21,6 +22,11 @@ def slowly(number, progress):
 
 
 def waits(progress):
+    time.sleep(LONG_S)
+
+
+def waits_as(file, progress):
+    file.write_text(str(os.getpid()))
     time.sleep(LONG_S)
 
 
@@ -43,6 +49,21 @@ def test_the_mistake_of_one_part_ends_all_and_is_told_whole():
     assert (caught.value.field, caught.value.value, caught.value.allowed) == ("light", 3, "4")
     assert time.perf_counter() - begin < LONG_S / 2
     assert not active_children()
+
+
+def test_parts_end_when_what_started_them_is_killed(tmp_path):
+    file = tmp_path / "process"
+    killed = get_context("spawn").Process(target=at_once, args=([partial(waits_as, file)], print))
+    killed.start()
+    by = time.perf_counter() + LONG_S / 2
+    while not (file.exists() and file.read_text()) and time.perf_counter() < by:
+        time.sleep(0.1)
+    killed.kill()
+    killed.join()
+    number = int(file.read_text())
+    while psutil.pid_exists(number) and time.perf_counter() < by:
+        time.sleep(0.1)
+    assert not psutil.pid_exists(number)
 
 
 def test_an_interrupt_ends_the_parts():
