@@ -143,6 +143,7 @@ def plane_bank_of(
     of_halo = whole_halo(
         [(row.pop("levels"), row.pop("beyond")) for row in rows],
         pitch_um,
+        rows[0]["psf"].shape[-1] / 2 * pitch_um,
         np.stack([row.pop("core") for row in rows]),
     )
     pitches = of_halo.pop("halo_pitch_um")

@@ -33,6 +33,7 @@ LEVELS = 3
 FALLS_FROM = 0.5
 LAST_FALLS_FROM = 0.875
 MOST_SCALED = 5.0  # 1.5 is met in windows of 64 samples at f/2.8, 1.1 in those of 256
+AROUND_CORE = 2.0  # core radii within which light is scaled
 
 
 def pitches_um(core_pitch_um: float) -> np.ndarray:
@@ -133,15 +134,23 @@ def through_few(wavelengths_nm: np.ndarray) -> tuple[list[int], np.ndarray]:
 
 
 def whole_halo(
-    fields: Sequence[tuple[np.ndarray, np.ndarray]], core_pitch_um: float, core: np.ndarray
+    fields: Sequence[tuple[np.ndarray, np.ndarray]],
+    core_pitch_um: float,
+    core_radius_um: float,
+    core: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Return the halo of a bank, by the names of its variables, scaled to what the core lacks.
+    """Return the halo of a bank, by the names of its variables, with all the light the core lacks.
+
+    Core and halo disagree where one passes into the other: a caustic that lies there has fringes as
+    a wave and none as rays. So what they lack together is made up around the core alone, and far
+    light stays as rays and the rim have it. Before the phone's lens they disagree by 7 % of the
+    halo at the corner, by 0.2 % with a window twice as wide.
 
     Parameters
     ----------
     fields : sequence of (levels, beyond)
         As `field_halo` returns them, F of them.
-    core_pitch_um : float
+    core_pitch_um, core_radius_um : float
     core : ndarray (F, L)
         Share of the light in the window that `fall` leaves to it.
 
@@ -152,17 +161,20 @@ def whole_halo(
     """
     levels = np.stack([one for one, _ in fields], axis=1)
     beyond = np.stack([one for _, one in fields])
-    held = levels.sum(axis=(0, 3, 4), dtype=float)
-    wanted = 1 - beyond - core
+    misfit = levels.sum(axis=(0, 3, 4), dtype=float) - (1 - beyond - core)
+    pitches = pitches_um(core_pitch_um)
+    weight = fall(distances_um(SIZE, float(pitches[0])), AROUND_CORE * core_radius_um)
+    near = np.einsum("flyx,yx->fl", levels[0], weight, dtype=float)
     # Where the two disagree by more, the window is too small for its lens: what they lack is not
     # made up, but counts as light that is lost.
-    factor = np.clip(wanted / np.maximum(held, FEW_RAYS), 1 / MOST_SCALED, MOST_SCALED)
-    levels *= factor.astype(np.float32)[:, :, None, None]
+    factor = np.clip(1 - misfit / np.maximum(near, FEW_RAYS), 1 / MOST_SCALED, MOST_SCALED)
+    for of_field, lines in zip(levels[0], factor, strict=True):
+        of_field *= (1 + (lines - 1)[:, None, None] * weight).astype(np.float32)
     return {
         "halo": levels,
-        "halo_pitch_um": pitches_um(core_pitch_um),
-        "beyond_energy": beyond + np.abs(wanted - factor * held),
-        "halo_misfit": held - wanted,
+        "halo_pitch_um": pitches,
+        "beyond_energy": beyond + np.abs(misfit + (factor - 1) * near),
+        "halo_misfit": misfit,
     }
 
 
@@ -179,7 +191,7 @@ def halo_of(
         given = wavelengths_nm, core_pitch_um, core_radius_um
         return field_halo(lambda line: wave(field, line), *given)
 
-    return whole_halo(each(one, range(len(core))), core_pitch_um, core)
+    return whole_halo(each(one, range(len(core))), core_pitch_um, core_radius_um, core)
 
 
 def halo(

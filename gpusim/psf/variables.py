@@ -47,7 +47,8 @@ def _optional(fields: tuple[str, ...], samples: tuple[str, str]) -> Variables:
         "halo_misfit": (
             lines,
             "1",
-            "light that window and levels together had too much of, before the levels were scaled",
+            "light that window and levels together had too much of, before that was made up around "
+            "the core",
         ),
         "principal_mm": (
             (),

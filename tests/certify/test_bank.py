@@ -112,16 +112,16 @@ def of_unit_sum(bank):
 
 
 def test_what_a_narrow_window_leaves_to_the_halo_is_seen(lens, sound, judged, monkeypatch):
-    """The judge finds most of what one with a window twice as wide as its own finds.
+    """The judge finds half of what one with a window twice as wide as its own finds, and more.
 
-    With a window of 24 um the bank is off by 4.0e-4, by judges of three to six times that width. A
-    judge with the bank's own window shares what it lacks, and would find 0.9e-4.
+    The light that a rim throws beyond r goes as 1 / r: half of what lies outside a window lies
+    within one twice as wide. A judge with the bank's own window would share what the bank lacks.
     """
     narrow = compute_bank(lens, LINES_NM, sound.field_deg, size=96)
     found, _ = judged(narrow)
     monkeypatch.setattr("gpusim.certify.bank.WIDER", 2 * WIDER)
     wider, _ = judged(narrow)
-    assert found.share.rms > 0.7 * wider.share.rms > 0.2 * RED_AT.tolerance
+    assert found.share.rms > 0.5 * wider.share.rms > 0.2 * RED_AT.tolerance
 
 
 @pytest.mark.parametrize("defect", [five_nm_off, halved, of_unit_sum])
