@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gpusim.config.arrays import read_npz
+from gpusim.config.arrays import MOST_BYTES, read_npz
 from gpusim.errors import UserError
 from gpusim.isp.optics import Optics
 from gpusim.library.expose import expose
@@ -25,8 +25,11 @@ from gpusim.library.light import Light
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import aligned
 from gpusim.render.reading import lit_for, taken_for
+from gpusim.scene.bands import RADIANCE
 from gpusim.scene.chart import Chart
+from gpusim.scene.exr import units_of
 from gpusim.scene.spectra import STEP_NM, WAVELENGTHS_NM
+from gpusim.scene.spectral_exr import read_spectral_exr, write_spectral_exr
 from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.checks import MAX_CHANNELS
 from gpusim.sensor.planes import PERIODS, planes_of
@@ -69,7 +72,11 @@ OF_LIGHT = (
     "aperture",
     "scan_motion_px",
 )
-ALLOWED = "an .npz with irradiance_w_m2_nm (rows, cols, bands) and wavelengths_nm (bands,)"
+UNITS = "W m^-2 nm^-1"
+ALLOWED = (
+    "an .npz with irradiance_w_m2_nm (rows, cols, bands) and wavelengths_nm (bands,); or a "
+    f"spectral .exr with units {UNITS}"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,13 +255,7 @@ class Irradiance:
         """
         path = Path(path)
         if path.suffix.lower() == ".exr":
-            from gpusim.scene.exr import write_exr
-
-            bands = {
-                f"S0.{line:.3f}nm".replace(".", ",").replace("S0,", "S0."): self.values[..., n]
-                for n, line in enumerate(self.wavelengths_nm)
-            }
-            write_exr(path, bands, units="W m^-2 nm^-1")
+            write_spectral_exr(path, self.values, self.wavelengths_nm, UNITS)
             return
         if path.suffix.lower() != ".npz":
             raise UserError("no such kind of file", file=path, allowed=".npz, .exr")
@@ -267,7 +268,10 @@ class Irradiance:
 
     @classmethod
     def load(cls, path: str | Path) -> Irradiance:
-        """Read an ``.npz``: irradiance_w_m2_nm (rows, cols, bands) and wavelengths_nm (bands,).
+        """Read what `save` writes, or another program.
+
+        An ``.npz`` has irradiance_w_m2_nm (rows, cols, bands) and wavelengths_nm (bands,); an
+        ``.exr`` a channel for each band, and ``units`` of W m^-2 nm^-1.
 
         Raises
         ------
@@ -278,6 +282,8 @@ class Irradiance:
         if not os.path.isfile(path):
             raise UserError("no such irradiance", file=path, allowed=ALLOWED)
         try:
+            if path.suffix.lower() == ".exr":
+                return cls(*_of_exr(path))
             arrays = read_npz(path)
             return cls(arrays["irradiance_w_m2_nm"], arrays["wavelengths_nm"])
         except UserError as error:
@@ -285,6 +291,24 @@ class Irradiance:
             raise
         except Exception as error:  # whatever a broken archive makes of NumPy and zipfile
             raise UserError(f"no irradiance: {error}", file=path, allowed=ALLOWED) from None
+
+
+def is_irradiance(path: Path) -> bool:
+    """Return whether a file is one of irradiance: an .npz, or an .exr that says so."""
+    if path.suffix.lower() == ".exr" and os.path.isfile(path):
+        return units_of(path) == UNITS
+    return path.suffix.lower() == ".npz"
+
+
+def _of_exr(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return values (rows, cols, bands) and wavelengths of a spectral EXR of irradiance."""
+    units = units_of(path)
+    if units != UNITS:
+        raise _wrong("an EXR of something else", f"units {units or 'not said'}")
+    bands = read_spectral_exr(path, most=MOST_BYTES // 4)
+    if bands.kind != RADIANCE:
+        raise _wrong("channels of no light", bands.kind)
+    return np.ascontiguousarray(np.moveaxis(bands.planes, 0, -1)), bands.wavelengths_nm
 
 
 def band_images(

@@ -55,15 +55,15 @@ class Bands:
     lamp: np.ndarray | None = None
 
 
-def checked_size(path: Path, shape: tuple[int, int, int]) -> None:
+def checked_size(path: Path, shape: tuple[int, int, int], most: int = MOST_SAMPLES) -> None:
     """Refuse a cube (bands, rows, cols) that is empty or larger than any that is read."""
     bands, rows, cols = (int(one) for one in shape)
-    if min(bands, rows, cols) < 1 or bands * rows * cols > MOST_SAMPLES:
+    if min(bands, rows, cols) < 1 or bands * rows * cols > most:
         raise UserError(
             "a cube of a size that is not read",
             file=path,
             value=f"{bands} bands of {rows} x {cols}",
-            allowed=f"1 to {MOST_SAMPLES:,} samples of all bands",
+            allowed=f"1 to {most:,} samples of all bands",
         )
 
 

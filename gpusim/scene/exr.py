@@ -88,6 +88,18 @@ def _parts(path: Path, **how: bool) -> list:
     return parts
 
 
+def units_of(path: Path) -> str | None:
+    """Return what an EXR's header says in ``units``; None where it says nothing.
+
+    Raises
+    ------
+    UserError
+        Where it is no EXR.
+    """
+    headers = [part.header for part in _parts(path, header_only=True)]
+    return next((str(header["units"]) for header in headers if "units" in header), None)
+
+
 def _open(path: Path) -> tuple[dict, dict[str, np.ndarray]]:
     """Return the header of the first part that holds a picture, and its channels as stored."""
     if not os.path.isfile(path):
@@ -353,7 +365,6 @@ def write_exr(
         Written as float32. RGB is linear Rec.709.
     white_luminance_cd_m2 : float, optional
         Luminance of RGB (1, 1, 1), kept as the attribute ``whiteLuminance`` that `read_exr` obeys.
-
     units : str, optional
         Kept as the attribute ``units``.
 

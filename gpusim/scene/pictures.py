@@ -11,11 +11,11 @@ from gpusim.errors import UserError
 from gpusim.scene.bands import Bands, band_scene
 from gpusim.scene.encoded import PNG, RAWS, TIFF, read_encoded, read_raw_scene
 from gpusim.scene.envi import is_envi, read_envi
-from gpusim.scene.exr import Photograph, read_exr
+from gpusim.scene.exr import Photograph, read_exr, units_of
 from gpusim.scene.isetcam_scene import read_isetcam_scene
 from gpusim.scene.radiance_hdr import read_hdr
 from gpusim.scene.scene import DEFAULT_WHITE_LUMINANCE_CD_M2, Scene
-from gpusim.scene.spectral_exr import is_spectral, read_spectral_exr
+from gpusim.scene.spectral_exr import RADIANCE_UNITS, is_spectral, read_spectral_exr
 from gpusim.scene.upsampling import MALLETT, check_upsampling, lit_rgb
 
 ENVI = (".hdr", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".cube")
@@ -68,6 +68,8 @@ def picture_scene(
     method = check_upsampling(upsampling or MALLETT)
     if not os.path.isfile(path):
         raise UserError("no such scene file", file=path)
+    if suffix == ".exr":
+        _check_units(path)
     bands = _bands(path, suffix, illuminant)
     if bands is not None:
         if upsampling is not None:
@@ -89,6 +91,19 @@ def picture_scene(
         )
     photograph = _rgb(path, suffix, transfer, luminance_cd_m2)
     return _photograph(path, photograph, luminance_cd_m2, method)
+
+
+def _check_units(path: Path) -> None:
+    """Refuse an EXR that says to hold something else than radiance."""
+    units = units_of(path)
+    if units not in (None, RADIANCE_UNITS):
+        raise UserError(
+            "the EXR holds no radiance",
+            file=path,
+            field="units",
+            value=units,
+            allowed=f"{RADIANCE_UNITS}, or none; an irradiance: gpusim render CAMERA FILE",
+        )
 
 
 def _bands(path: Path, suffix: str, illuminant: str | None) -> Bands | None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.errors import UserError
-from gpusim.scene.bands import RADIANCE, REFLECTANCE, Bands, checked_size
-from gpusim.scene.exr import _parts
+from gpusim.scene.bands import MOST_SAMPLES, RADIANCE, REFLECTANCE, Bands, checked_size
+from gpusim.scene.exr import _parts, write_exr
 
 # S0 to S3 of a light's Stokes vector, T of a reflectance; the decimal sign is a comma.
 CHANNEL = re.compile(r"(S[0-3]|T)\.(\d*,?\d*(?:[eE][+-]?\d+)?)([YZEPTGMkhdacmunpf]?)(m|Hz)")
@@ -18,6 +18,7 @@ PREFIXES = {"Y": 1e24, "Z": 1e21, "E": 1e18, "P": 1e15, "T": 1e12, "G": 1e9, "M"
             "h": 1e2, "": 1.0, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9,
             "p": 1e-12}  # fmt: skip
 LIGHT_M_PER_S = 299_792_458.0
+RADIANCE_UNITS = "W m^-2 sr^-1 nm^-1"
 
 
 def wavelength_nm(channel: str) -> tuple[str, float] | None:
@@ -27,8 +28,9 @@ def wavelength_nm(channel: str) -> tuple[str, float] | None:
         return None
     what, digits, prefix, unit = found.groups()
     try:
-        value = float(digits.replace(",", ".")) * PREFIXES[prefix]
-        return what, 1e9 * (value if unit == "m" else LIGHT_M_PER_S / value)
+        value, scale = float(digits.replace(",", ".")), PREFIXES[prefix]
+        # In nm the scale is 1, and the wavelength that of the name to the last bit.
+        return what, value * (1e9 * scale) if unit == "m" else 1e9 * LIGHT_M_PER_S / (value * scale)
     except (ValueError, KeyError, ZeroDivisionError):
         return None
 
@@ -45,7 +47,7 @@ def is_spectral(path: Path) -> bool:
     return any(wavelength_nm(name) for name in names)
 
 
-def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
+def read_spectral_exr(path: Path, reflective: bool = False, most: int = MOST_SAMPLES) -> Bands:
     """Read a spectral EXR.
 
     Parameters
@@ -53,6 +55,8 @@ def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
     path : Path
     reflective : bool
         Where a file holds both, take the reflectances, not the light.
+    most : int
+        Samples of all channels that it may have.
 
     Raises
     ------
@@ -62,7 +66,7 @@ def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
     headers = [part.header for part in _parts(path, header_only=True)]
     for header in headers:
         (x0, y0), (x1, y1) = np.asarray(header["dataWindow"], np.int64)
-        checked_size(path, (len(header.get("channels", ())), y1 - y0 + 1, x1 - x0 + 1))
+        checked_size(path, (len(header.get("channels", ())), y1 - y0 + 1, x1 - x0 + 1), most)
     found: dict[str, dict[float, np.ndarray]] = {}
     for part in _parts(path):
         # A part's dictionary of channels is made of their names: all of them were read before.
@@ -88,3 +92,30 @@ def read_spectral_exr(path: Path, reflective: bool = False) -> Bands:
     nm = sorted(chosen)
     planes = np.stack([np.asarray(chosen[one], np.float32) for one in nm])
     return Bands(planes, np.array(nm), REFLECTANCE if kind == "T" else RADIANCE, notes)
+
+
+def write_spectral_exr(
+    path: Path, values: np.ndarray, wavelengths_nm: np.ndarray, units: str
+) -> None:
+    """Write a spectral EXR of light, which `read_spectral_exr` reads.
+
+    Parameters
+    ----------
+    path : Path
+    values : ndarray (rows, cols, bands)
+        Written as float32.
+    wavelengths_nm : ndarray (bands,)
+        Kept to the last bit in the names of the channels.
+    units : str
+        Unit of the values, for the header.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be written.
+    """
+    names = [
+        np.format_float_positional(nm, min_digits=3) for nm in np.asarray(wavelengths_nm, float)
+    ]
+    planes = {f"S0.{name.replace('.', ',')}nm": values[..., n] for n, name in enumerate(names)}
+    write_exr(path, planes, units=units)

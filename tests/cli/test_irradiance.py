@@ -11,6 +11,7 @@ from command_line import assert_refused, gpusim
 from PIL import Image
 
 import gpusim as gs
+from gpusim.isp.rawfile import read_raw
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +43,12 @@ def test_an_irradiance_is_written_and_read_by_the_sensor(tmp_path: Path, camera:
     sensor = gs.Camera.load(camera).sensor
     expected = found.light(sensor).capture(1 / 50, seed=3).raw
     assert facts["mean_dn"] == pytest.approx(expected.mean())
+    # The same as an EXR, which has no bit less: the same raw.
+    found.save(tmp_path / "e.exr")
+    ran = gpusim("render", camera, tmp_path / "e.exr", "--out", tmp_path / "exr", *shot)
+    assert ran.code == 0, ran.err
+    first, second = (read_raw(tmp_path / name / "raw.dng") for name in ("out", "exr"))
+    np.testing.assert_array_equal(first.signal_dn, second.signal_dn)
 
 
 def test_channels_without_a_filter_array(tmp_path: Path, camera: Path):

@@ -12,6 +12,7 @@ from harness import assert_close
 import gpusim as gs
 from gpusim.errors import UserError
 from gpusim.library.irradiance import band_images
+from gpusim.scene.exr import write_exr
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
 LINES = np.arange(400.0, 701.0, 10.0)
@@ -97,7 +98,47 @@ def test_files(tmp_path: Path):
     # Spectral EXR (Fichet 2021), as scenes are read.
     from gpusim.scene.spectral_exr import read_spectral_exr
 
-    assert_close(read_spectral_exr(tmp_path / "a.exr").wavelengths_nm, LINES, atol=1e-6)
+    np.testing.assert_array_equal(read_spectral_exr(tmp_path / "a.exr").wavelengths_nm, LINES)
+
+
+def test_an_exr_of_irradiance_is_read_as_it_was_written(tmp_path: Path):
+    """Wavelengths too, to the last bit: two within 1e-4 nm stay two."""
+    lines = np.array([400.0, 500.00005, 500.0001, 1000 / 1.7])
+    values = np.random.default_rng(1).uniform(0, 1e-2, (*SIZE, lines.size)).astype(np.float32)
+    gs.Irradiance(values, lines).save(tmp_path / "a.exr")
+    again = gs.Irradiance.load(tmp_path / "a.exr")
+    np.testing.assert_array_equal(again.values, values)
+    np.testing.assert_array_equal(again.wavelengths_nm, lines)
+
+
+@pytest.mark.parametrize("units", ["W m^-2 sr^-1 nm^-1", None])
+def test_an_exr_of_other_units_is_no_irradiance(tmp_path: Path, units: str | None):
+    write_exr(
+        tmp_path / "a.exr", dict.fromkeys(("S0.500nm", "S0.600nm"), np.ones(SIZE)), None, units
+    )
+    with pytest.raises(UserError, match="something else") as caught:
+        gs.Irradiance.load(tmp_path / "a.exr")
+    assert caught.value.file == tmp_path / "a.exr"
+    assert (units or "not said") in caught.value.value
+
+
+def test_a_reflectance_is_no_irradiance_whatever_its_units(tmp_path: Path):
+    planes = dict.fromkeys(("T.500nm", "T.600nm"), np.ones(SIZE))
+    write_exr(tmp_path / "a.exr", planes, units="W m^-2 nm^-1")
+    with pytest.raises(UserError, match="no light"):
+        gs.Irradiance.load(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("units", ["W m^-2 nm^-1", "electrons/s"])
+def test_what_is_no_radiance_is_no_scene(tmp_path: Path, units: str):
+    """Else light on the sensor goes through the lens once more."""
+    for name, planes in {"a": {"S0.500nm": np.ones(SIZE)}, "b": {"Y": np.ones(SIZE)}}.items():
+        file = tmp_path / f"{name}.exr"
+        write_exr(file, planes, units=units)
+        with pytest.raises(UserError, match="holds no radiance") as caught:
+            gs.Scene.load(file)
+        assert (caught.value.file, caught.value.field) == (file, "units")
+        assert caught.value.value == units
 
 
 @pytest.mark.slow

@@ -32,8 +32,8 @@ def render(
         str | None,
         typer.Argument(
             metavar="SCENE",
-            help="A chart name, a chart's .yaml, or a picture; or the .npz of an irradiance, in "
-            "place of scene and lens.",
+            help="A chart name, a chart's .yaml, or a picture; or the .npz or .exr of an "
+            "irradiance, in place of scene and lens.",
         ),
     ] = None,
     out: Annotated[
@@ -210,7 +210,9 @@ def render(
             field="CAMERA" if camera is None else "SCENE",
             allowed="a camera and a scene; or --from a raw's JSON file",
         )
-    if scene.lower().endswith(".npz"):
+    from gpusim.library.irradiance import is_irradiance
+
+    if is_irradiance(Path(scene)):
         from gpusim.cli.irradiance import capture
 
         read = "exposure", "temperature", "gain", "iso", "ev", "seed", "frame", "noise", "sensor"
