@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import io
+import logging
 import math
+import struct
+import warnings
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from tifffile import TiffFile
+
 # All arrays of a file together: a mask of 200 MP in float64 has 1.5 GiB, a bank some 0.1 GiB.
 MOST_BYTES = 2 << 30
+MOST_PIXELS = 1 << 27  # of a PNG, as of other pictures
 # Deflate shortens nothing to less than 1/1032 (https://zlib.net/zlib_tech.html).
 MOST_RATIO = 1100
+# Where sizes, bits and colour type stand in a PNG, and a pixel's samples by that type (PNG, third
+# edition, 11.2.1).
+PNG_START, PNG_HEADER = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", slice(16, 26)
+PNG_SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 
 
 def read_npy(path: Path) -> np.ndarray:
@@ -64,12 +79,73 @@ def read_tiff(path: Path) -> np.ndarray:
     Exception
         Whatever tifffile says of a broken file; ValueError where it is larger than any of ours.
     """
-    import tifffile
-
-    with tifffile.TiffFile(path) as file:
+    with opened_tiff(path) as file:
         series = file.series[0]
         _check(series.shape, series.dtype, "the picture", MOST_RATIO * path.stat().st_size)
         return series.asarray()
+
+
+@contextmanager
+def opened_tiff(source: Path | BinaryIO) -> Iterator[TiffFile]:
+    """Open a TIFF, and keep tifffile from printing what it finds wrong: our errors say that."""
+    import tifffile
+
+    logger = logging.getLogger("tifffile")
+    before, logger.disabled = logger.disabled, True
+    try:
+        with tifffile.TiffFile(source) as file:
+            yield file
+    finally:
+        logger.disabled = before
+
+
+def read_png(content: bytes, *, indices: bool = False) -> np.ndarray:
+    """Return the samples of a PNG, with all the bits that it has.
+
+    Parameters
+    ----------
+    content : bytes
+    indices : bool
+        Whether samples that point into a palette stay as they are; else they become its colours.
+
+    Returns
+    -------
+    ndarray (rows, cols) or (rows, cols, n), bool, uint8 or uint16
+
+    Raises
+    ------
+    Exception
+        Whatever Pillow says of a broken file; ValueError where it is none, or larger than any of
+        ours.
+    """
+    from PIL import Image
+
+    if not content.startswith(PNG_START) or len(content) < PNG_HEADER.stop:
+        raise ValueError("no PNG")
+    cols, rows, bits, colour = struct.unpack(">2I2B", content[PNG_HEADER])
+    samples = PNG_SAMPLES.get(colour, 4)
+    held = rows * -(-cols * samples * bits // 8)
+    if rows * cols > MOST_PIXELS or held > MOST_RATIO * len(content):
+        raise ValueError(f"a picture of {cols} x {rows} pixels in {len(content):,} bytes")
+    if bits == 16 and samples == 2:
+        raise ValueError("16 bits of grey with transparency; without it they are read")
+
+    def pixels(unpacked: str | None = None) -> np.ndarray:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of pictures that Pillow finds large
+            with Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+                if unpacked is not None:
+                    image.tile = [(*part[:3], unpacked) for part in image.tile]
+                colours = image.convert("RGB") if image.mode == "P" and not indices else image
+                return np.array(colours)
+
+    if bits == 16 and samples > 1:
+        # Pillow keeps one byte of each two: the first where it takes them for big-endian, which
+        # they are, the second where it takes them for little-endian.
+        high, low = (pixels(f"{'RGB' if samples == 3 else 'RGBA'};16{end}") for end in "BL")
+        return np.uint16(256) * high + low
+    found = pixels()
+    return found.astype(np.uint16) if found.dtype == np.int32 else found
 
 
 def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
-from gpusim.config.arrays import read_npy
+from gpusim.config.arrays import read_npy, read_png
+from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 
 
@@ -26,6 +26,9 @@ def read_labels(path: Path) -> np.ndarray:
     try:
         if path.suffix.lower() == ".npy":
             return read_npy(path)
-        return np.asarray(Image.open(path))
-    except (OSError, ValueError) as error:
-        raise UserError(f"no map of labels: {error}", file=path, allowed=allowed) from None
+        return read_png(read_bytes(path, "the map of labels"), indices=True)
+    except UserError:
+        raise
+    except Exception as error:  # whatever a broken file makes of NumPy and Pillow
+        said = str(error) or type(error).__name__
+        raise UserError(f"no map of labels: {said}", file=path, allowed=allowed) from None

@@ -28,11 +28,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.config.arrays import read_npy, read_tiff
-from gpusim.config.text import read_json, read_text
+from gpusim.config.arrays import read_npy, read_png, read_tiff
+from gpusim.config.text import read_bytes, read_json, read_text
 from gpusim.errors import UserError
 from gpusim.metrics.flat_field import Light
 from gpusim.metrics.statistics import Accumulator, Level
+from gpusim.scene.exr import library_messages
 
 LIST, CAMERA = "frames.csv", "camera.json"
 KINDS = (".npy", ".tif", ".tiff", ".dng", ".png")
@@ -201,15 +202,12 @@ def read_frame(file: Path) -> np.ndarray:
 def _read_dng(file: Path) -> np.ndarray:
     import rawpy
 
-    with rawpy.imread(str(file)) as raw:
+    with library_messages(), rawpy.imread(str(file)) as raw:
         return raw.raw_image_visible.copy()
 
 
 def _read_png(file: Path) -> np.ndarray:
-    from PIL import Image
-
-    with Image.open(file) as image:
-        return np.asarray(image)
+    return read_png(read_bytes(file, "the frame"), indices=True)
 
 
 _READERS = {

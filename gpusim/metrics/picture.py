@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 import rawpy
-import tifffile
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
+from gpusim.config.arrays import read_npy, read_png, read_tiff
+from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.isp.rawfile import read_raw
-from gpusim.scene.exr import read_exr
+from gpusim.scene.encoded import PNG, TIFF
+from gpusim.scene.exr import library_messages, read_exr
 
 # IEC 61966-2-1: the part near black, and the power.
 SRGB_LINEAR, SRGB_POWER = 0.04045, 2.4
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB, ITU-R BT.709
 CLIP_SHARE = 0.998  # of the scale: codes above it count as saturated
-PLAIN = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+PLAIN = (*PNG, ".jpg", ".jpeg", *TIFF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,17 +69,19 @@ def read_picture(path: Path, *, linear: bool = False) -> dict[str, Plane]:
             rgb = read_exr(path, needs_luminance=False).rgb
             return _colours(np.moveaxis(rgb, 0, -1), -np.inf, np.inf)
         if suffix == ".npy":
-            return _colours(np.load(path, allow_pickle=False), -np.inf, np.inf)
-        own = read_raw(path) if suffix in (".dng", ".tif", ".tiff") else None
+            return _colours(read_npy(path), -np.inf, np.inf)
+        own = read_raw(path) if suffix in (".dng", *TIFF) else None
         if own is not None:
             return _filters(own.signal_dn, own.pattern, own.span_dn)
         if suffix in PLAIN:
             return _plain(path, linear)
-        with rawpy.imread(str(path)) as raw:
+        with library_messages(), rawpy.imread(str(path)) as raw:
             return _raw(raw)
-    except (OSError, ValueError, EOFError, UnidentifiedImageError, rawpy.LibRawError) as error:
+    except UserError:
+        raise
+    except Exception as error:  # whatever a broken file makes of the libraries
         raise UserError(
-            f"The picture cannot be read: {error}",
+            f"The picture cannot be read: {str(error) or type(error).__name__}",
             file=path,
             allowed="a raw frame that LibRaw reads, .exr, .npy, .png, .jpg or .tif",
         ) from None
@@ -119,8 +123,11 @@ def _raw(raw: rawpy.RawPy) -> dict[str, Plane]:
 
 
 def _plain(path: Path, linear: bool) -> dict[str, Plane]:
-    tall = path.suffix.lower() in (".tif", ".tiff")
-    codes = tifffile.imread(path) if tall else np.asarray(Image.open(path))
+    suffix = path.suffix.lower()
+    if suffix in PNG:
+        codes = read_png(read_bytes(path, "the picture"))
+    else:
+        codes = read_tiff(path) if suffix in TIFF else np.asarray(Image.open(path))
     if codes.dtype.kind not in "uf":
         raise ValueError(f"samples of type {codes.dtype}")
     most = 1.0 if codes.dtype.kind == "f" else float(np.iinfo(codes.dtype).max)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.config.arrays import MOST_RATIO
+from gpusim.config.arrays import MOST_RATIO, opened_tiff, read_png
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
-from gpusim.scene.exr import MOST_PIXELS, Photograph, _check, _into_gamut
+from gpusim.scene.exr import MOST_PIXELS, Photograph, _check, _into_gamut, library_messages
 from gpusim.scene.medium import is_table, light_of
 
 TIFF, PNG = (".tif", ".tiff"), (".png",)
@@ -117,7 +117,7 @@ def read_raw_scene(path: Path) -> Photograph:
 
     content = read_bytes(path, "the raw")
     try:
-        with rawpy.imread(io.BytesIO(content)) as raw:
+        with library_messages(), rawpy.imread(io.BytesIO(content)) as raw:
             pixels = raw.sizes.raw_width * raw.sizes.raw_height
             if pixels > MOST_PIXELS:
                 raise _refused(path, f"{pixels:,} pixels")
@@ -149,11 +149,9 @@ def _refused(path: Path, reason: str) -> UserError:
 
 
 def _tiff(path: Path) -> np.ndarray:
-    import tifffile
-
     content = read_bytes(path, "the picture")
     try:
-        with warnings.catch_warnings(), tifffile.TiffFile(io.BytesIO(content)) as file:
+        with warnings.catch_warnings(), opened_tiff(io.BytesIO(content)) as file:
             warnings.simplefilter("ignore")
             page = file.pages[0]
             problem = _unfit(page.shape, page.dtype, len(content))
@@ -171,24 +169,15 @@ def _tiff(path: Path) -> np.ndarray:
 
 
 def _png(path: Path) -> np.ndarray:
-    from PIL import Image
-
-    content = read_bytes(path, "the picture")
-    # Byte 24 of a PNG has its bits, byte 25 its colours: Pillow keeps 8 of 16 bits of these.
-    if content[24:26] in (b"\x10\x02", b"\x10\x06"):
-        raise _no_picture(path, "a PNG of 16 bits a colour; a TIFF has them")
     try:
-        with warnings.catch_warnings(), Image.open(io.BytesIO(content), formats=["PNG"]) as image:
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            problem = _unfit((*image.size[::-1], 3), np.dtype(np.uint8), len(content))
-            if problem is None and image.mode not in ("L", "RGB", "I;16", "I"):
-                image = image.convert("RGB")
-            pixels = np.array(image)
+        pixels = read_png(read_bytes(path, "the picture"))
+    except UserError:
+        raise
     except Exception as error:  # Pillow has its own and those of what is missing in a file
-        problem = str(error) or type(error).__name__
-    if problem:
-        raise _no_picture(path, problem)
-    return pixels.astype(np.uint16) if pixels.dtype == np.int32 else pixels
+        raise _no_picture(path, str(error) or type(error).__name__) from None
+    if pixels.ndim == 3:  # without transparency
+        pixels = pixels[..., :3] if pixels.shape[2] > 2 else pixels[..., 0]
+    return pixels if pixels.dtype != bool else 255 * pixels.astype(np.uint8)
 
 
 def _unfit(shape: tuple[int, ...], dtype: np.dtype | None, nbytes: int) -> str | None:

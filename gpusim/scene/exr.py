@@ -52,8 +52,8 @@ class Photograph:
 
 
 @contextmanager
-def _library_messages() -> Iterator[list[str]]:
-    """Catch what the OpenEXR library prints: its core on stderr, its binding by `print`."""
+def library_messages() -> Iterator[list[str]]:
+    """Catch what a library prints: OpenEXR's core and LibRaw on stderr, a binding by `print`."""
     lines: list[str] = []
     with tempfile.TemporaryFile() as caught, redirect_stdout(io.StringIO()):
         stderr = os.dup(2)
@@ -73,7 +73,7 @@ def _parts(path: Path, **how: bool) -> list:
 
     parts = []
     try:
-        with _library_messages() as messages:
+        with library_messages() as messages:
             parts = OpenEXR.File(str(path), separate_channels=True, **how).parts
     except Exception as error:  # the library has its own, and the binding those of a wrong header
         messages.append(str(error) or type(error).__name__)
@@ -388,7 +388,7 @@ def write_exr(
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     partial = path.with_name(f".{path.name}.part")
     try:
-        with _library_messages():
+        with library_messages():
             OpenEXR.File(header, planes).write(str(partial))
         partial.replace(path)
     except (OSError, RuntimeError) as error:

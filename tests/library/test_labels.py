@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from PIL import Image
 import gpusim as gs
 from gpusim.camera import Camera
 from gpusim.errors import UserError
+from gpusim.formats.label_map import read_labels
 from gpusim.library.labels import labels_on_sensor
 
 SENSOR = monochrome(96, 128)
@@ -81,6 +83,62 @@ def test_what_is_no_map_of_labels_is_refused():
     with pytest.raises(UserError, match="no label of this type"):
         labels_on_sensor(CAMERA, np.zeros((4, 4), np.uint8), -1)
     assert np.isnan(labels_on_sensor(CAMERA, np.ones((4, 4)), np.nan)).any()
+
+
+def png(values: np.ndarray) -> bytes:
+    """Return a PNG's bytes."""
+    file = BytesIO()
+    Image.fromarray(values).save(file, "PNG")
+    return file.getvalue()
+
+
+def npy(values: np.ndarray) -> bytes:
+    """Return a .npy file's bytes."""
+    file = BytesIO()
+    np.save(file, values)
+    return file.getvalue()
+
+
+NOISE = png(np.random.default_rng(1).integers(0, 9, (64, 64)).astype(np.uint8))
+DATA = NOISE.index(b"IDAT")
+DAMAGED = {
+    # What a library raises of each, which is none of OSError and ValueError.
+    "DecompressionBombError.png": NOISE[:16] + (10**5).to_bytes(4, "big") * 2 + NOISE[24:],
+    "SyntaxError.png": NOISE[: DATA - 4] + (50).to_bytes(4, "big") + NOISE[DATA:],
+    "TokenError.npy": npy(np.zeros((3, 4))).replace(b"}", b" "),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_map_of_labels_is_one_clear_error(tmp_path: Path, name: str):
+    (tmp_path / name).write_bytes(DAMAGED[name])
+    with pytest.raises(UserError, match=r"no map of labels: \S") as caught:
+        read_labels(tmp_path / name)
+    assert caught.value.file == tmp_path / name
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.arange(12, dtype=np.uint8).reshape(3, 4),
+        1000 * np.arange(12, dtype=np.uint16).reshape(3, 4),
+        np.eye(4) > 0,
+        np.arange(36, dtype=np.uint8).reshape(3, 4, 3),
+    ],
+)
+def test_pictures_of_labels_keep_their_numbers(tmp_path: Path, values: np.ndarray):
+    (tmp_path / "a.png").write_bytes(png(values))
+    found = read_labels(tmp_path / "a.png")
+    assert found.dtype == values.dtype
+    np.testing.assert_array_equal(found, values)
+
+
+def test_labels_of_a_palette_are_its_indices(tmp_path: Path):
+    classes = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    picture = Image.fromarray(classes, "L").convert("P")
+    picture.putpalette([255 - n // 3 for n in range(3 * 12)])
+    picture.save(tmp_path / "a.png")
+    np.testing.assert_array_equal(read_labels(tmp_path / "a.png"), classes)
 
 
 def test_the_command_takes_arrays_and_pictures(tmp_path: Path):

@@ -74,6 +74,21 @@ def test_what_is_no_picture_is_one_clear_error(tmp_path, name):
         read_picture(tmp_path / f"absent-{name}")
 
 
+def test_a_png_with_a_damaged_chunk_and_an_array_with_a_damaged_header_are_refused(tmp_path):
+    """Pillow raises a SyntaxError of the one, NumPy a TokenError of the other."""
+    values = np.random.default_rng(1).integers(0, 256, (64, 64)).astype(np.uint8)
+    Image.fromarray(values).save(tmp_path / "a.png")
+    np.save(tmp_path / "a.npy", values)
+    png, npy = ((tmp_path / name).read_bytes() for name in ("a.png", "a.npy"))
+    at = png.index(b"IDAT") - 4  # its length: now it ends amid its data
+    (tmp_path / "a.png").write_bytes(png[:at] + (50).to_bytes(4, "big") + png[at + 4 :])
+    (tmp_path / "a.npy").write_bytes(npy.replace(b"}", b" "))
+    for name in ("a.png", "a.npy"):
+        with pytest.raises(UserError, match="cannot be read") as caught:
+            read_picture(tmp_path / name)
+        assert caught.value.file == tmp_path / name
+
+
 def test_arrays_of_text_are_refused(tmp_path):
     np.save(tmp_path / "a.npy", np.array([["a", "b"]]))
     with pytest.raises(UserError, match="shape"):

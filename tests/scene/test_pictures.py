@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 import time
+import zlib
 
 import numpy as np
 import pytest
 import tifffile
 from harness import assert_close
+from PIL import Image
 from scene.picture_files import (
     NM,
     cube,
@@ -21,6 +24,7 @@ from scene.picture_files import (
 )
 
 from gpusim.errors import UserError
+from gpusim.isp.files import write_picture
 from gpusim.scene import make_scene
 from gpusim.scene.bands import _hats
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant, luminance_cd_m2
@@ -209,6 +213,37 @@ def test_tiffs_and_pngs_by_a_stated_transfer_function(tmp_path, transfer: str, k
     assert_close(grey.source.planes[2], expected[..., 0], atol=F32)
 
 
+@pytest.mark.parametrize("samples", [3, 4])
+def test_pngs_of_16_bits_a_colour_have_all_of_them(tmp_path, samples: int):
+    """Ours of `develop --bits 16`, and one with transparency: what a TIFF of them gives."""
+    values = np.random.default_rng(3).integers(0, 1 << 16, (5, 7, samples)).astype(np.uint16)
+    write_picture(tmp_path / "a.png", values[..., :3])
+    if samples == 4:
+        lines = np.pad(values.astype(">u2").view(np.uint8).reshape(5, -1), ((0, 0), (1, 0)))
+        head, content = struct.pack(">2I5B", 7, 5, 16, 6, 0, 0, 0), b"\x89PNG\r\n\x1a\n"
+        for chunk in (b"IHDR" + head, b"IDAT" + zlib.compress(lines.tobytes()), b"IEND"):
+            content += struct.pack(">I", len(chunk) - 4) + chunk
+            content += struct.pack(">I", zlib.crc32(chunk))
+        (tmp_path / "a.png").write_bytes(content)
+    write_tiff(tmp_path / "a.tif", values[..., :3])
+    found, expected = (
+        make_scene(tmp_path / name, transfer="linear") for name in ("a.png", "a.tif")
+    )
+    np.testing.assert_array_equal(found.source.planes, expected.source.planes)
+    assert found.notes == expected.notes and "16-bit" in found.notes[0]
+
+
+def test_pngs_of_a_palette_are_its_colours_and_transparency_is_left_out(tmp_path):
+    colours = np.random.default_rng(3).integers(0, 256, (5, 7, 3)).astype(np.uint8)
+    write_png(tmp_path / "rgb.png", colours)
+    Image.fromarray(colours).quantize(64).save(tmp_path / "p.png")  # 35 colours: none is lost
+    write_png(tmp_path / "rgba.png", np.concatenate([colours, colours[..., :1]], axis=2))
+    expected = make_scene(tmp_path / "rgb.png", transfer="srgb").source.planes
+    for name in ("p", "rgba"):
+        found = make_scene(tmp_path / f"{name}.png", transfer="srgb").source.planes
+        np.testing.assert_array_equal(found, expected)
+
+
 def test_float_tiffs_are_linear_and_may_be_bright(tmp_path):
     picture = np.random.default_rng(1).uniform(0, 30, (4, 5, 3)).astype(np.float32)
     found = make_scene(write_tiff(tmp_path / "a.tiff", picture)).source.planes
@@ -242,7 +277,7 @@ REFUSED = {
     "not needed": ("a.mat", "transfer"),
     "nan": ("a.hdr", "band 3"),
     "empty mat": ("a.mat", None),
-    "16-bit png": ("a.png", None),
+    "short png": ("a.png", None),
     "text": ("a.dng", None),
 }
 
@@ -276,7 +311,7 @@ def test_mistakes_name_file_and_field(tmp_path, case: str):
             from scipy.io import savemat
 
             savemat(file, {"a": 1})
-        elif case == "16-bit png":
+        elif case == "short png":
             file.write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\0\1\0\0\0\1\x10\x02\0\0\0")
         else:
             file.write_text("no raw")
