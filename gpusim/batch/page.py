@@ -13,7 +13,7 @@ from PIL import Image
 from gpusim.batch.files import NOT_MEASURED
 from gpusim.isp.develop import develop
 from gpusim.metrics.summary import MEASURES
-from gpusim.report.drawing import svg
+from gpusim.report.drawing import card
 from gpusim.report.page import document
 
 if TYPE_CHECKING:
@@ -99,10 +99,11 @@ def _plots(outcome: Outcome) -> str:
             axes = drawing.subplots()
             axes.plot(*zip(*pairs, strict=True), "o", markersize=3, alpha=0.6)
             axes.set(xlabel=axis, ylabel=label)
-            figures.append(svg(drawing))
+            figures.append(card(drawing, f"{label} over {axis}"))
     if not figures:
         return ""
-    return f"<section><h2>Signal and measures over the axes</h2>{''.join(figures)}</section>"
+    plots = f'<div class="plots">{"".join(figures)}</div>'
+    return f"<section><h2>Signal and measures over the axes</h2>{plots}</section>"
 
 
 def _failures(outcome: Outcome) -> str:
@@ -114,4 +115,5 @@ def _failures(outcome: Outcome) -> str:
         for one in outcome.failed[:MOST_FAILURES]
     )
     head = "<tr><th>frame</th><th>settings</th><th>what happened</th></tr>"
-    return f"<section><h2>Failures</h2><table>{head}{rows}</table></section>"
+    table = f'<div class="scroll"><table>{head}{rows}</table></div>'
+    return f"<section><h2>Failures</h2>{table}</section>"

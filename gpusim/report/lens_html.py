@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from html import escape
 
@@ -13,7 +12,7 @@ from gpusim.lens.checks import Checked
 from gpusim.lens.import_log import ImportLog
 from gpusim.lens.surface import ASPHERE_POWERS, Surface
 from gpusim.lens.system import System
-from gpusim.report.drawing import svg
+from gpusim.report.drawing import card
 from gpusim.report.lens.plots import PLOTS, draw_plot
 from gpusim.report.lens.sheet import draw, draw_ready
 from gpusim.report.lens.study import Study
@@ -131,11 +130,7 @@ def _figures(studies: Sequence[Study]) -> str:
 
 def _sheet(figure: Figure, shown: str) -> str:
     """Return a figure as part of a document."""
-    picture = base64.b64encode(svg(figure).encode()).decode()
-    return (
-        f'<figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" alt="{shown}">'
-        "</figure>"
-    )
+    return f"<figure>{card(figure, shown)}</figure>"
 
 
 def _import_log(import_log: ImportLog) -> str:

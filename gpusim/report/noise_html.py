@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from html import escape
 
 from gpusim.metrics.emva import Characterisation
 from gpusim.metrics.figure import Figure
 from gpusim.metrics.loop import COVERAGE, Row
-from gpusim.report.drawing import svg
+from gpusim.report.drawing import card
 from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, number, two_digits
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.page import document
@@ -35,12 +34,9 @@ def noise_html(found: Characterisation, rows: Sequence[Row] | None, title: str, 
         )
     sections.append("<h2>All pixels, in the dark</h2>" + _sheet(found.figures, IN_THE_DARK))
     sections += [f"<p>{escape(note)}.</p>" for note in found.notes]
-    picture = base64.b64encode(svg(draw_noise(found, title, how, titled=False)).encode()).decode()
     shown = "Photon transfer, SNR, linearity, dark current, spectrograms, histograms, profiles"
-    plots = (
-        f'<h2>Plots</h2><figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" '
-        f'alt="{shown}"></figure>'
-    )
+    drawn = draw_noise(found, title, how, titled=False)
+    plots = f"<h2>Plots</h2><figure>{card(drawn, shown)}</figure>"
     summary = f"{how}. EMVA 1288 R3.1; rows, columns and pixels by R4.0 Linear."
     return document(escape(title), escape(summary), *sections, plots)
 

@@ -309,10 +309,12 @@ def _quantum_efficiency(facts: Mapping[str, Any]) -> str:
     found = facts["qe_by_place"]
     if found is None:
         return ""
-    from gpusim.report.qe_figure import svg
+    from gpusim.report.drawing import card
+    from gpusim.report.qe_figure import draw, labels
 
+    shown = f"Quantum efficiency over the field: {', '.join(labels(found).values())}"
     return f"""<h2>Quantum efficiency over the field</h2>
-<figure>{svg(found)}
+<figure class="narrow">{card(draw(found), shown)}
 <figcaption>Mean over the cone of light that the lens sends to each point of the row through the
 middle, micro-lenses shifted as the sensor file says; each channel at the wavelength at which it
 sees most in the middle.</figcaption></figure>"""

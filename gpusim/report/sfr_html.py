@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from html import escape
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from gpusim.report.drawing import svg
+from gpusim.report.drawing import card
 from gpusim.report.page import document
 
 FIGURES = {"mtf50": "MTF50", "mtf50p": "MTF50P", "mtf30": "MTF30", "nyquist": "at Nyquist"}
@@ -24,11 +23,8 @@ def sfr_html(facts: Mapping[str, Any], drawn: Figure) -> str:
         What the command found: see `gpusim.report.sfr_facts`.
     drawn : matplotlib.figure.Figure
     """
-    picture = base64.b64encode(svg(drawn).encode()).decode()
-    plots = (
-        f'<figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" '
-        'alt="Regions, edge spread functions and spatial frequency responses"></figure>'
-    )
+    shown = "Regions, edge spread functions and spatial frequency responses"
+    plots = f"<figure>{card(drawn, shown)}</figure>"
     summary = f"Slanted edges by gpusim {facts['gpusim']}; {facts['units']}."
     return document(escape(facts["picture"]), escape(summary), plots, _table(facts))
 

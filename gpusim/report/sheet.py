@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from html import escape
 
 from matplotlib.figure import Figure
 
-from gpusim.report.drawing import svg
+from gpusim.report.drawing import card
 from gpusim.report.page import document
 
 
@@ -24,11 +23,7 @@ def sheet(title: str, summary: str, drawn: Figure, shows: str, *tables: str) -> 
     *tables : str
         HTML, as `table` returns it.
     """
-    picture = base64.b64encode(svg(drawn).encode()).decode()
-    plots = (
-        f'<figure><img class="sheet" src="data:image/svg+xml;base64,{picture}" '
-        f'alt="{escape(shows)}"></figure>'
-    )
+    plots = f"<figure>{card(drawn, shows)}</figure>"
     return document(escape(title), escape(summary), plots, *tables)
 
 

@@ -10,13 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gpusim.report.drawing import STYLE, svg
+from gpusim.report.drawing import STYLE, card
 from gpusim.report.page import document
 from gpusim.tolerance.found import Found
 from gpusim.tolerance.rendered import Rendered
 
 Raws = tuple[Rendered, Rendered]  # of the design, and of the camera below which five percent lie
 OFFENDERS_SHOWN = 15
+CAMERAS_SHOWN = "Yield over the MTF50 of the worst edge, MTF50 by place, worst offenders"
 
 
 def facts_of(found: Found, raws: Raws | None) -> dict[str, Any]:
@@ -158,6 +159,11 @@ def _offenders(axes: Axes, found: Found) -> None:
     axes.set(title="Worst offenders, one standard deviation", xlabel="worst edge loses [cycles/px]")
 
 
+def _raws(found: Found, raws: Raws) -> str:
+    shown = "Developed pieces of both cameras, and MTF50 in their raws against the study's"
+    return f"<section><h2>Raws</h2>{card(raws_figure(found, raws), shown)}</section>"
+
+
 def page_of(found: Found, raws: Raws | None) -> str:
     """Return the page as HTML."""
     facts = facts_of(found, raws)
@@ -172,8 +178,8 @@ def page_of(found: Found, raws: Raws | None) -> str:
     return document(
         "Tolerances",
         summary,
-        f"<section><h2>Cameras</h2>{svg(figure_of(found))}</section>",
-        "" if raws is None else f"<section><h2>Raws</h2>{svg(raws_figure(found, raws))}</section>",
+        f"<section><h2>Cameras</h2>{card(figure_of(found), CAMERAS_SHOWN)}</section>",
+        "" if raws is None else _raws(found, raws),
         _agreement(facts),
     )
 

@@ -59,5 +59,5 @@ def test_the_report_shows_it_where_there_is_one():
     angular = replace(plain, camera=replace(plain.camera, sensor=CAMERA))
     text = page(facts(angular, files=[], command=[]), developed)
     assert "Quantum efficiency over the field</h2>" in text
-    assert "<svg" in text
+    assert '<img class="sheet" src="data:image/svg+xml' in text
     assert "Gr at 5" in text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from browser import chromium
 
 from gpusim.camera import Camera, load_camera
 from gpusim.cli import web
@@ -25,7 +25,6 @@ from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.web.bundle import STEPS, bundle, write_page
 
-BROWSER = "chromium-headless-shell"
 SWIFTSHADER = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"]
 SEED = 7
 ROWS, COLS = 44, 60
@@ -49,16 +48,10 @@ def folder(light: Light, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def opened(folder: Path) -> Iterator[Callable[[list[str]], Any]]:
     """Return what opens the page in a browser; it is ready then, or says why it cannot be."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if (path := shutil.which(BROWSER)) is None:
-        pytest.skip(f"{BROWSER} is not installed (Debian: apt-get install {BROWSER})")
-    with sync_api.sync_playwright() as playwright:
-        browsers = []
+    with chromium() as launch:
 
         def open_with(arguments: list[str]) -> Any:
-            given = {"executable_path": path, "args": [*arguments, "--no-sandbox"]}
-            browsers.append(playwright.chromium.launch(**given))
-            page = browsers[-1].new_page(viewport={"width": 900, "height": 600})
+            page = launch(*arguments).new_page(viewport={"width": 900, "height": 600})
             page.said = []
             page.on("console", lambda message: page.said.append(message.text))
             page.on("pageerror", lambda error: page.said.append(str(error)))
@@ -67,8 +60,6 @@ def opened(folder: Path) -> Iterator[Callable[[list[str]], Any]]:
             return page
 
         yield open_with
-        for browser in browsers:
-            browser.close()
 
 
 @pytest.fixture(scope="module")
