@@ -12,7 +12,7 @@ import numpy as np
 
 import gpusim
 from gpusim.isp import tiff
-from gpusim.isp.colour import LIGHT_SOURCE, colour_matrix, response
+from gpusim.isp.colour import LIGHT_SOURCE, colour_matrix, forward_matrix, response
 from gpusim.isp.levels import (
     iso_speed,
     linear_dn,
@@ -62,6 +62,8 @@ TAGS = {
     "CalibrationIlluminant2": 50779,
     "ActiveArea": 50829,
     "MaskedAreas": 50830,
+    "ForwardMatrix1": 50964,
+    "ForwardMatrix2": 50965,
     "NoiseProfile": 51041,
     "OpcodeList3": 51022,
 }
@@ -264,6 +266,9 @@ def _colours(
     white = sensor.by_colour(white_e)
     colours = sorted(white, key=CFA_LETTERS.index)
     neutral = np.array([white[colour] for colour in colours], np.float64)
+    matrices = {"ColorMatrix": colour_matrix}
+    if len(colours) >= 3:
+        matrices["ForwardMatrix"] = forward_matrix
     return {
         "CFARepeatPatternDim": (SHORT, sensor.period),
         "CFAPattern": (
@@ -274,8 +279,11 @@ def _colours(
         "CFALayout": (SHORT, (1,)),  # rectangular
         "CalibrationIlluminant1": (SHORT, (LIGHT_SOURCE["A"],)),
         "CalibrationIlluminant2": (SHORT, (LIGHT_SOURCE["D65"],)),
-        "ColorMatrix1": (SRATIONAL, tiff.rationals(colour_matrix(camera, "A").flat, SRATIONAL)),
-        "ColorMatrix2": (SRATIONAL, tiff.rationals(colour_matrix(camera, "D65").flat, SRATIONAL)),
+        **{
+            f"{name}{number}": (SRATIONAL, tiff.rationals(fit(camera, light).flat, SRATIONAL))
+            for name, fit in matrices.items()
+            for number, light in enumerate(("A", "D65"), start=1)
+        },
         "AsShotNeutral": (RATIONAL, tiff.rationals(neutral / neutral.max())),
     }
 

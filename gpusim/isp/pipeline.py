@@ -255,7 +255,17 @@ class _Chain:
             own = np.eye(3) if colours == "RGB" else np.ones((3, len(colours)))
             self.matrix = own / own.sum(axis=1, keepdims=True)
             return
-        self.matrix = to_picture(self.neutral, self.source.matrices, self.space.chromaticities)
+        forward = self.source.forward if self.settings.matrix_fit == "lab" else None
+        if forward == {}:
+            raise UserError(
+                "the file has no ForwardMatrix",
+                field="matrix_fit",
+                value=self.settings.matrix_fit,
+                allowed="xyz",
+            )
+        self.matrix = to_picture(
+            self.neutral, self.source.matrices, self.space.chromaticities, forward
+        )
 
     def _listed(self) -> None:
         """Note the stages that have nothing to do."""

@@ -37,6 +37,10 @@ class Settings(Strict):
         picture, or the name of an illuminant or a temperature.
     space : str
         ``srgb``, ``p3``, ``rec2020`` or ``linear``.
+    matrix_fit : str
+        ``xyz``: colours by the file's ColorMatrix, which our raws have by least squares of the
+        camera's colours from XYZ; ``lab``: by its ForwardMatrix, which they have by least squares
+        in CIE L*a*b*.
     ev : float
         Stops by which to show the picture brighter.
     roll_off : float
@@ -57,6 +61,7 @@ class Settings(Strict):
     demosaic: Literal["bilinear", "malvar", "directional"] | None = None
     white_balance: str = "as-shot"
     space: Literal["srgb", "p3", "rec2020", "linear"] = "srgb"
+    matrix_fit: Literal["xyz", "lab"] = "xyz"
     ev: Annotated[float, Field(ge=-LARGEST_EV, le=LARGEST_EV)] = 0.0
     roll_off: Annotated[float, Field(ge=0, le=LARGEST_ROLL_OFF)] = 0.0
     curve: Annotated[tuple[tuple[Share, Share], ...], Field(min_length=2)] | None = None

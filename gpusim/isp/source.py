@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +55,9 @@ class Source:
         Quarter turns to the left that make the picture upright.
     rectification : Rectification, optional
         What undoes the lens's distortion and lateral colour.
+    forward : dict of float to ndarray (3, colours)
+        From balanced colours to XYZ beside D50, by the light's temperature, K; none of a file
+        without.
     """
 
     codes: np.ndarray
@@ -69,6 +72,7 @@ class Source:
     ev: float = 0.0
     turns: int = 0
     rectification: Rectification | None = None
+    forward: dict[float, np.ndarray] = field(default_factory=dict)
 
     @property
     def colours(self) -> str:
@@ -118,7 +122,8 @@ def like(source: Source, other: Source) -> Source:
         levels = {colour: float(level[sites == colour].mean()) for colour in other.colours}
         black = np.array([[levels[letter] for letter in line] for line in source.pattern])
         span = source.span + float(source.black.mean() - black.mean())
-    return replace(source, black=black, span=span, neutral=other.neutral, matrices=other.matrices)
+    colours = {"neutral": other.neutral, "matrices": other.matrices, "forward": other.forward}
+    return replace(source, black=black, span=span, **colours)
 
 
 def read_source(path: Path) -> Source:
@@ -146,9 +151,9 @@ def _check(source: Source) -> None:
     neutral = source.neutral
     if neutral is not None and (neutral.shape != (number,) or not _positive(neutral)):
         raise ValueError("a white that is none")
-    for matrix in source.matrices.values():
-        if matrix.shape != (number, 3) or not np.isfinite(matrix).all():
-            raise ValueError("a colour matrix that is none")
+    both = (*source.matrices.values(), *(one.T for one in source.forward.values()))
+    if any(one.shape != (number, 3) or not np.isfinite(one).all() for one in both):
+        raise ValueError("a colour matrix that is none")
 
 
 def _positive(values: np.ndarray) -> bool:
@@ -169,26 +174,29 @@ def _of_ours(file: CodedFile) -> Source:
         file.span_dn,
         file.pattern,
         value("AsShotNeutral") if has_colours else None,
-        _matrices(file.tags),
+        _matrices(file.tags, "ColorMatrix", (-1, 3)),
         shading,
         (float(noise[0]), float(noise[1])),
         float(value("BaselineExposure")[0]),
         rectification=rectification,
+        forward=_matrices(file.tags, "ForwardMatrix", (3, -1)),
     )
 
 
-def _matrices(tags: dict[int, tuple[int, object]]) -> dict[float, np.ndarray]:
-    """Return the colour matrices of a DNG's tags by temperature; none where it has none."""
+def _matrices(
+    tags: dict[int, tuple[int, object]], name: str, shape: tuple[int, int]
+) -> dict[float, np.ndarray]:
+    """Return the matrices of a name in a DNG's tags by temperature; none where it has none."""
     found = {}
     for number in (1, 2):
-        matrix = tags.get(TAGS[f"ColorMatrix{number}"])
+        matrix = tags.get(TAGS[f"{name}{number}"])
         light = tags.get(TAGS[f"CalibrationIlluminant{number}"])
         if matrix is None:
             continue
         kelvin = LIGHT_KELVIN.get(int(light[1][0])) if light is not None else None
         # A light of no known temperature serves where there is no other.
         if kelvin is not None or not found:
-            found[kelvin or D65_KELVIN] = tiff.numbers(matrix).reshape(-1, 3)
+            found[kelvin or D65_KELVIN] = tiff.numbers(matrix).reshape(shape)
     return found
 
 
@@ -212,7 +220,7 @@ def _of_libraw(path: Path) -> Source:
         neutral = None
         if len(order) > 1 and _positive(gains):
             neutral = gains.min() / gains
-        matrices = _dng_matrices(path, len(order))
+        matrices = _dng_matrices(path, "ColorMatrix", (len(order), 3))
         shading, rectification = corrections_of(_dng_tags(path), TAGS["OpcodeList3"])
         known = np.array(raw.rgb_xyz_matrix, np.float64)[order]
         if not matrices and len(order) >= 3 and known.any():
@@ -229,6 +237,7 @@ def _of_libraw(path: Path) -> Source:
             ev=baseline_ev(path),
             rectification=rectification,
             turns=TURNS.get(raw.sizes.flip, 0),
+            forward=_dng_matrices(path, "ForwardMatrix", (3, len(order))),
         )
 
 
@@ -254,14 +263,13 @@ def _dng_tags(path: Path) -> dict[int, tuple[int, object]]:
     return tags if TAGS["DNGVersion"] in tags else {}
 
 
-def _dng_matrices(path: Path, colours: int) -> dict[float, np.ndarray]:
-    """Return the matrices of another's DNG; LibRaw passes only one of them on."""
+def _dng_matrices(path: Path, name: str, shape: tuple[int, int]) -> dict[float, np.ndarray]:
+    """Return the matrices of a name of another's DNG; LibRaw passes only one of them on."""
     try:
-        found = _matrices(_dng_tags(path))
+        found = _matrices(_dng_tags(path), name, shape)
     except ValueError:
         return {}
-    fits = all(one.shape == (colours, 3) and np.isfinite(one).all() for one in found.values())
-    return found if fits else {}
+    return found if all(np.isfinite(one).all() for one in found.values()) else {}
 
 
 def baseline_ev(path: Path) -> float:

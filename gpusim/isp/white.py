@@ -77,7 +77,10 @@ def white_of(neutral: np.ndarray, matrices: Matrices) -> np.ndarray:
 
 
 def to_picture(
-    neutral: np.ndarray, matrices: Matrices, chromaticities: tuple[float, ...]
+    neutral: np.ndarray,
+    matrices: Matrices,
+    chromaticities: tuple[float, ...],
+    forward: Matrices | None = None,
 ) -> np.ndarray:
     """Return the matrix (3, colours) from balanced colours to linear RGB of a space.
 
@@ -91,9 +94,16 @@ def to_picture(
     matrices : mapping of float to ndarray (colours, 3)
     chromaticities : tuple of 8 float
         As `rgb_to_xyz` takes them.
+    forward : mapping of float to ndarray (3, colours), optional
+        Matrices from balanced colours to XYZ beside D50, by the temperature of their light, K, in
+        place of the others' inverse.
     """
     space = rgb_to_xyz(chromaticities)
     white = white_of(neutral, matrices)
-    back = np.linalg.pinv(matrix_at(matrices, kelvin_of(white))) * neutral
+    if forward is None:
+        back = np.linalg.pinv(matrix_at(matrices, kelvin_of(white))) * neutral
+    else:
+        back = matrix_at(forward, kelvin_of(white))
+        white = back.sum(axis=1)
     rgb = np.linalg.solve(space, adaptation(white, space.sum(axis=1)) @ back)
     return rgb / rgb.sum(axis=1, keepdims=True)

@@ -12,6 +12,9 @@ LARGEST_XY = 10.0  # of a chromaticity; those of ACES AP0, the widest in use, li
 # ACES AP0, 1 for XYZ itself.
 MOST_CONDITION = 1e4
 
+D50 = np.array([0.9642, 1.0, 0.8249])
+"""XYZ of the white of ICC's profile connection space, which DNG's too is beside (ICC.1, 7.2.16)."""
+
 # Cone-like responses of the Bradford transform (Lam 1985; ICC.1, annex E).
 BRADFORD = np.array(
     [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]]

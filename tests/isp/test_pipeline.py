@@ -16,9 +16,10 @@ from isp.photographs import mosaicked, photographs
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.isp import pipeline, tiff
-from gpusim.isp.colour import CHANNELS, colour_matrix, response
+from gpusim.isp.colour import CHANNELS, colour_matrix, forward_matrix, response
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, write_dng
+from gpusim.isp.levels import saturation_dn
 from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.pipeline import develop_source, neutral_for
 from gpusim.isp.rectify import Rectification
@@ -26,7 +27,7 @@ from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
 from gpusim.isp.source import Source, _of_libraw, like, read_source
 from gpusim.reference.malvar import malvar
-from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, rgb_to_xyz
+from gpusim.scene.colorimetry import D50, REC709_CHROMATICITIES, adaptation, rgb_to_xyz
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
 from gpusim.sensor.cfa import PATTERNS
 
@@ -91,6 +92,40 @@ def test_the_colorchecker_has_its_true_colours(device: Device, tmp_path, shoot, 
     assert error.max() <= 5
     # LibRaw's picture has 8 bits: 0.05 of its mean, as the tests of its development have it.
     assert error.mean() <= theirs.mean() + 0.05
+
+
+@pytest.mark.parametrize("illuminant", ["D50", "D65", "A"])
+def test_colours_by_the_fit_in_lab_are_those_of_its_matrix(
+    device: Device, tmp_path, shoot, illuminant: str
+):
+    shot = shoot(illuminant)
+    settings = Settings(space="linear", ev=EV, matrix_fit="lab")
+    made = develop(written(shot, tmp_path), settings, device=device, bits=16)
+    shown = patches_of(made.picture) / 65535
+    error = difference(shown, true_rgb(illuminant))
+    print(f"{illuminant}, Lab: dE2000 mean {error.mean():.2f}, max {error.max():.2f}")
+    assert error.mean() <= 1.5
+    assert error.max() <= 5
+    if illuminant == "D50":  # between the file's two
+        return
+    forward = forward_matrix(response(shot.sensor.qe), illuminant)
+    balanced = shot.patches_e / np.array([shot.white_e[letter] for letter in CHANNELS])
+    to_space = np.linalg.solve(SPACE, adaptation(D50, SPACE.sum(axis=1)))
+    # `shoot` counts the white's share to the last code; saturation lies a little below.
+    black = shot.sensor.black_level_dn
+    gain = (65535 - black) / (saturation_dn(shot.sensor) - black)
+    expected = np.clip(gain * balanced @ (to_space @ forward).T, 0, 1)
+    # McCamy's formula takes A for some kelvin more: a share of 1e-3 of the other matrix, none of
+    # whose entries differs by more than 0.5; and codes of the raw, 1 in 6e4 but 4 in blue under A,
+    # by entries up to 3.
+    assert_close(shown, expected, atol=1e-3)
+
+
+def test_a_file_without_a_forward_matrix_is_refused_for_lab(device: Device):
+    given = source(np.full((24, 24), 0.5))
+    with pytest.raises(UserError, match="ForwardMatrix") as caught:
+        develop_source(given, Settings(matrix_fit="lab"), device)
+    assert (caught.value.field, caught.value.allowed) == ("matrix_fit", "xyz")
 
 
 @pytest.mark.parametrize("pattern", ["RGGB", "GBRG"])
@@ -310,9 +345,10 @@ def test_libraw_reads_our_files_as_we_do(tmp_path, shoot):
         assert theirs.span == pytest.approx(ours.span)
         # LibRaw holds multipliers in f32.
         assert_close(theirs.neutral, ours.neutral, rtol=1e-6)
-        assert theirs.matrices.keys() == ours.matrices.keys()
-        for kelvin, matrix in ours.matrices.items():
-            assert_close(theirs.matrices[kelvin], matrix.copy(), atol=0)
+        for mine, other in ((ours.matrices, theirs.matrices), (ours.forward, theirs.forward)):
+            assert mine.keys() == other.keys() == {2856.0, 6504.0}
+            for kelvin, matrix in mine.items():
+                assert_close(other[kelvin], matrix.copy(), atol=0)
 
 
 def test_a_photograph_is_developed_as_it_was(device: Device):
@@ -340,6 +376,7 @@ def test_a_raw_is_developed_with_another_cameras_colours(device: Device, tmp_pat
     white_dn = own.span + own.black.mean()
     assert found.span + found.black.mean() == pytest.approx(white_dn)
     assert found.neutral is theirs.neutral and found.matrices is theirs.matrices
+    assert found.forward is theirs.forward
     assert np.array_equal(found.codes, own.codes)
     made = develop(ours, Settings(like=str(other)), device=device).picture
     expected = develop_source(found, Settings(), device).picture
@@ -392,6 +429,7 @@ def test_files_of_others_are_developed_as_ours_and_upright(
         ("AsShotNeutral", (5, (1, 1, 1, 1))),
         ("WhiteLevel", (4, (100,))),
         ("ColorMatrix1", (10, (1, 0) * 9)),
+        ("ForwardMatrix1", (10, (1, 0) * 9)),
         ("NoiseProfile", (12, (float("nan"), 0.0))),
         ("BaselineExposure", (10, (2_000_000_000, 1))),
     ],

@@ -41,6 +41,13 @@ def develop(
     space: Annotated[
         str | None, typer.Option(metavar="NAME", help="srgb, p3, rec2020 or linear.")
     ] = None,
+    matrix_fit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Colours by a matrix fitted in xyz (ColorMatrix), or lab (Forward).",
+        ),
+    ] = None,
     roll_off: Annotated[
         float | None,
         typer.Option(metavar="SHARE", help="Bend highlights into this share of the range."),
@@ -77,6 +84,7 @@ def develop(
         "demosaic": demosaic,
         "white_balance": white_balance,
         "space": space,
+        "matrix_fit": matrix_fit,
         "roll_off": roll_off,
         "defects": defects,
         "shading": shading,
