@@ -7,8 +7,9 @@ charge has collected has the temporal variance
 
     sigma^2 = sigma_dark^2 + (dS / d mu_p)^2 mu_p / eta,
 
-to which eta is fitted; K is the response in the dark, (dS / d mu_p)(0) / eta. Where it is straight,
-these are the figures of the standard.
+to which eta is fitted; K is the response in the dark, (dS / d mu_p)(0) / eta. A pixel that responds
+by 1 + r as much has the signal S((1 + r) mu_p): its PRNU is what the standard finds over
+(mu_p / S) (dS / d mu_p). Where the response is straight, these are the figures of the standard.
 """
 
 from __future__ import annotations
@@ -65,11 +66,13 @@ def as_sensor(found: Characterisation, frames: Frames, size: tuple[int, int]) ->
     dark2 = figures["temporal_dark_noise_dn"].value ** 2 - QUANTISATION_DN2
     pixel2 = dark2 / gain**2 - scale**2 * sum(noise2.values())
     of = {name: scale * _value(figures, f"dsnu_{name}_e") for name in ("pixel", "row", "column")}
-    prnu = {
-        name: _value(first.figures, f"prnu_{name}_percent") for name in ("pixel", "row", "column")
-    }
     black = float(found.series.mean[np.argmin(found.series.exposure_s)])
     bent = _linearity(response, eta, gain, first)
+    steeper = 1.0 if bent is None else _steepness(response, first)
+    prnu = {
+        name: _value(first.figures, f"prnu_{name}_percent") / steeper
+        for name in ("pixel", "row", "column")
+    }
     full, says = _full_well(first, bits, black, gain=gain, eta=eta, bent=bent)
     fields = {
         "name": frames.name,
@@ -152,6 +155,14 @@ def _response(channel: Channel) -> tuple[Polynomial, float]:
     # Each level counts by the same share: a level of many frames is not more of the camera.
     weight = 1 / shape**2
     return response, float(np.sum(weight * shape**2) / np.sum(weight * shape * excess))
+
+
+def _steepness(response: Polynomial, channel: Channel) -> float:
+    """Return d ln S / d ln mu_p where the PRNU was measured."""
+    if channel.bright is None:
+        return 1.0
+    photons = channel.bright.photons
+    return float(photons * response.deriv()(photons) / response(photons))
 
 
 def _linearity(

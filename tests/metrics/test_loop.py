@@ -1,6 +1,7 @@
 """The loop on the product's own shaders: what was put in comes out, and what is wrong is seen."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from scipy.special import ndtr
 
 from gpusim.gpu import Device, Recording
 from gpusim.metrics import flat_field, law, loop
+from gpusim.metrics.as_sensor import as_sensor
 from gpusim.metrics.emva import characterise
+from gpusim.metrics.frames import Frames
 from gpusim.metrics.statistics import Accumulator
 from gpusim.plan.stages import sensor_runs
 from gpusim.sensor import readout
@@ -157,6 +160,18 @@ def test_a_bent_response_is_predicted_and_said(device: Device):
     assert "straight line" in table["K"].reason
     assert abs(table["K"].expected - 0.3) > 3 * table["K"].uncertainty
     assert abs(table["PRNU"].expected - 1.2) > table["PRNU"].uncertainty
+
+
+def test_the_file_of_a_measured_sensor_has_the_responses_that_its_curve_bends(device: Device):
+    electrons = np.linspace(0, 1e4, 21)
+    bent = {"electrons": electrons, "read_e": electrons * (1 - electrons / 1e5)}
+    sensor = sensor_of(linearity=Linearity.model_validate(bent))
+    found = measured(device, sensor)
+    again = as_sensor(found, Frames(Path(), "bent", (("W",),), {}), (192, 256))
+    # Half way up a pixel that responds by 1 % more gives 0.95 % more.
+    prnu = found.channels[0].figures["prnu_percent"]
+    assert abs(prnu.value - 1.2) > 9 * prnu.u
+    assert abs(again.prnu_percent - 1.2) < 3 * prnu.u
 
 
 def test_offsets_of_columns_and_black_levels_of_channels_are_seen(device: Device):
