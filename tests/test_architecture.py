@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import subprocess
 import sys
 from collections.abc import Collection, Iterator, Mapping
@@ -225,6 +226,23 @@ def test_a_plan_is_made_without_a_device():
         name for module in MODULES if inside(module, "gpusim.plan") for name in IMPORTS[module]
     }
     assert [n for n in names if inside(n, "gpusim.gpu") and not inside(n, "gpusim.gpu.pool")] == []
+
+
+def test_a_plan_is_made_where_no_device_can_be_opened():
+    """A process whose wgpu cannot be imported: the planner, as any import or call would tell."""
+    code = """
+import sys
+import gpusim.plan
+assert "wgpu" not in sys.modules
+sys.modules["wgpu"] = None
+from optics.made import FLAT, bank, scene, sensor
+given = bank(), sensor(), scene((), FLAT[None])
+print(gpusim.plan.plan_optics(*given, gpusim.plan.Accuracy(0.03)).text())
+"""
+    paths = {"PYTHONPATH": os.pathsep.join([str(PROJECT), str(PROJECT / "tests")])}
+    asked = {"capture_output": True, "text": True, "check": True, "env": os.environ | paths}
+    done = subprocess.run([sys.executable, "-c", code], **asked)
+    assert "skip warp" in done.stdout
 
 
 def test_the_gpu_layer_knows_no_domain():

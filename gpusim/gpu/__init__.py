@@ -1,4 +1,4 @@
-"""The GPU layer: the only place that knows wgpu."""
+"""The GPU layer: the only place that knows wgpu, which it loads with the first device."""
 
 from .adapters import devices
 from .arrays import Array, Resident

@@ -7,13 +7,14 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
-
-import wgpu
+from typing import TYPE_CHECKING, Any
 
 from gpusim.errors import UserError
 
 from .c_types import parse_few
+
+if TYPE_CHECKING:
+    import wgpu
 
 # OpenGL lists the same llvmpipe again and lacks the compute features used here.
 _BACKENDS = ("Vulkan", "Metal", "D3D12")
@@ -49,6 +50,8 @@ def native() -> Any:
 
 def usable() -> list[wgpu.GPUAdapter]:
     """Return the adapters that have what is used here."""
+    import wgpu
+
     native()
     with runtime_dir():
         return [

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .layout import ShaderError
-from .pool import TEXEL_BYTES, Memory, Use
+from .pool import TEXEL_BYTES, Use
 
 if TYPE_CHECKING:
     from .device import Device
+    from .pool import Memory
 
 # NumPy dtypes that a buffer may have, and the WGSL scalar that they are.
 DTYPES = {

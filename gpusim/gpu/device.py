@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import metadata
+from typing import TYPE_CHECKING
 
 import numpy as np
-import wgpu
 
 from gpusim.errors import UserError
 
@@ -22,10 +22,14 @@ from .pool import (
     MAX_BUFFER_BYTES,
     TEXEL_BYTES,
     TEXEL_ROW_BYTES,
-    Memory,
     Pool,
     Use,
 )
+
+if TYPE_CHECKING:
+    import wgpu
+
+    from .pool import Memory
 
 # Limits that are not named are filled from the adapter by wgpu-py, and then code that runs here may
 # not run elsewhere; so the defaults of the WebGPU specification (section "Limits") are named.
@@ -85,9 +89,7 @@ class Device:
         self.double_float: bool | None = None  # not tested yet: see exact.py
         self.compiled: dict[object, Compiled] = {}  # by run.py, in order of time
         self._on_the_way = 0  # bytes of uploads
-        self._fence = self.gpu.create_buffer(
-            label="fence", size=16, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
-        )
+        self._fence = self.gpu.create_buffer(label="fence", size=16, usage=Use.READBACK.value)
         self._ticks: wgpu.GPUQuerySet | None = None
 
     @classmethod
@@ -140,6 +142,8 @@ class Device:
         DeviceLostError
             For whatever wgpu raises in the body when the device is lost.
         """
+        import wgpu
+
         try:
             yield
         except (wgpu.GPUError, RuntimeError, ShaderError) as error:
@@ -167,7 +171,7 @@ class Device:
 
     def fill(self, memory: Memory, data: np.ndarray) -> None:
         """Write a contiguous array into a buffer or texture, from its beginning."""
-        if isinstance(memory, wgpu.GPUBuffer):
+        if not hasattr(memory, "texture"):
             self.gpu.queue.write_buffer(memory, 0, data)
             return
         data = data.reshape(-1).view(np.uint8)

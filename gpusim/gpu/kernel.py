@@ -8,9 +8,9 @@ import sys
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import wgpu
 
 from . import wgsl
 from .arrays import DTYPES, Array
@@ -18,6 +18,9 @@ from .device import PORTABLE_LIMITS, Device
 from .layout import SCALARS, ShaderError
 from .pool import Use
 from .recording import Recording
+
+if TYPE_CHECKING:
+    import wgpu
 
 
 @dataclass(frozen=True)
@@ -203,6 +206,8 @@ class Kernel:
         return device.pipelines[self.key]
 
     def _compile(self, gpu: wgpu.GPUDevice) -> Pipeline:
+        import wgpu
+
         if os.environ.get("GPUSIM_PRINT_WGSL") == "1":
             print(f"{self.path} {self._given}\n{self.source.numbered()}", file=sys.stderr)
         layout = gpu.create_bind_group_layout(
@@ -239,7 +244,7 @@ class Kernel:
 def _resource(binding: wgsl.Binding) -> dict[str, object]:
     """Return a bind group layout's entry for a binding."""
     if binding.kind == "texels":
-        return {"texture": {"sample_type": wgpu.TextureSampleType.unfilterable_float}}
+        return {"texture": {"sample_type": "unfilterable-float"}}
     return {"buffer": {"type": binding.kind, "has_dynamic_offset": binding.index == 0}}
 
 

@@ -6,10 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
-
-import wgpu
+from typing import TYPE_CHECKING
 
 from gpusim.errors import UserError
+
+if TYPE_CHECKING:
+    import wgpu
+
+    # A texture is held as its view, which a shader is given. Copies go to the view's `texture`.
+    Memory = wgpu.GPUBuffer | wgpu.GPUTextureView
 
 # The portable caps of WebGPU's default limits: what runs here then runs on any adapter.
 MAX_BUFFER_BYTES = 256 << 20
@@ -27,24 +32,14 @@ class OutOfMemoryError(UserError):
 class Use(Enum):
     """What memory is for; that of different uses is never exchanged.
 
-    TEXELS is a texture, of which shaders only read: see shaders/common/texels.
+    TEXELS is a texture, of which shaders only read: see shaders/common/texels. The values are
+    WebGPU's flags as wgpu reads them.
     """
 
-    DATA = (
-        wgpu.BufferUsage.STORAGE
-        | wgpu.BufferUsage.UNIFORM
-        | wgpu.BufferUsage.COPY_SRC
-        | wgpu.BufferUsage.COPY_DST
-    )
-    READBACK = wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST
-    TICKS = wgpu.BufferUsage.QUERY_RESOLVE | wgpu.BufferUsage.COPY_SRC
-    TEXELS = (
-        wgpu.TextureUsage.TEXTURE_BINDING | wgpu.TextureUsage.COPY_SRC | wgpu.TextureUsage.COPY_DST
-    )
-
-
-# A texture is held as its view, which a shader is given. Copies go to the view's `texture`.
-Memory = wgpu.GPUBuffer | wgpu.GPUTextureView
+    DATA = "STORAGE | UNIFORM | COPY_SRC | COPY_DST"
+    READBACK = "MAP_READ | COPY_DST"
+    TICKS = "QUERY_RESOLVE | COPY_SRC"
+    TEXELS = "TEXTURE_BINDING | COPY_SRC | COPY_DST"
 
 
 def size_class(nbytes: int, use: Use = Use.DATA) -> int:
@@ -167,6 +162,8 @@ class Pool:
                 nbytes -= size
 
     def _create(self, label: str, size: int, use: Use) -> Memory:
+        import wgpu
+
         try:
             return self._made(label, size, use)
         except wgpu.GPUOutOfMemoryError:
@@ -186,7 +183,7 @@ class Pool:
         texture = self._device.create_texture(
             label=label,
             size=(TEXEL_ROW_BYTES // TEXEL_BYTES, size // TEXEL_ROW_BYTES, 1),
-            format=wgpu.TextureFormat.rgba32float,
+            format="rgba32float",
             usage=use.value,
         )
         return texture.create_view(label=label)
@@ -203,4 +200,4 @@ class Pool:
 
 
 def _destroy(memory: Memory) -> None:
-    (memory.texture if isinstance(memory, wgpu.GPUTextureView) else memory).destroy()
+    getattr(memory, "texture", memory).destroy()  # a view's texture, or a buffer

@@ -5,15 +5,20 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import wgpu
 
 from .arrays import Array, Resident
 from .commands import Clear, Command, Copy, Dispatch, Download, Proxy, Upload
 from .compiling import Compiled, tell_compiling
 from .device import MAX_TICKS, Device, texel_rows
-from .pool import Memory, Use
+from .pool import Use
+
+if TYPE_CHECKING:
+    import wgpu
+
+    from .pool import Memory
 
 
 class Run:
@@ -222,7 +227,7 @@ class Run:
 
 def _bound(memory: Memory, nbytes: int) -> Memory | dict[str, object]:
     """Return a bind group's resource: the first bytes of a buffer, or a whole texture."""
-    if isinstance(memory, wgpu.GPUTextureView):
+    if hasattr(memory, "texture"):
         return memory
     return {"buffer": memory, "offset": 0, "size": nbytes}
 

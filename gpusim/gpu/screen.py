@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import wgpu
 
 from .adapters import runtime_dir
+
+if TYPE_CHECKING:
+    import wgpu
 
 
 def drawing_on(canvas: Any) -> tuple[Any, Textures]:
@@ -15,6 +17,7 @@ def drawing_on(canvas: Any) -> tuple[Any, Textures]:
 
     It has a device of its own: drawing does not wait for work on others.
     """
+    import wgpu
     from wgpu.utils.imgui import ImguiRenderer
 
     with runtime_dir():
@@ -48,8 +51,8 @@ class Textures:
                 self._backend.unregister_texture(held[3])
             texture = self._device.create_texture(
                 size=(cols, rows, 1),
-                format=wgpu.TextureFormat.rgba8unorm,
-                usage=wgpu.TextureUsage.COPY_DST | wgpu.TextureUsage.TEXTURE_BINDING,
+                format="rgba8unorm",
+                usage="COPY_DST | TEXTURE_BINDING",
             )
             view = texture.create_view()
             held = (rgb, texture, view, self._backend.register_texture(view))

@@ -10,10 +10,10 @@ from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
 from gpusim.plan.band import Band, band_of
-from gpusim.plan.density import bank_density
-from gpusim.plan.plane_density import plane_bank_density
-from gpusim.plan.survey import AnyDensity
+from gpusim.plan.density import AnyDensity
 from gpusim.psf.field_bank import FieldBank, seen_as
+from gpusim.render.axis_survey import bank_density
+from gpusim.render.plane_survey import plane_bank_density
 from gpusim.scene.scene import Scene
 
 

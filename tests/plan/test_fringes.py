@@ -9,8 +9,8 @@ from scipy.special import j1
 
 from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan.fringes import LONE, MARGIN, cycles, lone_points, steps_for_fringes
-from gpusim.plan.survey import Survey
 from gpusim.psf.spreads import even_lines_nm
+from gpusim.render.survey import Survey
 from gpusim.scene.raster import Raster
 from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM

@@ -1,25 +1,30 @@
 """How densely the bank of a lens without an axis must be sampled for a tolerance.
 
 Fields lie on an even grid, and between them PSFs are bicubic. So the lens is asked, as one with an
-axis is (`gpusim.plan.density`): line spreads in the middles of some cells are compared with what
-the sixteen fields around make of them. The middles lie where the field changes most, towards the
-sensor's corners, and one half-way. Errors of cubics go with the fourth power of the spacing: that
-says which grid to try next.
+axis is (`gpusim.render.axis_survey`): line spreads in the middles of some cells are compared with
+what the sixteen fields around make of them. The middles lie where the field changes most, towards
+the corners of the sensor, and one half-way. Errors of cubics go with the fourth power of the
+spacing: that says which grid to try next.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
 from gpusim.lens.prescription import Prescription
 from gpusim.plan.accuracy import Accuracy
-from gpusim.plan.survey import (
+from gpusim.plan.density import PlaneDensity
+from gpusim.psf.places import lagrange
+from gpusim.psf.plane_spreads import PlaneSpreads, cached_plane_spreads
+from gpusim.psf.sampling import SIDE, default_sides_deg
+from gpusim.psf.spreads import even_lines_nm
+from gpusim.psf.transform import TRANSFORM
+from gpusim.render.survey import (
     COARSE,
-    MEAN,
     Axis,
     Progress,
     Survey,
@@ -29,11 +34,6 @@ from gpusim.plan.survey import (
     refuse_above,
     relative,
 )
-from gpusim.psf.places import lagrange
-from gpusim.psf.plane_spreads import PlaneSpreads, cached_plane_spreads
-from gpusim.psf.sampling import SIDE, default_sides_deg
-from gpusim.psf.spreads import even_lines_nm
-from gpusim.psf.transform import TRANSFORM
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 
@@ -41,74 +41,12 @@ from gpusim.sensor.sensor import Sensor
 # The decentred triplet of tools/matrix.py, at 0.9 of its field beside edges of 16:1 on pixels of
 # 4 um, errs by 7.8e-2 with 9, 2.8e-2 with 17, 8e-3 with 27 and 3e-4 with 41.
 FEWEST, MOST = SIDE, 27
-STEPS = (1, 2)  # lines in each eleventh of the range: see `gpusim.plan.density`
+STEPS = (1, 2)  # lines in each eleventh of the range: see `gpusim.render.axis_survey`
 # What the fields and what the lines may each leave: shares of the tolerance.
 FIELDS_SHARE, LINES_SHARE = 0.4, 0.4
 # The cells that are asked: how far out, of the sensor's corner or the largest field, towards each
 # corner; and half-way, aside of the axes.
 FAR, HALF_WAY = 0.9, (0.5, 0.2)
-
-
-@dataclass(frozen=True, eq=False)
-class PlaneDensity:
-    """Where a bank is sampled, and what it is expected to err by, relative to the local signal.
-
-    Attributes
-    ----------
-    side_deg : ndarray (N,)
-        Field angles, along x and along y.
-    wavelengths_nm : ndarray (L,)
-    fields_error : ndarray (C,)
-        In the middles of the cells that were asked.
-    lines_error, pupil_error : float
-        What the lines leave; what the generator errs by at the fields themselves.
-    ratio : float
-        Contrast of the scene's own edges.
-    """
-
-    side_deg: np.ndarray
-    wavelengths_nm: np.ndarray
-    fields_error: np.ndarray
-    lines_error: float
-    pupil_error: float
-    ratio: float
-
-    @property
-    def worst(self) -> float:
-        """The largest error on the sensor."""
-        return math.hypot(self.fields_error.max(), self.lines_error, self.pupil_error)
-
-    @property
-    def rms(self) -> float:
-        """What is expected of the whole sensor: towards the fields the error falls."""
-        of_fields = MEAN * np.mean(np.square(self.fields_error))
-        return math.sqrt(of_fields + self.lines_error**2 + self.pupil_error**2)
-
-    @property
-    def sampling(self) -> dict[str, np.ndarray]:
-        """What `gpusim.camera.Camera.bank` takes."""
-        sides = {"field_x_deg": self.side_deg, "field_y_deg": self.side_deg}
-        return {"wavelengths_nm": self.wavelengths_nm} | sides
-
-    @property
-    def why(self) -> str:
-        """Why it cannot be less."""
-        if self.pupil_error > self.worst / math.sqrt(2):
-            return f"PSFs err by {self.pupil_error:.1e}, for the pupil's rim is sampled in cells"
-        return (
-            f"between {self._many} the lens's PSFs are interpolated, "
-            f"which errs by {self.worst:.1e}, and a bank takes no more fields"
-        )
-
-    @property
-    def text(self) -> str:
-        """What was chosen, in words."""
-        return f"PSFs of {self._many}, what lies between interpolated"
-
-    @property
-    def _many(self) -> str:
-        side, lines = len(self.side_deg), len(self.wavelengths_nm)
-        return f"{side} x {side} fields x {lines} wavelengths"
 
 
 def plane_bank_density(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.optics.spectral_basis import spectral_weights
 from gpusim.plan.accuracy import BEST_EFFORT, SMALLEST, Accuracy, rounded_up
+from gpusim.plan.density import MOST_SHARE, AnyDensity
 from gpusim.plan.fringes import cycles, lone_points
 from gpusim.plan.signal import brightest_e
 from gpusim.psf.lines import CUBIC, line_shares
@@ -35,7 +36,6 @@ TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, SMALLEST)
 # 16. Photographs count as the former.
 CONTRASTS = (1.0, 5.0, 20.0)
 PHOTOGRAPH = 5.0
-MOST_SHARE = 0.85  # of the tolerance: a bank that leaves more is refused
 # Lines at which fields are compared, of the twelve: 550 nm and both ends are among them. Below and
 # beyond them every second one, and the last.
 FEW = (0, 2, 4, 7, 9, 11)
@@ -43,40 +43,11 @@ FEW = (0, 2, 4, 7, 9, 11)
 # quarter of the time. What PSFs fold into the window from beyond 512 samples changes as evenly over
 # the field as they do, and adds 7e-4 of a line spread's peak at most (the lens of `kodak`).
 COARSE = 512
-# Mean square of (1 - 4 t^2) (9 - 4 t^2) / 9, the error of a cubic between its middle nodes at
-# t = -1/2 and 1/2 over that half-way.
-MEAN = 0.5167
 # Pixels are judged within this distance from an edge, and within twice, four times it and so on:
 # the worst RMS counts. The Tessar at f/2.8 between 19.6 and 20.4 deg errs by 1.2e-4 within a pixel,
 # by 3e-3 within 32.
 NEAR_PX = 1.0
 TINY = 1e-6  # of a line spread's peak: less is rounding
-
-
-class AnyDensity(Protocol):
-    """What a density says of a bank, whether its lens has an axis or not."""
-
-    ratio: float
-
-    @property
-    def worst(self) -> float:
-        """The largest error on the sensor."""
-
-    @property
-    def rms(self) -> float:
-        """What is expected of the whole sensor."""
-
-    @property
-    def sampling(self) -> dict[str, np.ndarray]:
-        """What `gpusim.camera.Camera.bank` takes."""
-
-    @property
-    def why(self) -> str:
-        """Why it cannot be less."""
-
-    @property
-    def text(self) -> str:
-        """What was chosen, in words."""
 
 
 class Axis(NamedTuple):

@@ -1,4 +1,4 @@
-"""How densely the bank of a lens without an axis is sampled, and what it errs by."""
+"""How densely the bank of a lens without an axis is sampled."""
 
 import numpy as np
 import pytest
@@ -7,22 +7,19 @@ from optics.made import FLAT, monochrome, scene
 
 from gpusim.errors import UserError
 from gpusim.plan import Accuracy
-from gpusim.plan.density import LensShare
-from gpusim.plan.plane_density import (
+from gpusim.psf import compute_plane, halo
+from gpusim.psf.sampling import default_sides_deg
+from gpusim.psf.spreads import even_lines_nm
+from gpusim.psf.store import BANK_BYTES
+from gpusim.render.plane_survey import (
     FEWEST,
     FIELDS_SHARE,
     LINES_SHARE,
     MOST,
     STEPS,
-    PlaneDensity,
     _PlaneSurvey,
     plane_bank_density,
 )
-from gpusim.plan.survey import MEAN
-from gpusim.psf import compute_plane, halo
-from gpusim.psf.sampling import default_sides_deg
-from gpusim.psf.spreads import even_lines_nm
-from gpusim.psf.store import BANK_BYTES
 from gpusim.scene.chart import Rect
 
 EDGE = scene((Rect(0.0, 0.0, 0.5, 0.5, 0.08, 1),), np.stack([FLAT, FLAT / 16]))
@@ -65,18 +62,6 @@ def test_errors_between_fields_fall_as_those_of_cubics(survey):
     assert 16 / 3 < few.max() / many.max() < 16 * 3
 
 
-def density(**changed):
-    made = {
-        "side_deg": np.linspace(-6, 6, 9),
-        "wavelengths_nm": np.linspace(400, 700, 12),
-        "fields_error": np.array([3e-4, 1e-4]),
-        "lines_error": 1e-4,
-        "pupil_error": 2e-5,
-        "ratio": 16.0,
-    }
-    return PlaneDensity(**made | changed)
-
-
 @pytest.mark.parametrize(
     ("at_nine", "allowed", "tried"),
     [(1e-4, 1e-3, [9]), (1.6e-2, 1e-3, [9, 17]), (1.0, 1e-6, [9, MOST])],
@@ -107,25 +92,6 @@ def test_fields_that_miss_by_more_than_foretold_are_tried_again(survey, monkeypa
     _, errors = survey.refined(4e-3)
     assert asked[0] == FEWEST and len(asked) > 2
     assert errors[0] <= 4e-3
-
-
-def test_a_density_says_what_it_errs_by():
-    found = density()
-    assert found.worst == pytest.approx(np.sqrt(3e-4**2 + 1e-4**2 + 2e-5**2))
-    squares = MEAN * (3e-4**2 + 1e-4**2) / 2 + 1e-4**2 + 2e-5**2
-    assert found.rms == pytest.approx(np.sqrt(squares))
-    assert set(found.sampling) == {"wavelengths_nm", "field_x_deg", "field_y_deg"}
-    assert "9 x 9 fields x 12 wavelengths" in found.text
-    assert "9 x 9 fields" in found.why
-    assert "rim" in density(pupil_error=1e-3).why
-
-
-def test_what_it_leaves_is_the_engines(survey):
-    share = LensShare(density(), None, 1.0)
-    share.__dict__["window"] = 0.0
-    assert share.left_of(1e-3) < 1e-3 / 0.78
-    assert share.excess(1e-4) > 1 > share.excess(1e-3)
-    assert share.stages[0].reason == density().text
 
 
 def test_a_tolerance_is_met_or_refused_with_the_nearest(monkeypatch):
