@@ -1,23 +1,32 @@
 """The mutation tool: which defects it plants, which equivalent ones it takes, and that it kills."""
 
 import importlib.util
+import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
 PROJECT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(scope="module")
-def mutate():
-    """Import tools/mutate.py, which is no module of the package."""
-    spec = importlib.util.spec_from_file_location("mutate", PROJECT / "tools" / "mutate.py")
+def tool(name: str) -> ModuleType:
+    """Import a file of tools/, which is no module of the package."""
+    spec = importlib.util.spec_from_file_location(name, PROJECT / "tools" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules["mutate"] = module  # dataclasses look their module up
+    sys.modules[name] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def mutate():
+    return tool("mutate")
+
+
+PLANTED = tool("planted").LIST
 
 
 def after(mutate, statement: str) -> set[str]:
@@ -110,6 +119,22 @@ def test_the_projects_own_list_fits_the_shaders(mutate):
     texts = mutate.chosen(None)
     found = [one for name, text in texts.items() for one in mutate.mutants(name, text)]
     assert all(reason for reason in mutate.equivalents(found, everything=True).values())
+
+
+@pytest.mark.parametrize("one", PLANTED, ids=lambda one: one.what)
+def test_a_planted_defect_has_its_place_and_its_test(one):
+    sound = (PROJECT / one.file).read_text(encoding="utf-8")
+    assert sound.count(one.old) == 1 and one.old != one.new
+    named = PROJECT / one.test
+    files = sorted(named.glob("test_*.py")) if named.is_dir() else [named]
+    tests = [
+        name for file in files for name in re.findall(r"^def (test_\w+)", file.read_text(), re.M)
+    ]
+    assert any(one.words in name for name in tests)
+
+
+def test_no_planted_defect_is_listed_twice():
+    assert len({one.what for one in PLANTED}) == len(PLANTED)
 
 
 def test_every_shader_is_named_by_a_test(mutate):

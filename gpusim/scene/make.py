@@ -88,7 +88,7 @@ def make_scene(
         "chart_height": chart_height,
     }
     if is_chart(name):
-        _check_chart(projection, upsampling)
+        _check_chart(projection, transfer, upsampling)
         level = luminance_cd_m2 or DEFAULT_WHITE_LUMINANCE_CD_M2
         height = None if chart_height is None else Height.parse(chart_height)
         laid = load_chart(name, frame, height=height, projection=plane)
@@ -134,7 +134,7 @@ def _check(luminance_cd_m2: float | None, projection: str) -> None:
         )
 
 
-def _check_chart(projection: str, upsampling: str | None) -> None:
+def _check_chart(projection: str, transfer: str | None, upsampling: str | None) -> None:
     """Refuse what only pictures have."""
     if projection == PANORAMA:
         raise UserError(
@@ -142,6 +142,13 @@ def _check_chart(projection: str, upsampling: str | None) -> None:
             field="projection",
             value=projection,
             allowed=f"{', '.join(PROJECTIONS)} for charts",
+        )
+    if transfer is not None:
+        raise UserError(
+            "a chart has no transfer function",
+            field="transfer",
+            value=transfer,
+            allowed="with a TIFF or PNG",
         )
     if upsampling is not None:
         raise UserError(

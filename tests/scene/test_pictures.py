@@ -321,3 +321,10 @@ def test_mistakes_name_file_and_field(tmp_path, case: str):
     assert time.process_time() - started < 2
     assert caught.value.file == file
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("option", ["transfer", "upsampling"])
+def test_a_chart_has_no_use_for_what_pictures_are_read_by(option: str):
+    with pytest.raises(UserError) as caught:
+        make_scene("demo", **{option: "foo"})
+    assert caught.value.field == option and caught.value.value == "foo"
