@@ -14,6 +14,8 @@ from gpusim.sensor.cfa import CFA_LETTERS
 
 BAYER = ("RGGB", "BGGR", "GRBG", "GBRG")
 PERIOD = 4  # pixels, of the filter pattern
+# Around a frame: colour differences count up to 3 beyond it, and their greens come from 2 more.
+RIM = 2 * PERIOD
 # Share of saturation below which differences say nothing of where an edge runs: noise.
 FLAT = 0.002
 
@@ -112,12 +114,12 @@ def remosaiced(raw: RawFile, phase: tuple[int, int]) -> np.ndarray:
     rows, cols = raw.signal_dn.shape
     # Around the frame the pattern goes on: whole periods of the frame's own rim.
     at = [_beyond(n) for n in (rows, cols)]
-    sites = sites_of(raw.pattern, (rows + 2 * PERIOD, cols + 2 * PERIOD))
+    sites = sites_of(raw.pattern, (rows + 2 * RIM, cols + 2 * RIM))
     white = np.zeros(sites.shape, np.float32)
     for colour, share in zip(raw.colours, raw.value("AsShotNeutral"), strict=True):
         white[sites == colour] = share
     signal = raw.signal_dn[np.ix_(*at)] / white
-    inside = slice(PERIOD, PERIOD + rows), slice(PERIOD, PERIOD + cols)
+    inside = slice(RIM, RIM + rows), slice(RIM, RIM + cols)
     green = sites == "G"
     flat = (FLAT * raw.span_dn) ** 2
     total = np.zeros_like(signal)
@@ -156,8 +158,8 @@ def _between(signal: np.ndarray, first: int, axis: int) -> tuple[np.ndarray, np.
 
 
 def _beyond(count: int) -> np.ndarray:
-    """Return the numbers of rows or columns with a period of the pattern before and behind them."""
-    place = np.arange(-PERIOD, count + PERIOD)
+    """Return the numbers of rows or columns with periods of the pattern before and behind them."""
+    place = np.arange(-RIM, count + RIM)
     last = count - 1
     place = np.where(place < 0, place % PERIOD, place)
     return np.where(place > last, last - (last - place) % PERIOD, place)

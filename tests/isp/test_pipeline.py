@@ -16,6 +16,7 @@ from isp.photographs import mosaicked, photographs
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.isp import pipeline, tiff
+from gpusim.isp.bilinear import far_of, reach_of
 from gpusim.isp.colour import CHANNELS, colour_matrix, forward_matrix, response
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import TAGS, write_dng
@@ -26,6 +27,7 @@ from gpusim.isp.rectify import Rectification
 from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
 from gpusim.isp.source import Source, _of_libraw, like, read_source
+from gpusim.reference.bilinear import bilinear
 from gpusim.reference.malvar import malvar
 from gpusim.scene.colorimetry import D50, REC709_CHROMATICITIES, adaptation, rgb_to_xyz
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
@@ -216,6 +218,36 @@ def test_every_filter_array_shows_what_is_there(device: Device, tmp_path, shoot,
     given = source(light, pattern, neutral=np.ones(colours), matrices={})
     picture = develop_source(given, Settings(space="linear"), device, 16).picture
     assert_close(picture / 65535, np.full((40, 52, 3), 0.25), atol=1e-5)
+
+
+@pytest.mark.parametrize("pattern", [("RG", "BW"), ("RWGW", "WRWG", "GWBW", "WGWB")])
+def test_edges_through_clear_filters_are_those_of_the_reference(device: Device, pattern):
+    """Coloured fields with an edge across and one down, through RGBW: Bayer with clear, Kodak's."""
+    curves = sixteen_bits().qe
+    camera = response(curves | {"W": 0.4 * sum(curves.values())})
+    matrix = colour_matrix(camera, "D65")
+    neutral = matrix @ SPACE.sum(axis=1)
+    rgb = np.full((37, 42, 3), (0.5, 0.3, 0.2))
+    rgb[:, 20:] = 0.1, 0.35, 0.6
+    rgb[25:] = 0.4
+    seen = rgb @ (matrix @ SPACE).T
+    colours = "RGBW"
+    sites = np.array([[colours.index(letter) for letter in row] for row in pattern])
+    row, col = np.indices(rgb.shape[:2])
+    site = sites[row % len(pattern), col % len(pattern)]
+    light = np.take_along_axis(seen, site[..., None], axis=2)[..., 0]
+    given = source(light, pattern, neutral=neutral, matrices={6504.0: matrix})
+    picture = develop_source(given, Settings(space="linear"), device, 16).picture / 65535
+    balanced = np.round(60000 * light) / 60000 / neutral[site]
+    planes = bilinear(balanced, pattern, colours, reach_of(pattern), far_of(pattern))
+    own = np.linalg.pinv(matrix) * neutral
+    back = np.linalg.solve(SPACE, own)
+    expected = np.clip(planes.transpose(1, 2, 0) @ back.T, 0, 1)
+    # Rounding to 16 bits, and f32 through a matrix whose rows have absolute sums of some 5.
+    assert_close(picture, expected, atol=0.5 / 65535 + 5 * 12 * 2**-24)
+    # Fields are what they were, 4 pixels from any edge.
+    for at in ((10, 10), (10, 32), (32, 20)):
+        assert_close(picture[at], rgb[at], atol=2e-4)
 
 
 def test_stages_without_work_are_left_out_and_named(device: Device):

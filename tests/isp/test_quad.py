@@ -11,9 +11,11 @@ from gpusim.isp.develop import develop
 from gpusim.isp.dng import EXIF, TAGS, write_dng
 from gpusim.isp.levels import saturation_dn
 from gpusim.isp.libraw import develop_by_libraw
-from gpusim.isp.quad import quad_phase, write_bayer
+from gpusim.isp.quad import quad_phase, remosaiced, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.isp.tiff import numbers
+from gpusim.reference.quad import Remosaic
+from gpusim.reference.quad import binned as cell_sums
 from gpusim.scene.colorimetry import encode_srgb
 from gpusim.scene.spectra import white_radiance
 from gpusim.sensor.adc_model import Linearity
@@ -81,11 +83,7 @@ def test_binned_cells_are_sums(tmp_path, shift):
     raw, _camera = written(tmp_path / "a.dng", pattern, light)
     write_bayer(read_raw(tmp_path / "a.dng"), tmp_path / "b.dng", binned=True)
     row, col = shift[0] % 2, shift[1] % 2
-    rows, cols = (54 - row) // 2, (61 - col) // 2
-    expected = np.zeros((rows, cols))
-    for r in range(rows):
-        for c in range(cols):
-            expected[r, c] = raw[row + 2 * r :, col + 2 * c :][:2, :2].sum()
+    expected = cell_sums(raw, (row, col))
     with rawpy.imread(str(tmp_path / "b.dng")) as read:
         assert_close(read.raw_image_visible.astype(float), expected, atol=0)
         assert (read.black_level_per_channel, read.white_level) == ([4 * BLACK] * 4, 4 * 4095)
@@ -111,6 +109,24 @@ def test_sums_that_16_bits_do_not_hold_are_scaled(tmp_path):
         1500 / (saturation_dn(camera_of(QUAD, bit_depth=15, system_gain_dn_per_e=3.0)) - BLACK),
         rel=1e-3,
     )
+
+
+@pytest.mark.parametrize("shift", [(0, 0), (1, 2), (2, 3), (3, 1)])
+def test_remosaiced_is_what_the_reference_makes(tmp_path, monkeypatch, shift):
+    """Everywhere to the corners, in a frame of no whole periods, of rough light."""
+    for letter, share in (("R", 0.5), ("B", 0.25)):  # shares that f32 holds and divides by exactly
+        monkeypatch.setitem(NEUTRAL, letter, share)
+    pattern = shifted(QUAD, shift)
+    light = np.random.default_rng(7).uniform(0.05, 1.0, (14, 17))
+    written(tmp_path / "a.dng", pattern, light)
+    raw = read_raw(tmp_path / "a.dng")
+    phase = quad_phase(pattern)
+    share = dict(zip(raw.colours, raw.value("AsShotNeutral"), strict=True))
+    twin = Remosaic(raw.signal_dn, pattern, phase, white=share, span=raw.span_dn)
+    expected = np.array([[twin.at(r, c) for c in range(17)] for r in range(14)])
+    found = remosaiced(raw, phase)
+    # Some 60 roundings of f32: means of two lines, sums of 49 differences of up to 3000 DN.
+    assert_close(found.astype(float), expected, atol=60 * 2**-24 * 3000)
 
 
 @pytest.mark.parametrize("shift", [(0, 0), (1, 2), (2, 3)])
