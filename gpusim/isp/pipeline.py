@@ -20,7 +20,7 @@ from gpusim.isp.malvar import record_malvar
 from gpusim.isp.matrix import record_matrix
 from gpusim.isp.pack import record_pack, unpacked
 from gpusim.isp.quad import BAYER
-from gpusim.isp.rectify import record_rectify
+from gpusim.isp.rectify import IDENTITY, record_rectify
 from gpusim.isp.repair import record_repair
 from gpusim.isp.roll_off import record_roll_off
 from gpusim.isp.settings import LARGEST_EV, PATCH, Settings
@@ -258,10 +258,7 @@ class _Chain:
         forward = self.source.forward if self.settings.matrix_fit == "lab" else None
         if forward == {}:
             raise UserError(
-                "the file has no ForwardMatrix",
-                field="matrix_fit",
-                value=self.settings.matrix_fit,
-                allowed="xyz",
+                "the file has no ForwardMatrix", field="matrix_fit", value="lab", allowed="xyz"
             )
         self.matrix = to_picture(
             self.neutral, self.source.matrices, self.space.chromaticities, forward
@@ -276,20 +273,28 @@ class _Chain:
             self.left_out["shading"] = "the file says nothing of the lens's"
         elif not settings.shading:
             self.left_out["shading"] = "not asked for"
+        elif not any(source.shading.k):
+            self.left_out["shading"] = "its gain is 1 everywhere"
         if source.rectification is None:
             self.left_out["rectify"] = "the file says nothing of the lens's distortion"
         elif not settings.rectify:
             self.left_out["rectify"] = "not asked for"
         elif len(source.rectification.maps) not in (1, len(source.colours)):
             self.left_out["rectify"] = "the file's maps are of other colours"
+        elif all(one == IDENTITY for one in source.rectification.maps):
+            self.left_out["rectify"] = "the file's maps move nothing"
         if self.method is None:
             self.left_out |= dict.fromkeys(("balance", "demosaicing"), "there are no filters")
+        elif (self.neutral == 1).all():
+            self.left_out["balance"] = "white is the same in every colour"
         if self.ev == 0:
             self.left_out["roll_off"] = "no stops"
         if self.space.transfer is None:
             self.left_out["transfer"] = "light is stored as it is"
         if settings.curve is None:
             self.left_out["curve"] = "not asked for"
+        elif all(given == shown for given, shown in settings.curve):
+            self.left_out["curve"] = "it is a straight line from 0 to 1"
 
     def bands(self) -> list[tuple[int, int]]:
         """Return the rows of the picture, from and before, that are made at once.
@@ -365,9 +370,10 @@ class _Chain:
     def _planes(self, rec: Recording, light: Array, start: int) -> Array:
         if self.method is None:
             return light
-        shares = dict(zip(self.source.colours, self.neutral, strict=True))
-        gain = np.array([[1 / shares[letter] for letter in line] for line in self.pattern])
-        record_balance(rec, light, gain)
+        if "balance" not in self.left_out:
+            shares = dict(zip(self.source.colours, self.neutral, strict=True))
+            gain = np.array([[1 / shares[letter] for letter in line] for line in self.pattern])
+            record_balance(rec, light, gain)
         if self.method == "malvar":
             return record_malvar(rec, light)
         if self.method == "directional":

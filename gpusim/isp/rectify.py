@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.gpu import Array, Kernel, Recording
 
 SAMPLES = 33  # along each side, at which a map is asked how far it reaches
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the map that moves nothing
 TAPS = 2  # rows beyond a place that its interpolation takes
 
 

@@ -23,7 +23,7 @@ from gpusim.isp.dng import TAGS, write_dng
 from gpusim.isp.levels import saturation_dn
 from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.pipeline import develop_source, neutral_for
-from gpusim.isp.rectify import Rectification
+from gpusim.isp.rectify import IDENTITY, Rectification
 from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
 from gpusim.isp.source import Source, _of_libraw, like, read_source
@@ -253,26 +253,84 @@ def test_edges_through_clear_filters_are_those_of_the_reference(device: Device, 
 def test_stages_without_work_are_left_out_and_named(device: Device):
     given = source(np.full((24, 24), 0.5))
     made = develop_source(given, Settings(), device)
-    assert set(made.left_out) == {"repair", "shading", "rectify", "roll_off", "curve"}
+    assert set(made.left_out) == {"repair", "shading", "balance", "rectify", "roll_off", "curve"}
     assert set(made.times_s) == {
         f"isp/{stage}"
         for stage in (
-            "linear", "balance", "differences", "direction", "refine", "colours", "matrix",
+            "linear", "differences", "direction", "refine", "colours", "matrix",
             "transfer", "pack",
         )
     }  # fmt: skip
     curve = ((0.0, 0.0), (0.5, 0.6), (1.0, 1.0))
     given = replace(given, shading=Shading((0.1, 0, 0, 0, 0), (0.5, 0.5)))
     straight = Rectification(((1.0, 0.01, 0, 0, 0, 0),), (0.5, 0.5))
-    given = replace(given, rectification=straight)
+    given = replace(given, rectification=straight, neutral=np.array([0.5, 1.0, 0.7]))
     full = Settings(defects=True, ev=1, curve=curve, demosaic="malvar", rectify=True)
     made = develop_source(given, full, device)
     assert made.left_out == {}
-    assert {"isp/repair", "isp/shading", "isp/rectify", "isp/roll_off", "isp/curve"} < set(
-        made.times_s
-    )
+    assert {
+        "isp/repair",
+        "isp/shading",
+        "isp/balance",
+        "isp/rectify",
+        "isp/roll_off",
+        "isp/curve",
+    } < set(made.times_s)
     alone = develop_source(source(np.full((24, 24), 0.5), ("W",)), Settings(), device)
     assert {"balance", "demosaicing"} < set(alone.left_out)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+def test_stages_that_would_change_nothing_are_left_out(device: Device, monkeypatch, bits: int):
+    """By their values; run all the same, they give the same picture to the bit.
+
+    But of 16 bits those of each pixel alone: what moves nothing rounds places to f32, 4e-6 px.
+    """
+    light = np.random.default_rng(8).uniform(0, 1, (32, 48))
+    neutral = {
+        "shading": Shading((0.0,) * 5, (0.4, 0.6)),
+        "rectification": Rectification((IDENTITY,) * 3, (0.5, 0.5)),
+    }
+    given = replace(source(light), **neutral)
+    settings = Settings(rectify=True, curve=((0.0, 0.0), (0.25, 0.25), (1.0, 1.0)))
+    lean = develop_source(given, settings, device, bits)
+    idle = {"shading", "balance", "rectify", "curve"}
+    assert idle <= set(lean.left_out)
+    if bits == 16:
+        idle.remove("rectify")
+    listed = pipeline._Chain._listed
+
+    def all_run(chain):
+        listed(chain)
+        chain.left_out = {name: why for name, why in chain.left_out.items() if name not in idle}
+
+    monkeypatch.setattr(pipeline._Chain, "_listed", all_run)
+    full = develop_source(given, settings, device, bits)
+    assert {f"isp/{name}" for name in idle} == set(full.times_s) - set(lean.times_s)
+    assert np.array_equal(lean.picture, full.picture)
+    assert np.ptp(lean.picture) > 0.9 * (2**bits - 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "settings"),
+    [
+        ({"neutral": np.array([1.0, 1.0, 1 - 1e-6])}, {}),
+        ({"shading": Shading((0.0, 0.0, 0.0, 0.0, 1e-6), (0.5, 0.5))}, {}),
+        (
+            {
+                "rectification": Rectification(
+                    (IDENTITY, (1.0, 0, 0, 1e-6, 0, 0), IDENTITY), (0.5, 0.5)
+                )
+            },
+            {},
+        ),
+        ({}, {"curve": ((0.0, 0.0), (0.5, 0.5 + 1e-6), (1.0, 1.0))}),
+    ],
+)
+def test_stages_that_change_a_little_run(device: Device, changes: dict, settings: dict):
+    given = replace(source(np.full((24, 24), 0.5)), **changes)
+    made = develop_source(given, Settings(rectify=True, **settings), device)
+    assert len({"shading", "balance", "rectify", "curve"} & set(made.left_out)) == 3
 
 
 @pytest.mark.parametrize("space", ["srgb", "p3", "rec2020", "linear"])
