@@ -140,7 +140,7 @@ def read_chart(
     if data.pattern is not None:
         drawn = _drawn(data.pattern, materials, background, scale=scale, frame=frame, path=path)
         fills = tuple(materials.fills[number] for number in drawn.materials)
-        source = Raster(drawn.planes, half_um=drawn.half_um)
+        source = Raster(drawn.planes, half_um=drawn.half_um, waves=drawn.waves)
         return Laid(data.title, source, fills, (drawn.note,))
     primitives: list[Primitive] = []
     for number, given in enumerate(data.shapes, start=1):

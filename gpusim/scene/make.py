@@ -195,8 +195,8 @@ def _chart(name: str, laid: Laid, level: float, lamp: str) -> Scene:
     source, fills = laid.source, laid.fills
     if isinstance(source, Raster) and all(fill.grey for fill in fills):
         # One spectrum, in one plane, in which points of light stand out from what is around them.
-        shares = laid.reflectances(WAVELENGTHS_NM[:1], level)[:, 0]
-        plane = sum(share * one for share, one in zip(shares, source.planes, strict=True))
+        shares = laid.reflectances(WAVELENGTHS_NM[:1], level)[:, 0].astype(np.float32)
+        plane = np.tensordot(shares, source.planes, axes=1)
         source, fills = replace(source, planes=plane[None]), (Fill("white", 1.0),)
 
     light = partial(_lit, fills, level, lamp)

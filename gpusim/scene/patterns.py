@@ -1,8 +1,9 @@
 """Charts without outlines: waves, zone plates, dead leaves, points of light, drawn on samples.
 
 The samples are those of a photograph: the scene is the cubic spline through them
-(`gpusim.scene.raster`), in the exact model too, which so knows the sampling. Lengths are in the
-file's unit; a pattern goes on beyond the sensor by `OVERSCAN`.
+(`gpusim.scene.raster`), in the exact model too. Such a spline has less of a wave than its samples:
+those of waves are larger by as much (`Wave`). Lengths are in the file's unit; a pattern goes on
+beyond the sensor by `OVERSCAN`.
 """
 
 from __future__ import annotations
@@ -25,9 +26,14 @@ if TYPE_CHECKING:
 OVERSCAN = 1.06  # what a barrel-distorting lens looks past
 PER_PIXEL = 2.0  # samples, unless the file says how many
 MOST_ROWS = 4096  # unless it does: 4096 x 5461 samples are 90 MB a plane
-LEAST_PERIOD = 3.0  # samples: of a wave of 3 samples a period a spline keeps 0.93, of 4 0.986
+# Samples of the shortest period, unless the file says how many: the first image of a wave of 4 is
+# 1/81 of it, of 3 it is 1/16. A file may go down to 3, and up to 8192 rows.
+PER_PERIOD, LEAST_PERIOD = 4.0, 3.0
+LIMIT_ROWS = 8192
 BAND_ROWS = 256  # that are drawn at once
 LAYERS = 200_000  # leaves at most
+ROUNDING = 1e-9  # of a size: what counts as equal
+TINY = 1e-30  # far below any sample's distance from the middle, squared
 
 
 @dataclass(frozen=True)
@@ -71,12 +77,15 @@ class Drawn:
         Half the width and height that they cover.
     note : str
         How it was sampled.
+    waves : bool
+        Whether they are samples of waves: see `gpusim.scene.raster.Raster`.
     """
 
     planes: np.ndarray
     materials: tuple[int, ...]
     half_um: tuple[float, float] | None
     note: str
+    waves: bool
 
 
 class Pattern(Strict):
@@ -84,7 +93,7 @@ class Pattern(Strict):
 
     pattern: str
     fills: tuple[Any, Any]
-    samples: Annotated[int, Field(ge=16, le=8192, strict=True)] | None = None
+    samples: Annotated[int, Field(ge=16, le=LIMIT_ROWS, strict=True)] | None = None
 
     def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
         """Return the bright fill's share at points, in the file's unit, of samples so far apart."""
@@ -114,12 +123,12 @@ class Pattern(Strict):
         ValueError
             Where a period is too short for the samples.
         """
-        rows = self.samples or min(math.ceil(PER_PIXEL * frame.rows), MOST_ROWS)
+        shortest = self.least_period(frame.aspect / scale, 1 / scale)
+        rows = self.samples or _rows(frame.rows, shortest * scale / 2)
         step = 2 / rows / scale
         half_h = OVERSCAN / scale
         half_w = half_h * frame.aspect
-        shortest = self.least_period(half_w / OVERSCAN, half_h / OVERSCAN)
-        if shortest < LEAST_PERIOD * step:
+        if shortest < (1 - ROUNDING) * LEAST_PERIOD * step:
             raise ValueError(
                 f"a period of {shortest:.4g} is {shortest / step:.3g} samples of {step:.4g}; it "
                 f"takes {LEAST_PERIOD:g}, or more samples"
@@ -138,74 +147,108 @@ class Pattern(Strict):
         note = f"drawn on {count[1]} x {count[0]} samples, {pixel:.3g} to a pixel"
         if shortest < math.inf:
             note += f"; its shortest period, {shortest * scale * frame.rows / 2:.4g} pixels, has "
-            note += f"{shortest / step:.3g}, of which the spline through them keeps "
-            note += f"{spline_response(step / shortest):.4f}"
-        return Drawn(np.stack([1 - share, share]), tuple(materials[1:]), half_um, note)
+            note += f"{shortest / step:.3g}: beside it lies an image of "
+            note += f"{(shortest / step - 1) ** -4:.2g} of its amplitude, "
+            note += f"{pixel * (1 - step / shortest):.3g} cycles a pixel"
+        planes = np.stack([1 - share, share])
+        return Drawn(planes, tuple(materials[1:]), half_um, note, isinstance(self, Wave))
 
 
-def spline_response(cycles: float) -> float:
-    """Return the amplitude of a wave, cycles a sample, in the cubic spline through its samples.
+def _rows(sensor: int, shortest: float) -> int:
+    """Return on how many rows to draw a period, a share of the sensor's height, before a sensor."""
+    rows = min(math.ceil(PER_PIXEL * sensor), MOST_ROWS)
+    return max(rows, min(math.ceil(PER_PERIOD / shortest * (1 - ROUNDING)), LIMIT_ROWS))
 
-    sinc^4(f) over the sum of sinc^4(f + k) (Unser 1999, eq. 14 and 24): the rest is its images.
+
+def spline_response(cycles: np.ndarray | float) -> np.ndarray:
+    """Return the amplitude of waves, cycles a sample, in the cubic spline through their samples.
+
+    sinc^4(f) over the sum of sinc^4(f + k), which is 1 - 2/3 sin^2(pi f) (Unser 1999, eq. 14 and
+    24): the rest is images at f + k cycles, of (f / (f + k))^4 as much.
     """
-    images = np.sinc(cycles + np.arange(-20, 21)) ** 4
-    return float(np.sinc(cycles) ** 4 / images.sum())
+    return np.sinc(cycles) ** 4 / (1 - 2 / 3 * np.sin(np.pi * cycles) ** 2)
 
 
-class Sinusoid(Pattern):
+class Wave(Pattern):
+    """A wave between both fills, whose frequency may differ from place to place.
+
+    Its samples are as much larger as the spline through them keeps less of its local frequency.
+    That is exact for an even one, and where the frequency changes little over a few samples.
+    """
+
+    def turns(
+        self, x: np.ndarray, y: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | float, np.ndarray | float]:
+        """Return the phase at points, cycles, and how it rises along x and y: the frequencies."""
+        raise NotImplementedError
+
+    def seen(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray | float:
+        """Return how much of the wave there is at points."""
+        return 1.0
+
+    def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+        """Return 0.5 + 0.5 cos of the phase, over what the spline keeps of it."""
+        cycles, *frequencies = self.turns(x, y)
+        # Finer ones are not drawn, or lie beyond the sensor.
+        across, down = (np.clip(step * f, -1 / LEAST_PERIOD, 1 / LEAST_PERIOD) for f in frequencies)
+        kept = spline_response(across) * spline_response(down)
+        return 0.5 + 0.5 * self.seen(x, y, step) * np.cos(2 * np.pi * cycles) / kept
+
+
+class Sinusoid(Wave):
     """A wave: `period` along its normal, which points at `angle_deg`; its phase in the middle."""
 
     period: Size
     angle_deg: Angle = 0.0
     phase_deg: Angle = 0.0
 
-    def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-        """Return 0.5 + 0.5 cos of the phase."""
+    def turns(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float, float]:
+        """Return those along the normal."""
         angle = math.radians(self.angle_deg)
-        along = x * math.cos(angle) + y * math.sin(angle)
-        turn = 2 * np.pi * along / self.period + math.radians(self.phase_deg)
-        return 0.5 + 0.5 * np.cos(turn)
+        across, down = math.cos(angle) / self.period, math.sin(angle) / self.period
+        return x * across + y * down + self.phase_deg / 360, across, down
 
     def least_period(self, half_w: float, half_h: float) -> float:
         """Return its period."""
         return self.period
 
 
-class Sweep(Pattern):
+class Sweep(Wave):
     """A wave whose frequency rises exponentially from left to right: `periods` at both ends."""
 
     periods: tuple[Size, Size]
     width: Size
 
-    def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-        """Return 0.5 + 0.5 cos of the integral of the frequency."""
+    def turns(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the integral of the frequency; beyond both ends it goes on at theirs."""
         low, high = (1 / period for period in self.periods)
-        # At the ends it goes on at their frequency.
         place = np.clip(x / self.width + 0.5, 0, 1)
         ratio = math.log(high / low)
+        across = low * np.exp(place * ratio)
         cycles = self.width * low * (np.expm1(place * ratio) / ratio if ratio else place)
         beyond = x - np.clip(x, -self.width / 2, self.width / 2)
-        cycles = cycles + beyond * np.where(beyond < 0, low, high)
-        return np.broadcast_to(0.5 + 0.5 * np.cos(2 * np.pi * cycles), (len(y), x.size))
+        return cycles + beyond * across, across, 0.0
 
     def least_period(self, half_w: float, half_h: float) -> float:
         """Return the shorter one."""
         return min(self.periods)
 
 
-class ZonePlate(Pattern):
+class ZonePlate(Wave):
     """Rings whose frequency rises with the radius: of `period` at `radius`."""
 
     period: Size
     radius: Size
 
-    def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-        """Return 0.5 + 0.5 cos(pi r^2 / (radius period)), even beyond the radius."""
-        square = x**2 + y**2
-        wave = 0.5 + 0.5 * np.cos(np.pi * square / (self.radius * self.period))
-        # Within two of the last rings it fades.
-        rim = np.clip((self.radius - np.sqrt(square)) / (2 * self.period), 0, 1)
-        return 0.5 + (wave - 0.5) * np.sin(np.pi / 2 * rim) ** 2
+    def turns(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return r^2 / (2 radius period)."""
+        area = self.radius * self.period
+        return (x**2 + y**2) / (2 * area), x / area, y / area
+
+    def seen(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+        """Return 1, fading within two of the last rings; 0 beyond the radius."""
+        rim = np.clip((self.radius - np.hypot(x, y)) / (2 * self.period), 0, 1)
+        return np.sin(np.pi / 2 * rim) ** 2
 
     def least_period(self, half_w: float, half_h: float) -> float:
         """Return the period at the radius, or as far as the field goes."""
@@ -213,23 +256,26 @@ class ZonePlate(Pattern):
         return self.period * self.radius / seen
 
 
-class SineStar(Pattern):
+class SineStar(Wave):
     """A Siemens star of so many sinusoidal cycles, open within where they are too fine."""
 
     cycles: Annotated[int, Field(ge=2, le=720, strict=True)]
     diameter: Size
     inner_diameter: Size
 
-    def share(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
-        """Return 0.5 + 0.5 cos(cycles times the azimuth), even beyond both radii."""
+    def turns(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return so many of the azimuth."""
+        turn = self.cycles / (2 * np.pi)
+        each = turn / np.maximum(x**2 + y**2, TINY)
+        return turn * np.arctan2(y, x), -y * each, x * each
+
+    def seen(self, x: np.ndarray, y: np.ndarray, step: float) -> np.ndarray:
+        """Return 1 between both radii; both rims fade over 4 samples, as they are drawn."""
         radius = np.hypot(x, y)
-        wave = 0.5 * np.cos(self.cycles * np.arctan2(y, x))
         inner, outer = self.inner_diameter / 2, self.diameter / 2
-        # Both rims fade over 4 samples, as they are drawn.
-        rims = np.clip((radius - inner) / (4 * step), 0, 1) * np.clip(
+        return np.clip((radius - inner) / (4 * step), 0, 1) * np.clip(
             (outer - radius) / (4 * step), 0, 1
         )
-        return 0.5 + wave * rims
 
     def least_period(self, half_w: float, half_h: float) -> float:
         """Return the inner rim's."""

@@ -60,6 +60,8 @@ class PlacedRaster:
         values.
     highlights : Highlights
         Light that is not in the planes.
+    waves : bool
+        Whether the samples are of smooth waves: see `Raster`.
     """
 
     planes: np.ndarray
@@ -71,6 +73,7 @@ class PlacedRaster:
     highlights: Highlights = field(
         default_factory=lambda: Highlights(np.zeros((0, 2)), 0.0, np.zeros((0, 0)))
     )
+    waves: bool = False
 
     def spline_coefficients(self) -> np.ndarray:
         """Return the cubic B-spline coefficients that define the continuous radiance.
@@ -79,7 +82,7 @@ class PlacedRaster:
         spline has the samples (mirrored at the first and last, scipy's mode "mirror").
         Beside highlights it would ring below zero: there the coefficients are the non-negative ones
         whose spline explains the samples best (Richardson 1972, Lucy 1974), the light of a
-        highlight kept in sum.
+        highlight kept in sum. Waves have the linear solution everywhere: see `Raster`.
 
         Returns
         -------
@@ -108,7 +111,10 @@ class PlacedRaster:
         )
         samples = self.planes[number, top:bottom, left:right].astype(np.float64)
         wanted = range(rows.start - top, rows.stop - top)
-        return _fitted(samples, self.integrals, wanted)[:, cols.start - left : cols.stop - left]
+        inner = slice(cols.start - left, cols.stop - left)
+        if self.waves:
+            return _linear(samples, self.integrals)[wanted.start : wanted.stop, inner]
+        return _fitted(samples, self.integrals, wanted)[:, inner]
 
     def values(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the spline's values at its samples, float32; its planes where they are its values.
@@ -138,12 +144,17 @@ def _faded(integrals: bool) -> int:
     return math.ceil(math.log(REST) / math.log(POLES[integrals]))
 
 
-def _fitted(samples: np.ndarray, integrals: bool, wanted: range) -> np.ndarray:
-    """Return the wanted rows of the non-negative spline coefficients of one plane, in float64."""
+def _linear(samples: np.ndarray, integrals: bool) -> np.ndarray:
+    """Return the spline coefficients of one plane that give its samples, in float64."""
     from scipy.ndimage import spline_filter
 
+    return _undone(samples) if integrals else spline_filter(samples, order=3, mode="mirror")
+
+
+def _fitted(samples: np.ndarray, integrals: bool, wanted: range) -> np.ndarray:
+    """Return the wanted rows of the non-negative spline coefficients of one plane, in float64."""
     weights = INTEGRALS if integrals else VALUES
-    linear = _undone(samples) if integrals else spline_filter(samples, order=3, mode="mirror")
+    linear = _linear(samples, integrals)
     least = FLOOR * samples
     wrong = (linear < least).any(axis=1)
     fit = np.maximum(linear, least, out=linear)
@@ -218,6 +229,9 @@ class Raster:
     """Coefficient planes (M, rows, cols), float32, of a scene's spectra; none negative.
 
     ``whole``: bright outliers are samples like others; for what blurs them far beyond a sample.
+    ``waves``: the spline through them may have negative coefficients, and samples be negative by
+    what a spline has less of a wave than its samples: a non-negative fit took up to 7 % of one of
+    4 samples a period from it.
     ``half_um``: half the width and height that it covers, whatever the sensor's; ``half_efl``: the
     same in focal lengths, before a lens is known.
     """
@@ -226,6 +240,7 @@ class Raster:
     whole: bool = False
     half_um: tuple[float, float] | None = None
     half_efl: tuple[float, float] | None = None
+    waves: bool = False
 
     @functools.cached_property
     def split(self) -> Split:
@@ -282,6 +297,7 @@ class Raster:
             note,
             integrals=planes is not split.planes,
             highlights=highlights,
+            waves=self.waves,
         )
 
 

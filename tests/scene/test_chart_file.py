@@ -195,7 +195,8 @@ def test_a_wave_has_its_period_direction_and_phase(written):
     assert rows == 68 and cols == 102  # 6 % more than the sensor, in whole samples about the middle
     y, x = np.mgrid[:rows, :cols] + 0.5 - np.array([rows, cols])[:, None, None] / 2
     along = x * math.cos(math.pi / 6) + y * math.sin(math.pi / 6)
-    expected = 0.5 - 0.5 * np.sin(2 * np.pi * along / 8)
+    kept = spline_response(math.cos(math.pi / 6) / 8) * spline_response(math.sin(math.pi / 6) / 8)
+    expected = 0.5 - 0.5 * np.sin(2 * np.pi * along / 8) / kept
     assert_close(plane, expected, atol=1e-6)  # float32
 
 
@@ -208,11 +209,12 @@ def test_a_pattern_covers_more_than_the_sensor_at_its_scale(written):
     placed = scene.source.placed(96.0, 64.0, 0.0)
     assert placed.pitch_um == pytest.approx(1.0)  # two samples to a pixel of 2 um
     assert "2 to a pixel" in scene.notes[0]
-    assert "1.0000" in scene.notes[0]  # of a wave of 16 samples
+    # The wave has 16 samples a period: its first image lies at 15/16 cycle a sample.
+    assert "an image of 2e-05 of its amplitude, 1.88 cycles a pixel" in scene.notes[0]
 
 
 @pytest.mark.parametrize("cycles", [0.05, 0.125, 0.25, 0.33])
-def test_the_spline_keeps_what_the_note_says(cycles: float):
+def test_the_spline_keeps_what_waves_are_divided_by(cycles: float):
     from scipy.interpolate import make_interp_spline
 
     at = np.arange(-60, 61)
@@ -239,7 +241,9 @@ def test_a_sweep_and_a_zone_plate_have_their_frequencies(written):
     line = rings[len(rings) // 2, rings.shape[1] // 2 :]
     radius = (np.arange(line.size) + 0.5) / 2
     inside = radius < 180
-    expected = 0.5 + 0.5 * np.cos(np.pi * (radius**2 + 0.0625) / 1600)
+    # Two samples to a pixel, of a wave of radius / 1600 cycles in one.
+    wave = np.cos(np.pi * (radius**2 + 0.0625) / 1600) / spline_response(radius / 3200)
+    expected = 0.5 + 0.5 * wave
     assert_close(line[inside], expected[inside], atol=1e-5)
     assert_close(line[radius > 200], np.full((radius > 200).sum(), 0.5), atol=1e-6)
 
