@@ -43,10 +43,13 @@ from gpusim.heap import trim_heap
 from gpusim.isp.develop import _read as read_development
 from gpusim.isp.dng import write_dng
 from gpusim.isp.files import write_picture
+from gpusim.isp.optics import Optics
 from gpusim.isp.settings import read_settings
 from gpusim.library.irradiance import Irradiance
+from gpusim.library.light import Light
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.metrics.picture import read_picture
+from gpusim.preview.script import read_script
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import read_illumination
@@ -263,6 +266,37 @@ def light_map(at: Path) -> list[Path]:
     return [at / "map.exr"]
 
 
+def light_file(at: Path) -> list[Path]:
+    """Write a light of a few pixels."""
+    sensor = load_sensor("imx477").model_copy(update={"rows": 6, "cols": 8})
+    whole, lens = (0, 0, 6, 8), Optics("a lens", 8.0, 2.8, *np.zeros((3, 0)))
+    rates, white = np.ones((4, 3, 4), np.float32), dict.fromkeys(sensor.channels, 1000.0)
+    glare, transmission = np.zeros(4, np.float32), np.ones(61)
+    Light(
+        *("a camera", "a scene", sensor, whole, whole, rates, glare, white, transmission, lens),
+        tolerance="1e-3",
+        recipe={"format": 1},
+    ).save(at / "light.npz")
+    return [at / "light.npz"]
+
+
+def cube_files(at: Path) -> list[Path]:
+    """Write a picture, and the table of the medium that it was on."""
+    rows = "\n".join(f"{r} {g} {b}" for b in (0, 1) for g in (0, 1) for r in (0, 1))
+    (at / "film.cube").write_text(f"TITLE film\nLUT_3D_SIZE 2\n{rows}\n")
+    return [
+        picture_files.write_png(at / "a.png", np.full((9, 12, 3), 77, np.uint8)),
+        at / "film.cube",
+    ]
+
+
+def script_file(at: Path) -> list[Path]:
+    """Write a script of the preview."""
+    steps = [{"zoom": [2, 3, 4]}, {"turn": {"ev": 1.5}}, {"wait": "picture"}]
+    (at / "steps.json").write_text(json.dumps(steps))
+    return [at / "steps.json"]
+
+
 def settings_file(at: Path) -> list[Path]:
     """Write settings of a development."""
     (at / "look.yaml").write_text(
@@ -336,6 +370,7 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
         scene_of("a.png", transfer="srgb"),
     ),
     "png of 16 bits": (wide_png, scene_of("a.png", transfer="srgb")),
+    "table": (cube_files, lambda at: make_scene(at / "a.png", transfer=str(at / "film.cube"))),
     "spectrum": (lamp_files, all_lamps),
     "raw": (raw_file, scene_of("raw.dng")),
     "speos": (speos_folder, lambda at: read_speos(at / "camera.yaml").sensor({})),
@@ -357,6 +392,8 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
         lambda at: read_labels(at / "a.png"),
     ),
     "illumination": (light_map, lambda at: read_illumination(at / "map.exr")),
+    "light": (light_file, lambda at: Light.load(at / "light.npz")),
+    "script": (script_file, lambda at: read_script(at / "steps.json")),
     "sweep": (sweep_file, lambda at: Sweep.load(at / "sweep.yaml")),
     "measured picture": (measured_files, all_pictures),
     "budget": (budget_file, lambda at: Budget.load(at / "budget.yaml")),

@@ -8,12 +8,13 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.batch.disk import alone, whole
 from gpusim.batch.labels import labels_of
+from gpusim.config.text import read_record
 from gpusim.library.expose import expose
 from gpusim.library.light import Light
 from gpusim.scene import make_scene
@@ -69,6 +70,22 @@ def light_of(frame: Frame, out: Path) -> Light:
             _LIGHTS.popitem(last=False)[1].release()
     _LIGHTS.move_to_end(key)
     return _LIGHTS[key]
+
+
+def read_sidecar(path: Path) -> dict[str, Any]:
+    """Return what is known of a frame that is there.
+
+    Raises
+    ------
+    UserError
+        The file is not what a batch wrote.
+    """
+    return read_record(
+        path,
+        "a frame's sidecar",
+        *("number", "settings", "sweep"),
+        allowed="what gpusim batch wrote; without it the frame is rendered again",
+    )
 
 
 def recipe_name(frame: Frame) -> str:

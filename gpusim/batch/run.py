@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 from gpusim.batch.cluster import connected
 from gpusim.batch.disk import whole
-from gpusim.batch.kept import LIGHT_TOPIC, LIGHTS, SIDECAR
+from gpusim.batch.kept import LIGHT_TOPIC, LIGHTS, SIDECAR, read_sidecar
 from gpusim.batch.work import Task, work
+from gpusim.config.text import read_record
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -75,7 +76,12 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
     try:
         out.mkdir(parents=True, exist_ok=True)
         if known.exists():
-            found = json.loads(known.read_text())
+            found = read_record(
+                known,
+                "the account of a sweep",
+                *("digest", "taken"),
+                allowed="what gpusim batch wrote; or a new folder",
+            )
             if found["digest"] != sweep.digest:
                 raise UserError(
                     "the folder holds the frames of another sweep",
@@ -95,34 +101,35 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
             for left in out.glob(".[.0-9]*-*"):
                 left.unlink(missing_ok=True)
             return found["taken"]
-        taken = float(os.environ.get("SOURCE_DATE_EPOCH") or int(time.time()))
+        taken = _now()
         said = {"digest": sweep.digest, "taken": taken, "sweep": sweep.model_dump(mode="json")}
         with whole(known) as part:
             part.write_text(json.dumps(said, indent=1) + "\n")
         return taken
-    except (ValueError, KeyError) as error:
-        raise UserError(f"not the account of a sweep: {error}", file=known) from error
     except OSError as error:
         raise UserError(
             f"the output folder cannot be written: {error.strerror}", file=out, field="--out"
         ) from error
 
 
+def _now() -> float:
+    """Return the time that raws name, seconds since 1970."""
+    told = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        return float(told or int(time.time()))
+    except ValueError:
+        raise UserError(
+            "no time",
+            field="SOURCE_DATE_EPOCH",
+            value=told,
+            allowed="seconds since 1970, or nothing",
+        ) from None
+
+
 def status(sweep: Sweep, out: Path) -> Outcome:
     """Return which frames of a sweep are there."""
-    done = [_read(path) for path in sorted(out.glob(f"frame-*{SIDECAR}"))]
+    done = [read_sidecar(path) for path in sorted(out.glob(f"frame-*{SIDECAR}"))]
     return Outcome(sweep, out, [one for one in done if one["sweep"] == sweep.digest])
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(
-            f"a frame's sidecar cannot be read: {error}",
-            file=path,
-            allowed="what gpusim batch wrote; without it the frame is rendered again",
-        ) from error
 
 
 def tasks_of(sweep: Sweep, out: Path, taken: float) -> list[Task]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.batch.files import FrameFiles, failed, put_in_place
-from gpusim.batch.kept import DEVICE, SIDECAR, SWEEPS, exposed, light_of
+from gpusim.batch.kept import DEVICE, SIDECAR, SWEEPS, exposed, light_of, read_sidecar
 from gpusim.errors import UserError
 from gpusim.gpu import held
 from gpusim.library.frame import TOGETHER, read_frames
@@ -61,7 +60,7 @@ def work(task: Task) -> list[dict[str, Any]]:
     for frame in (frames[number] for number in task.numbers):
         sidecar = out / f"{frame.name}{SIDECAR}"
         if sidecar.exists():
-            found.append(json.loads(sidecar.read_text()))
+            found.append(read_sidecar(sidecar))
         else:
             left.append(frame)
     return found + _rendered(left, out, datetime.fromtimestamp(task.taken, UTC))

@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -189,10 +190,14 @@ def read_json(path: Path, what: str) -> object:
     UserError
         As `read_yaml`.
     """
-    text = _decoded(read_bytes(path, what, MOST_JSON_BYTES), path, what)
+    return json_of(read_bytes(path, what, MOST_JSON_BYTES), path, what)
+
+
+def json_of(content: bytes, path: Path, what: str) -> object:
+    """Return what the content of a JSON file holds; raise as `read_yaml` does."""
     try:
         data = json.loads(
-            text,
+            _decoded(content, path, what),
             object_pairs_hook=_unique,
             parse_int=_bounded_int,
             parse_float=_bounded_float,
@@ -209,6 +214,38 @@ def read_json(path: Path, what: str) -> object:
     except ValueError as error:
         raise UserError(f"{what} is not JSON that can be read: {error}", file=path) from error
     return data
+
+
+def read_record(path: Path, what: str, *needed: str, allowed: str) -> dict[str, Any]:
+    """Return the mapping in a JSON file of the project's own.
+
+    Parameters
+    ----------
+    path : Path
+    what : str
+        What it should be: "the sidecar".
+    *needed : str
+        Fields that it has.
+    allowed : str
+        What would do in its place.
+
+    Raises
+    ------
+    UserError
+        As `read_yaml`; or it is no mapping, or has not these fields.
+    """
+    try:
+        data = read_json(path, what)
+    except UserError as error:
+        error.allowed = allowed
+        raise
+    found = data if isinstance(data, dict) else {}
+    missing = [name for name in needed if name not in found]
+    if missing:
+        raise UserError(
+            f"{what} is not whole", file=path, field=", ".join(missing), allowed=allowed
+        )
+    return found
 
 
 def _at(mark: yaml.Mark | None, problem: str) -> str:

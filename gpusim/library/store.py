@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +13,7 @@ import numpy as np
 from gpusim.certify import Certificate, Probe
 from gpusim.config.arrays import read_npz
 from gpusim.config.mistakes import checked
+from gpusim.config.text import json_of
 from gpusim.errors import UserError
 from gpusim.isp.optics import Optics
 from gpusim.sensor.sensor import Sensor
@@ -75,7 +75,7 @@ def read_light(path: str | Path) -> dict[str, Any]:
         raise UserError("no such light", file=path, allowed=allowed)
     try:
         arrays = read_npz(path)
-        facts = json.loads(bytes(arrays["facts"]).decode())
+        facts: Any = json_of(arrays["facts"].tobytes(), path, "the light's account")
         if facts["kind"] != KIND:
             raise ValueError(f"its kind is {facts['kind']}")
         certificate = facts["certificate"]
@@ -102,5 +102,7 @@ def read_light(path: str | Path) -> dict[str, Any]:
             notes=tuple(facts["notes"]),
             certificate=None if certificate is None else Certificate(**certificate),
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except UserError:
+        raise
+    except Exception as error:  # whatever a broken archive makes of NumPy and zipfile
         raise UserError(f"not a light: {error}", file=path, allowed=allowed) from error

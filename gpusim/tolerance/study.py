@@ -14,6 +14,7 @@ import numpy as np
 
 from gpusim.batch.disk import whole
 from gpusim.camera import Camera
+from gpusim.config.text import read_record
 from gpusim.errors import UserError
 from gpusim.lens.perturb import perturbed
 from gpusim.lens.prescription import Prescription
@@ -169,7 +170,9 @@ class Study:
         """
         mark = self.out / STUDY
         if resume and mark.exists():
-            if json.loads(mark.read_text())["digest"] != self.digest:
+            instead = "what gpusim tolerance wrote; or an empty folder without --resume"
+            known = read_record(mark, "the mark of a study", "digest", allowed=instead)
+            if known["digest"] != self.digest:
                 raise UserError(
                     "another study is there: camera or budget differ",
                     field="--resume",

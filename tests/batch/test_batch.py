@@ -21,7 +21,7 @@ from gpusim.batch.kept import LIGHTS
 from gpusim.batch.run import prepared, status, tasks_of
 from gpusim.batch.run import run as run_batch
 from gpusim.batch.sweep import Sweep
-from gpusim.batch.work import rendered, work
+from gpusim.batch.work import Task, rendered, work
 from gpusim.cli.app import app
 from gpusim.errors import UserError
 
@@ -218,6 +218,29 @@ def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folde
         (out / name).touch()
     prepared(sweep, out, resume=True)
     assert {path.name for path in out.iterdir()} == kept
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, "[1]", '{"number": 1}', "", "\0"])
+def test_damaged_accounts_are_named(folder: Path, content: str):
+    sweep, out = Sweep.load(written(folder)), folder / "out"
+    taken = prepared(sweep, out, resume=False)
+    sidecar = out / "frame-000000.json"
+    sidecar.write_text(content)
+    for read in (lambda: status(sweep, out), lambda: work(Task(sweep, (0,), str(out), taken))):
+        with pytest.raises(UserError) as caught:
+            read()
+        assert caught.value.file == sidecar and "rendered again" in caught.value.allowed
+    (out / "sweep.json").write_text(content)
+    with pytest.raises(UserError) as caught:
+        prepared(sweep, out, resume=True)
+    assert caught.value.file == out / "sweep.json" and "new folder" in caught.value.allowed
+
+
+def test_a_time_of_raws_that_is_none_is_refused(folder: Path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "noon")
+    with pytest.raises(UserError) as caught:
+        prepared(Sweep.load(written(folder)), folder / "out", resume=False)
+    assert caught.value.field == "SOURCE_DATE_EPOCH"
 
 
 def command(folder: Path, *words: object) -> list[str]:

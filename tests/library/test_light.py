@@ -179,6 +179,20 @@ def test_a_light_with_a_part_missing_is_refused(bayer: Light, tmp_path: Path):
         Light.load(path)
 
 
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize("changed", [DEEP, '{"kind": 1', "[1]", '{"kind": "gpusim light 2"}'])
+def test_a_light_whose_account_is_none_is_refused(bayer: Light, tmp_path: Path, changed: str):
+    path = tmp_path / "light.npz"
+    bayer.save(path)
+    facts = np.frombuffer(changed.encode(), np.uint8)
+    np.savez(path, **dict(np.load(path)) | {"facts": facts})
+    with pytest.raises(UserError) as caught:
+        Light.load(path)
+    assert caught.value.file == path
+
+
 def test_another_sensor_reads_it_if_its_pixels_see_the_same(bayer: Light):
     noisy = bayer.sensor.model_copy(update={"temporal_dark_noise_e": 50.0})
     quiet, loud = (

@@ -15,7 +15,7 @@ from gpusim.errors import UserError
 from gpusim.tolerance import rendered as module
 from gpusim.tolerance.budget import Budget
 from gpusim.tolerance.rendered import AROUND_PX, SIDE_PX, rendered
-from gpusim.tolerance.study import PARTS, Study
+from gpusim.tolerance.study import PARTS, STUDY, Study
 
 BUDGET = {
     "tolerances": {
@@ -76,6 +76,14 @@ def test_a_wrong_budget_is_one_clear_error(tmp_path, change, said):
     with pytest.raises(UserError) as refused:
         Budget.load(path)
     assert said in refused.value.screen()
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, "[1]", "{}", ""])
+def test_a_damaged_mark_of_a_study_is_named(tmp_path, content):
+    (tmp_path / STUDY).write_text(content)
+    with pytest.raises(UserError) as refused:
+        Study(load_camera("machine-vision"), Budget(**BUDGET), tmp_path).prepare(resume=True)
+    assert refused.value.file == tmp_path / STUDY and "--resume" in refused.value.allowed
 
 
 def test_all_stands_for_each_and_a_name_alone_counts_first():
