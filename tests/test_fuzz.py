@@ -16,6 +16,7 @@ import time
 import warnings
 import zlib
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from PIL import Image
 from scene import picture_files
 
 from gpusim.batch.sweep import Sweep
-from gpusim.camera import load_camera
+from gpusim.camera import Camera, load_camera
 from gpusim.errors import UserError
 from gpusim.formats.isetcam_sensor import read_isetcam
 from gpusim.formats.label_map import read_labels
@@ -45,6 +46,8 @@ from gpusim.isp.dng import write_dng
 from gpusim.isp.files import write_picture
 from gpusim.isp.optics import Optics
 from gpusim.isp.settings import read_settings
+from gpusim.library.again import read_recipe, recipe_of_frame
+from gpusim.library.expose import expose
 from gpusim.library.irradiance import Irradiance
 from gpusim.library.light import Light
 from gpusim.metrics.frames import find_frames, measure
@@ -341,6 +344,19 @@ def all_pictures(at: Path) -> None:
         read_picture(at / f"a.{end}")
 
 
+def recipe_files(at: Path) -> list[Path]:
+    """Write the recipe of a raw, and beside it that of its light."""
+    made = load_camera("mtf-only")
+    made = Camera(made.lens, made.sensor.roi(24, 32), "small")
+    light = expose(made, make_scene("grey"), 1e-1, probes=0)
+    frame, raw = light.capture(0.01), at / "raw.dng"
+    frame.save(raw)
+    (at / "light.json").write_text(json.dumps(light.recipe))
+    said = {"recipe": recipe_of_frame(frame, raw, datetime.now(UTC), light="light.json")}
+    (at / "raw.json").write_text(json.dumps(said))
+    return [at / "raw.json", at / "light.json"]
+
+
 READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]] = {
     "sensor": (sensor_files, lambda at: load_sensor(at / "sensor.yaml")),
     "quantum efficiency": (eqe_file, lambda at: read_eqe(at / "eqe.json")),
@@ -396,6 +412,7 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
     "script": (script_file, lambda at: read_script(at / "steps.json")),
     "sweep": (sweep_file, lambda at: Sweep.load(at / "sweep.yaml")),
     "measured picture": (measured_files, all_pictures),
+    "recipe": (recipe_files, lambda at: read_recipe(at / "raw.json")),
     "budget": (budget_file, lambda at: Budget.load(at / "budget.yaml")),
     "frames": (frames_folder, lambda at: list(measure(find_frames(at)))),
 }

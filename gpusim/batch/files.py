@@ -103,7 +103,7 @@ class FrameFiles:
     def _write(self, kind: str, part: Path, labels: dict[str, np.ndarray]) -> None:
         """Write one output."""
         if kind == "truth":
-            write_exr(part, {"Y": self.taken.truth_dn})
+            write_exr(part, {"Y": self.taken.truth_dn}, units="DN")
         elif kind == "labels":
             _save_arrays(part, labels)
         elif kind == "crops":

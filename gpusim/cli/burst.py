@@ -151,7 +151,7 @@ def _write(burst: Burst, form: str, folder: Path, progress: Any) -> list[str]:
             names.append(sidecar)
         if burst.truth_dn is not None:
             name = f"truth-{number:04d}.exr"
-            write_exr(folder / name, {"Y": burst.truth_dn[number]})
+            write_exr(folder / name, {"Y": burst.truth_dn[number]}, units="DN")
             names.append(name)
         progress("files", number + 1, len(burst))
     return names

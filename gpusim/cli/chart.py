@@ -9,6 +9,7 @@ from PIL import Image
 from rich.table import Table
 
 from gpusim.cli.files import whole_file
+from gpusim.cli.irradiance import bands_of
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
@@ -16,10 +17,12 @@ from gpusim.scene import make_scene
 from gpusim.scene.charts import CHARTS, FOLDER, is_chart
 from gpusim.scene.colorimetry import encode_srgb
 from gpusim.scene.exr import write_exr
-from gpusim.scene.preview import chart_rgb
+from gpusim.scene.preview import chart_radiance, chart_rgb
+from gpusim.scene.spectral_exr import RADIANCE_UNITS, write_spectral_exr
 
 # Rows of the drawing: those of the demonstration camera.
 ROWS = 1520
+SPECTRAL_ROWS = 380  # a quarter: 31 bands have 24 MB
 
 
 def library() -> Table:
@@ -30,8 +33,8 @@ def library() -> Table:
     return table
 
 
-def run(name: str, out: Path) -> None:
-    """Draw a chart as the eye would see it, or as linear radiance."""
+def run(name: str, out: Path, bands: str | None) -> None:
+    """Draw a chart as the eye would see it, or as linear radiance; with `bands` that of each."""
     if not is_chart(name):
         raise UserError(
             f"there is no chart of that name{perhaps(name, CHARTS)}",
@@ -39,8 +42,14 @@ def run(name: str, out: Path) -> None:
             value=name,
             allowed=f"{', '.join(CHARTS)}, or a chart's file NAME.yaml",
         )
-    with whole_file(out, (".png", ".exr")) as file:
+    lines = None if bands is None else bands_of(bands)
+    with whole_file(out, (".png", ".exr") if lines is None else (".exr",)) as file:
         scene = make_scene(name)
+        if lines is not None:
+            radiance = chart_radiance(scene, SPECTRAL_ROWS, lines)
+            write_spectral_exr(file, radiance, lines, RADIANCE_UNITS)
+            print(out)
+            return
         rgb = chart_rgb(scene, ROWS)
         if file.suffix.lower() == ".exr":
             write_exr(file, {"RGB": rgb}, scene.white_luminance_cd_m2)

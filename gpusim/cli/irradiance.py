@@ -81,7 +81,7 @@ def run(
             )
             if file.suffix.lower() == ".exr":
                 planes = {name: values[..., n] for n, name in enumerate(names)}
-                write_exr(file, planes, units="electrons/s")
+                write_exr(file, planes, units="e-/s")
             else:
                 np.savez(file, electrons_per_s=values, channels=np.array(names))
             shown = _relative(values[..., [0, len(names) // 2, -1]])

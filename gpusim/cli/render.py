@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from gpusim.render import Capture
     from gpusim.scene.scene import Scene
 
-KEPT_PLANES = ("electrons", "rate")
+KEPT_PLANES = {"electrons": "e-", "rate": "e-/s"}  # and their units
 
 
 @dataclass(frozen=True)
@@ -303,7 +303,7 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
         write_picture(folder / "binned.png", develop(folder / "binned.dng").picture)
         names += ["remosaiced.dng", "binned.dng", "binned.png"]
     for name, plane in kept.items():
-        write_exr(folder / name, {"Y": plane})
+        write_exr(folder / name, {"Y": plane}, units=KEPT_PLANES[Path(name).stem])
     names += kept
     facts = report.facts(capture, files=names, command=["gpusim", *sys.argv[1:]])
     facts["recipe"] = recipe_of_raw(

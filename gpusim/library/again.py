@@ -12,23 +12,30 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from pydantic import Field, field_validator
 
 from gpusim.camera import Camera
 from gpusim.config.mistakes import checked
+from gpusim.config.model import Strict, wrong
 from gpusim.config.text import read_json
 from gpusim.errors import UserError
 from gpusim.formats.ready import load_ready
+from gpusim.isp.settings import check_ev
 from gpusim.lens.prescription import Prescription
 from gpusim.library.expose import lit
+from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy
-from gpusim.plan.costs import costs_of
-from gpusim.render.checks import rectangle
+from gpusim.plan.costs import Costs, costs_of
+from gpusim.render.checks import check_shot, rectangle
 from gpusim.render.recipe import exact, given
 from gpusim.render.renderer import Renderer
 from gpusim.scene.make import made_again
+from gpusim.scene.scene import Scene
 from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor
+from gpusim.sensor.strict import Positive
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Frame
@@ -52,6 +59,84 @@ def _figures(sensor: Sensor) -> dict[str, Any]:
     figures = exact(sensor.model_dump(mode="json"))
     _FIGURES.append((sensor, figures))
     return figures
+
+
+class CameraRecipe(Strict):
+    """The camera of a light; ``lens``: a prescription, or the file of a ready-made one."""
+
+    title: str
+    lens: dict[str, Any] | None
+    sensor: dict[str, Any]
+
+
+class LightRecipe(Strict):
+    """What makes a light again: see `gpusim.render.recipe.recipe_of`."""
+
+    camera: CameraRecipe
+    scene: dict[str, Any] | None
+    tolerance: float
+    tolerance_unit: str
+    best_effort: bool
+    aim: Positive | None = None  # what gpusim wrote before it planned anew has none
+    longest_exposure_s: Annotated[float, Field(gt=0, allow_inf_nan=True)]
+    noise: bool
+    method: str | None
+    costs: dict[str, Any]
+    made_by: dict[str, str]
+
+
+class RawRecipe(Strict):
+    """What makes a raw again: see `recipe_of_raw`."""
+
+    format: str
+    light: dict[str, Any] | str
+    tile: tuple[int, int, int, int] | None
+    sensor: dict[str, Any] | None
+    exposure_s: float
+    seed: int
+    frame: int
+    temperature_c: float | None
+    noise: bool
+    ev: float
+    taken: datetime
+    raw: str
+    sha256: str
+
+    @field_validator("raw")
+    @classmethod
+    def _name(cls, value: str) -> str:
+        """Refuse what names no file of the folder that the raw is written into."""
+        if Path(value).name != value or Path(value).suffix not in (".dng", ".tif"):
+            raise wrong("no name of a raw", "NAME.dng or NAME.tif, without a folder")
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class Recipe:
+    """A recipe that was read, and what it stands for.
+
+    Attributes
+    ----------
+    raw : RawRecipe
+    light : LightRecipe
+    camera : Camera
+    scene : Scene
+    accuracy : Accuracy
+    costs : Costs
+    rect : (row, col, rows, cols)
+        What is read.
+    sensor : Sensor or None
+        What reads the light, where it is not the camera's.
+    """
+
+    raw: RawRecipe
+    light: LightRecipe
+    camera: Camera
+    scene: Scene
+    accuracy: Accuracy
+    costs: Costs
+    rect: Rect
+    sensor: Sensor | None
 
 
 def recipe_of_raw(
@@ -159,70 +244,87 @@ def made_raw(path: Path, progress: Callable[[str, int, int], None] | None = None
     UserError
         It has none, or its scene or lens is gone or cannot be made again.
     """
+    recipe = read_recipe(path)
+    light, raw = recipe.light, recipe.raw
+    renderer = Renderer(
+        recipe.camera,
+        recipe.scene,
+        recipe.accuracy,
+        progress=progress,
+        exposure_s=light.longest_exposure_s,
+        costs=recipe.costs,
+        noise=light.noise,
+        method=light.method,
+    )
     try:
-        recipe, light = _read(path)
-        taken = datetime.fromisoformat(recipe["taken"])
-        shot = {name: recipe[name] for name in ("seed", "frame", "temperature_c", "noise")}
-        exposure_s, sensor, tile = recipe["exposure_s"], recipe["sensor"], recipe["tile"]
-        ending = str(recipe["raw"]), float(recipe["ev"]), str(recipe["sha256"])
-        renderer = _renderer(light, path, progress)
-    except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"no whole recipe: {error!r}", file=path, allowed=ALLOWED) from None
-    try:
-        before = light["made_by"]
-        changed = tuple(_changes(before, renderer.recipe["made_by"]))
-        found = lit(renderer, rectangle(tile and tuple(tile), renderer.camera.sensor), progress)
+        changed = tuple(_changes(light.made_by, renderer.recipe["made_by"]))
+        found = lit(renderer, recipe.rect, progress)
     finally:
         renderer.release()
-    if sensor is not None:
-        found = found.at(sensor=checked(Sensor, sensor, path))
-    name, ev, sha256 = ending
-    return Again(found.capture(exposure_s, **shot), name, ev, taken, sha256, changed)
+    if recipe.sensor is not None:
+        found = found.at(sensor=recipe.sensor)
+    shot = {name: getattr(raw, name) for name in ("seed", "frame", "temperature_c", "noise")}
+    frame = found.capture(raw.exposure_s, **shot)
+    return Again(frame, raw.raw, raw.ev, raw.taken, raw.sha256, changed)
 
 
-def _read(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the recipes of a raw and of its light."""
+def read_recipe(path: Path) -> Recipe:
+    """Read a recipe, with its lens and scene; nothing is rendered.
+
+    Raises
+    ------
+    UserError
+        As of `made_raw`.
+    """
     content = read_json(path, "the recipe")
     recipe = content.get("recipe") if isinstance(content, dict) else None
     if not isinstance(recipe, dict) or recipe.get("format") != FORMAT:
         raise UserError("the file has no recipe of a raw", file=path, allowed=ALLOWED)
-    light = recipe["light"]
-    if isinstance(light, str):
-        light = read_json(path.parent / Path(light).name, "the recipe of the light")
-    return given(recipe), given(light)
-
-
-def _renderer(
-    light: dict[str, Any], path: Path, progress: Callable[[str, int, int], None] | None
-) -> Renderer:
-    camera = light["camera"]
-    for name, part in (("scene", light["scene"]), ("lens", camera["lens"])):
+    raw = checked(RawRecipe, given(recipe), path)
+    made = raw.light
+    if isinstance(made, str):
+        made = given(read_json(path.parent / Path(made).name, "the recipe of the light"))
+    light = checked(LightRecipe, made, path)
+    for name, part in (("scene", light.scene), ("camera.lens", light.camera.lens)):
         if part is None:
             raise UserError(
-                f"the {name} was made in Python: it cannot be made again",
+                f"the {name.rpartition('.')[2]} was made in Python: it cannot be made again",
                 file=path,
                 field=f"recipe.light.{name}",
                 allowed="the raw of a chart, a picture and a lens that have names or files",
             )
-    if "file" in camera["lens"]:
-        lens = load_ready(camera["lens"]["file"])
+    try:
+        return _whole(raw, light, path)
+    except UserError as error:
+        error.file = error.file or path
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"no whole recipe: {error!r}", file=path, allowed=ALLOWED) from None
+
+
+def _whole(raw: RawRecipe, light: LightRecipe, path: Path) -> Recipe:
+    """Return a recipe with what its parts stand for, each checked as where it comes from."""
+    said = light.camera.lens or {}
+    if "file" in said:
+        lens = load_ready(said["file"])
     else:
-        lens = checked(Prescription, camera["lens"]["prescription"], path)
-    return Renderer(
-        Camera(lens, checked(Sensor, camera["sensor"], path), camera["title"]),
-        made_again(light["scene"]),
-        Accuracy(
-            light["tolerance"],
-            0,
-            light["tolerance_unit"],
-            light["best_effort"],
-            aim=light.get("aim"),  # what gpusim wrote before it planned anew has none
-        ),
-        progress=progress,
-        exposure_s=light["longest_exposure_s"],
-        costs=costs_of(light["costs"]),
-        noise=light["noise"],
-        method=light["method"],
+        lens = checked(Prescription, said["prescription"], path)
+    sensor = checked(Sensor, light.camera.sensor, path)
+    own = None if raw.sensor is None else checked(Sensor, raw.sensor, path)
+    check_method(light.method)
+    check_shot(raw.exposure_s, raw.seed, raw.frame)
+    (own or sensor).dark_current_at(raw.temperature_c)  # refuses what is no temperature
+    check_ev(raw.ev)
+    unit, best = light.tolerance_unit, light.best_effort
+    return Recipe(
+        raw=raw,
+        light=light,
+        camera=Camera(lens, sensor, light.camera.title),
+        scene=made_again(light.scene or {}),
+        accuracy=Accuracy(light.tolerance, 0, unit, best, aim=light.aim),
+        costs=costs_of(light.costs),
+        rect=rectangle(raw.tile, sensor),
+        sensor=own,
     )
 
 

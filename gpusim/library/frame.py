@@ -168,7 +168,7 @@ class Frame:
         elif suffix == ".exr":
             from gpusim.scene.exr import write_exr
 
-            write_exr(path, {"Y": self.electrons})
+            write_exr(path, {"Y": self.electrons}, units="e-")
         elif suffix == ".npz":
             np.savez(
                 path,

@@ -55,11 +55,34 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     space = rgb_to_xyz(REC709_CHROMATICITIES)
     to_rgb = np.linalg.solve(space, adaptation(white / white[1], space.sum(axis=1)))
     seen = xyz(scene.spectra, scene.wavelengths_nm) / white[1]
-    materials = np.maximum(seen @ to_rgb.T, 0.0).astype(np.float32)
-    columns = round(HALF_WIDTH * rows)
+    return _drawn(scene, rows, np.maximum(seen @ to_rgb.T, 0.0))
+
+
+def chart_radiance(scene: Scene, rows: int, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return a chart's spectral radiance over its 4:3 field, area-averaged.
+
+    Parameters
+    ----------
+    scene : Scene
+        As of `chart_rgb`.
+    rows : int
+        Height of the result.
+    wavelengths_nm : ndarray (bands,)
+
+    Returns
+    -------
+    ndarray (rows, round(4/3 rows), bands), float32
+        W m^-2 sr^-1 nm^-1.
+    """
+    return _drawn(scene, rows, scene.on(wavelengths_nm).spectra)
+
+
+def _drawn(scene: Scene, rows: int, values: np.ndarray) -> np.ndarray:
+    """Return a chart whose materials have these values (M, n): (rows, columns, n)."""
+    materials, columns = values.astype(np.float32), round(HALF_WIDTH * rows)
     if isinstance(scene.source, Raster):
         return _averaged(scene.source, rows, columns) @ materials
-    total = np.zeros((rows, columns, 3), np.float32)
+    total = np.zeros((rows, columns, materials.shape[1]), np.float32)
     phases = (np.arange(SUBSAMPLES) + 0.5) / SUBSAMPLES
     for right, down in product(phases, phases):
         x = (np.arange(columns) + right - columns / 2) / (rows / 2)

@@ -24,6 +24,7 @@ from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import Task, rendered, work
 from gpusim.cli.app import app
 from gpusim.errors import UserError
+from gpusim.scene.exr import units_of
 
 CAMERA = {
     "title": "small",
@@ -98,6 +99,7 @@ def test_the_frames_are_those_of_the_library(folder: Path):
         assert taken.noise == frame.settings["noise"]
         with rawpy.imread(str(out / f"{frame.name}.dng")) as raw:
             assert (raw.raw_image == alone.raw).all()
+        assert units_of(out / f"{frame.name}.truth.exr") == "DN"
         assert taken.exposure_s == frame.settings["exposure_s"]
 
 

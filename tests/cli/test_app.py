@@ -16,8 +16,9 @@ from PIL import Image
 from gpusim.cli import devices as cli_devices
 from gpusim.cli import files
 from gpusim.errors import UserError
+from gpusim.scene import make_scene
 from gpusim.scene.colorimetry import encode_srgb
-from gpusim.scene.exr import read_exr
+from gpusim.scene.exr import read_exr, units_of
 
 COMMANDS = (
     "render",
@@ -139,6 +140,23 @@ def test_chart_draws_the_same_scene_as_picture_and_as_radiance(tmp_path: Path):
     # The same float32 numbers go into both files.
     np.testing.assert_array_equal(picture, np.round(255 * encode_srgb(radiance)))
     assert np.unique(picture).size > 2
+
+
+def test_a_chart_as_a_spectral_exr_is_read_again_as_the_same_radiance(tmp_path: Path):
+    file = tmp_path / "c.exr"
+    ran = gpusim("chart", "colorchecker", "--out", file, "--bands", "400:700:50")
+    assert ran.code == 0, ran.err
+    nm = np.arange(400.0, 701.0, 50.0)
+    chart, again = make_scene("colorchecker"), make_scene(file)
+    there = again.on(nm)
+    radiance = np.einsum("mrc,mk->rck", again.source.planes.astype(float), there.spectra)
+    # Corners show what lies behind the patches; white's first row of four has all materials.
+    expected = chart.on(nm).spectra
+    found = np.unique(radiance[::7, ::7].round(7).reshape(-1, nm.size), axis=0)
+    for spectrum in expected:  # each material is somewhere, as it is: float32, once each way
+        assert np.abs(found - spectrum).max(axis=1).min() < 2e-7 + 2**-23 * spectrum.max()
+    assert units_of(file) == "W m^-2 sr^-1 nm^-1"
+    assert_refused(gpusim("chart", "grey", "--out", "c.png", "--bands", "400,500"), ".exr")
 
 
 def test_an_unknown_chart_is_refused(tmp_path: Path):

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from gpusim.cli.app import app
 from gpusim.errors import UserError
+from gpusim.scene.exr import units_of
 
 CAMERA = {
     "title": "small",
@@ -51,8 +52,9 @@ def test_a_bracket_is_written_as_arrays_with_its_truth(camera: str, tmp_path: Pa
 
 def test_frames_are_written_one_by_one(camera: str, tmp_path: Path):
     out = tmp_path / "out"
-    done = run(camera, "colorchecker", "--out", str(out), "--format", "dng", "--quiet", *FAST)
+    done = run(camera, "colorchecker", "--out", str(out), "--format", "dng", "--truth", "-q", *FAST)
     assert done.exit_code == 0 and done.output == ""
+    assert units_of(out / "truth-0003.exr") == "DN"
     assert sorted(path.name for path in out.glob("*.dng")) == [
         f"frame-{number:04d}.dng" for number in range(4)
     ]

@@ -81,7 +81,9 @@ def test_the_files_hold_the_capture(asked: dict[str, Any], tmp_path: Path):
     picture = np.asarray(Image.open(out / "developed.png"))
     np.testing.assert_array_equal(picture, develop(out / "raw.dng").picture)
     for name in ("electrons", "rate"):
-        plane = OpenEXR.File(str(out / f"{name}.exr")).channels()["Y"].pixels
+        file = OpenEXR.File(str(out / f"{name}.exr"))
+        assert file.header()["units"] == {"electrons": "e-", "rate": "e-/s"}[name]
+        plane = file.channels()["Y"].pixels
         assert plane.dtype == np.float32
         np.testing.assert_array_equal(plane, getattr(capture, name))
     report = json.loads((out / "report.json").read_text())

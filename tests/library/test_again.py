@@ -149,14 +149,25 @@ def test_a_scene_that_was_an_array_is_refused(tmp_path: Path):
         made_raw(tmp_path / "a.json")
 
 
+# All fields of a raw's recipe but those of its light.
+WHOLE = {
+    **{"format": "gpusim recipe 1", "tile": None, "sensor": None, "exposure_s": 0.01, "seed": 1},
+    **{"frame": 0, "temperature_c": None, "noise": True, "ev": 0.0, "sha256": ""},
+    **{"taken": "2026-01-01T00:00:00+00:00", "raw": "a.dng"},
+}
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
         ("{}", "no recipe"),
         ("[1]", "no recipe"),
         ("not JSON", "JSON"),
-        ('{"recipe": {"format": "gpusim recipe 1", "light": {}}}', "no whole recipe"),
-        ('{"recipe": {"format": "gpusim recipe 1", "light": "none.json"}}', "none.json"),
+        ('{"recipe": {"format": "gpusim recipe 1", "light": {}}}', "fields are missing"),
+        (json.dumps({"recipe": WHOLE | {"light": {}}}), "camera, scene, tolerance"),
+        (json.dumps({"recipe": WHOLE | {"light": "none.json"}}), "none.json"),
+        (json.dumps({"recipe": WHOLE | {"light": {}, "raw": "../a.dng"}}), "../a.dng"),
+        (json.dumps({"recipe": WHOLE | {"light": {}, "raw": "a.png"}}), "a.png"),
         (None, "cannot be read"),
     ],
 )

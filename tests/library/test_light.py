@@ -18,6 +18,7 @@ from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.render.checks import rectangle
+from gpusim.scene.exr import units_of
 from gpusim.scene.scene import Scene
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
@@ -274,6 +275,7 @@ def test_a_frame_is_written_as_its_suffix_says(bayer: Light, tmp_path: Path):
     for name in ("a.dng", "a.png", "a.jpg", "a.exr", "a.npz"):
         frame.save(tmp_path / name)
         assert (tmp_path / name).stat().st_size > 500
+    assert units_of(tmp_path / "a.exr") == "e-"
     held = np.load(tmp_path / "a.npz")
     assert (held["raw"] == frame.raw).all() and held["truth_dn"].shape == frame.raw.shape
     with pytest.raises(UserError, match=r"\.dng, \.tif"):

@@ -85,11 +85,19 @@ def preview(
 def chart(
     name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],
+    bands: Annotated[
+        str | None,
+        typer.Option(
+            metavar="BANDS",
+            help="A spectral .exr of the radiance, W m^-2 sr^-1 nm^-1: FIRST:LAST:STEP in nm, or "
+            "450,550,650.",
+        ),
+    ] = None,
 ) -> None:
     """Draw a test chart."""
     from gpusim.cli.chart import run
 
-    run(name, out)
+    run(name, out, bands)
 
 
 def charts() -> None:
