@@ -157,7 +157,8 @@ class Pattern(Strict):
 def _rows(sensor: int, shortest: float) -> int:
     """Return on how many rows to draw a period, a share of the sensor's height, before a sensor."""
     rows = min(math.ceil(PER_PIXEL * sensor), MOST_ROWS)
-    return max(rows, min(math.ceil(PER_PERIOD / shortest * (1 - ROUNDING)), LIMIT_ROWS))
+    wanted = PER_PERIOD / max(shortest, PER_PERIOD / LIMIT_ROWS)
+    return max(rows, math.ceil(wanted * (1 - ROUNDING)))
 
 
 def spline_response(cycles: np.ndarray | float) -> np.ndarray:

@@ -5,6 +5,7 @@
 """
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -124,6 +125,31 @@ def test_pixels_beside_an_edge_are_what_the_judge_sees(machine_vision):
     assert np.sqrt(np.mean(errors**2)) < 2.3 * TOLERANCE
 
 
+def places_seen(
+    place: Place, corner: tuple[int, int], shape: tuple[int, int]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the ideal plane's x and y, um, of a tile's pixels, by the map around the place.
+
+    And how they change with a pixel to the right and down, at the place: (x and y, both ways).
+    """
+    rows, cols = shape
+    ways = (np.array([cols / 2, 0.0]), np.array([0.0, rows / 2]))
+    ends = [(place.looks_at(*one), place.looks_at(*-one), one.sum()) for one in ways]
+    step = np.stack([(ahead - behind) / (2 * far) for ahead, behind, far in ends], axis=1)
+    bend = [(ahead + behind - 2 * place.ideal_um) / (2 * far**2) for ahead, behind, far in ends]
+    down, right = np.indices(shape)
+    right, down = right + corner[0] - place.col, down + corner[1] - place.row
+    ideal = [
+        place.ideal_um[k]
+        + step[k, 0] * right
+        + step[k, 1] * down
+        + bend[0][k] * right**2
+        + bend[1][k] * down**2
+        for k in (0, 1)
+    ]
+    return ideal, step
+
+
 def sfr(place: Place, radial: bool) -> np.ndarray:
     """Return the SFR of a rendered edge at FREQUENCIES_CY_PX, ISO 12233's way, on exact places."""
     camera = place.camera
@@ -134,21 +160,8 @@ def sfr(place: Place, radial: bool) -> np.ndarray:
     with_edge, even = (
         render(camera, scene_of(camera, *shapes), corner) for shapes in ((shape,), ())
     )
-    # Each pixel's distance to the edge in the image, pixels, by the map around the place.
-    ways = (np.array([width / 2, 0.0]), np.array([0.0, height / 2]))
-    ends = [(place.looks_at(*one), place.looks_at(*-one), one.sum()) for one in ways]
-    step = np.stack([(ahead - behind) / (2 * far) for ahead, behind, far in ends], axis=1)
-    bend = [(ahead + behind - 2 * place.ideal_um) / (2 * far**2) for ahead, behind, far in ends]
-    rows, cols = np.indices(with_edge.shape)
-    right, down = cols + corner[0] - place.col, rows + corner[1] - place.row
-    ideal = [
-        place.ideal_um[k]
-        + step[k, 0] * right
-        + step[k, 1] * down
-        + bend[0][k] * right**2
-        + bend[1][k] * down**2
-        for k in (0, 1)
-    ]
+    ideal, step = places_seen(place, corner, with_edge.shape)
+    # Each pixel's distance to the edge in the image, pixels.
     distance = -shape.distance(*ideal)
     normal = np.array([math.cos(shape.angle_rad), math.sin(shape.angle_rad)])
     scale = np.hypot(*(step.T @ normal))  # um on the ideal plane for a pixel across the edge
@@ -194,28 +207,50 @@ def test_an_edge_has_the_mtf_of_the_pupil_times_the_pixels(machine_vision):
     assert sfr(place, True) == pytest.approx(of_pupil(place, True), abs=0.005)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("period_px", [3.0, 4.0, 8.0])
-def test_waves_have_the_amplitude_of_the_mtf(machine_vision, tmp_path, period_px):
-    path = tmp_path / "waves.yaml"
+def modulations(folder: Path, place: Place, radial: bool, period_px: float) -> tuple[float, float]:
+    """Return the modulation of rendered waves over the chart's, and the one of MTF and aperture.
+
+    They are slanted: at 2 pixels a period, rows of upright ones have one phase each.
+    """
+    camera = place.camera
+    slant = SLANT if radial else SLANT + np.pi / 2
+    path = folder / "waves.yaml"
     path.write_text(
         "title: waves\nunit: pixels\nbackground: 0.2\n"
-        f"pattern: {{pattern: sinusoid, period: {period_px}, fills: [{BLACK}, {WHITE}]}}\n"
+        f"pattern: {{pattern: sinusoid, period: {period_px}, angle_deg: {math.degrees(slant)}, "
+        f"fills: [{BLACK}, {WHITE}]}}\n"
     )
     white = white_radiance("D50", 300.0)  # from 400 to 700 nm, as the pupil's
-    source = make_scene(path, frame=machine_vision.frame).source
+    source = make_scene(path, frame=camera.frame).source
     scene = Scene("waves", white[None], source, "D50", white)
-    place = Place(machine_vision, 0.0, 0.0)
-    seen = render(machine_vision, scene, (place.col - 48, place.row - 24, 96, 48))
-    # The image plane of best focus shows them as much larger as it lies behind the paraxial one.
-    wide_um = (place.looks_at(48.0, 0.0) - place.looks_at(-48.0, 0.0))[0]
-    cycles_px = wide_um / 96 / machine_vision.sensor.pixel_pitch_um / period_px
-    angle = 2 * np.pi * cycles_px * np.arange(96)
-    waves = np.stack([np.ones(96), np.cos(angle), np.sin(angle)], axis=1)
-    even, *wave = np.linalg.lstsq(waves, seen.mean(axis=0), rcond=None)[0]
+    corner = place.col - 48, place.row - 48
+    seen = render(camera, scene, (*corner, 96, 96))
+    # The image plane of best focus shows them as much larger as it lies behind the paraxial one,
+    # and distortion as it does.
+    ideal, step = places_seen(place, corner, seen.shape)
+    normal = np.array([math.cos(slant), math.sin(slant)])
+    period_um = period_px * camera.sensor.pixel_pitch_um
+    angle = 2 * np.pi / period_um * np.tensordot(normal, ideal, axes=1)
+    down, right = np.indices(seen.shape) - 48
+    shade = np.ones(seen.shape), right, down
+    waves = np.stack([*shade, np.cos(angle), np.sin(angle)], axis=-1).reshape(-1, 5)
+    even, _, _, *wave = np.linalg.lstsq(waves, seen.ravel(), rcond=None)[0]
     modulation = np.hypot(*wave) / even / ((WHITE - BLACK) / (WHITE + BLACK))
-    (expected,) = of_pupil(place, True, np.array([cycles_px]), 0.0)
-    assert modulation == pytest.approx(expected, abs=0.003)
+    cycles_px = np.hypot(*(step.T @ normal)) / period_um
+    (expected,) = of_pupil(place, radial, np.array([cycles_px]))
+    return float(modulation), float(expected)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("period_px", [2.0, 3.0, 8.0])
+@pytest.mark.parametrize(
+    ("share", "radial"),
+    [(0.0, True), (0.85, True), (0.85, False)],
+    ids=["axis", "radial", "azimuthal"],
+)
+def test_waves_have_the_amplitude_of_the_mtf(machine_vision, tmp_path, share, radial, period_px):
+    found, expected = modulations(tmp_path, Place(machine_vision, share, 0.0), radial, period_px)
+    assert found == pytest.approx(expected, abs=0.003)
 
 
 @pytest.mark.slow

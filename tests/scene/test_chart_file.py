@@ -150,6 +150,10 @@ WRONG = {
     "unit: mm\nshapes: []": ("height", "mm, above 0"),
     "pattern: {pattern: sinus, period: 1, fills: [0, 1]}": ("pattern.pattern", "perhaps sinusoid"),
     "pattern: {pattern: sinusoid, period: 1e-4, fills: [0, 1]}": ("pattern", "samples"),
+    "height: 1e6\npattern: {pattern: sinusoid, period: 1e-320, fills: [0, 1]}": (
+        "pattern",
+        "samples",
+    ),
     "pattern: {pattern: sinusoid, fills: [0, 1]}": ("pattern.period", "period"),
     "shapes: [{shape: grid, pitch: [1, 1], count: [2, 2], of: {shape: disc}}]": (
         "shapes.1.of.diameter, fill",
