@@ -71,6 +71,41 @@ class Sinusoid:
     values: np.ndarray
 
 
+@dataclass(frozen=True)
+class Bend:
+    """A picture's distortion, r_u = r_d (1 + k_1 r_d^2 + k_2 r_d^4 + ...), as marks tell it.
+
+    Attributes
+    ----------
+    coefficients : tuple of float
+        k_1, k_2 ...
+    centre_px : (float, float)
+    corner_px : float
+        Unit of the radii.
+    """
+
+    coefficients: tuple[float, ...]
+    centre_px: tuple[float, float]
+    corner_px: float
+
+    def undistorted(self, wave: Sinusoid) -> float:
+        """Return the frequency that a wave has in the undistorted picture, cycles/px.
+
+        Its phase is that of the same point of the chart: f_u = J^T f_d with J = d x_d / d x_u in
+        the region's middle, which is d r_d / d r_u along the radius and r_d / r_u across it.
+        """
+        left, top, width, height = wave.region
+        x, y = left + width / 2 - self.centre_px[0], top + height / 2 - self.centre_px[1]
+        away = np.hypot(x, y)
+        out_x, out_y = (x / away, y / away) if away else (1.0, 0.0)
+        powers = 2 * np.arange(1, len(self.coefficients) + 1)
+        terms = np.array(self.coefficients) * (away / self.corner_px) ** powers
+        f_x, f_y = wave.frequency_x.value, wave.frequency_y.value
+        along = (f_x * out_x + f_y * out_y) / (1 + (powers + 1) @ terms)
+        across = (f_y * out_x - f_x * out_y) / (1 + terms.sum())
+        return float(np.hypot(along, across))
+
+
 def measure_sinusoid(plane: Plane, region: tuple[int, int, int, int]) -> Sinusoid:
     """Measure the strongest wave in a region.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -21,6 +21,11 @@ UNITS = (
     "cycles per pixel along the normal of the crests; amplitude in the picture's unit, linear; "
     "standard uncertainties (k = 1)"
 )
+# Columns of pictures whose distortion is known.
+STRAIGHT = {
+    "undistorted_cy_px": "Undistorted, c/px",
+    "over_undistorted": "Frequency over that",
+}
 Found = Sequence[tuple[int, str, Sinusoid]]
 _FOOT = (
     "A wave over a plane by least squares on the region's pixels. Spectra: along the wave's "
@@ -28,9 +33,24 @@ _FOOT = (
 )
 
 
-def spectra_facts(found: Found) -> dict[str, Any]:
-    """Return the figures: of region, channel and wave."""
-    return {"units": UNITS, "waves": [_wave(*one) for one in found]}
+def spectra_facts(
+    found: Found, undistorted: Callable[[Sinusoid], float] | None = None
+) -> dict[str, Any]:
+    """Return the figures: of region, channel and wave.
+
+    Parameters
+    ----------
+    found : sequence of (int, str, Sinusoid)
+    undistorted : callable, optional
+        Gives a wave's frequency in the undistorted picture, cycles/px.
+    """
+    waves = [_wave(*one) for one in found]
+    if undistorted is not None:
+        for facts, (_, _, one) in zip(waves, found, strict=True):
+            straight = undistorted(one)
+            facts["undistorted_cy_px"] = straight
+            facts["over_undistorted"] = one.frequency_cy_px.value / straight
+    return {"units": UNITS, "waves": waves}
 
 
 def _wave(number: int, channel: str, one: Sinusoid) -> dict[str, Any]:
@@ -145,9 +165,11 @@ def spectra_html(facts: Mapping[str, Any], drawn: Figure) -> str:
             one["frequency_cy_px"]["value"], one["frequency_cy_px"]["u"],
             one["amplitude"]["value"], one["amplitude"]["u"],
             one["modulation"]["value"], harmonic_of(one),
+            *(one[key] for key in STRAIGHT if key in one),
         )
         for one in facts["waves"]
     ]  # fmt: skip
     said = f"Sinusoids by gpusim {facts['gpusim']}; {facts['units']}."
-    waves = table("Waves", (*head, "Modulation", "Second harmonic"), rows)
+    more = [name for key, name in STRAIGHT.items() if key in facts["waves"][0]]
+    waves = table("Waves", (*head, "Modulation", "Second harmonic", *more), rows)
     return sheet(facts["picture"], said, drawn, "Regions, waves by phase, spectra", waves)

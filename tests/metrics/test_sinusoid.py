@@ -11,7 +11,7 @@ from command_line import assert_refused, gpusim
 
 from gpusim.errors import UserError
 from gpusim.metrics.picture import Plane
-from gpusim.metrics.sinusoid import measure_sinusoid
+from gpusim.metrics.sinusoid import Bend, measure_sinusoid
 
 OPEN = (-np.inf, np.inf)
 BOX = (7, 5, 70, 60)
@@ -103,3 +103,53 @@ def test_the_command_writes_its_files(tmp_path):
     assert (out / "spectra.png").stat().st_size > 20_000
     assert "Second harmonic" in (out / "spectra.html").read_text()
     assert_refused(gpusim("measure", "spectra", tmp_path / "wave.npy", "--roi", "1,2"), "--roi")
+
+
+CENTRE, CORNER, BENT = (160.0, 120.0), 200.0, (0.08, -0.01)
+
+
+def distorted(f_x, f_y):
+    """Return a wave of the undistorted picture, seen by r_u = r_d (1 + k_1 r_d^2 + k_2 r_d^4)."""
+    y, x = np.mgrid[:240, :320] + 0.5
+    x, y = x - CENTRE[0], y - CENTRE[1]
+    square = (x**2 + y**2) / CORNER**2
+    ratio = 1 + BENT[0] * square + BENT[1] * square**2
+    return MEAN * (1 + MODULATION * np.cos(2 * np.pi * ratio * (f_x * x + f_y * y)))
+
+
+@pytest.mark.parametrize(("f_x", "f_y"), [(0.2, 0.0), (0.0, 0.25), (0.12, -0.07)])
+@pytest.mark.parametrize("corner", [(20, 16), (140, 100), (270, 180), (20, 100)])
+def test_the_frequency_without_distortion_is_that_of_the_chart(f_x, f_y, corner):
+    found = measure_sinusoid(Plane(distorted(f_x, f_y), None, OPEN), (*corner, 24, 24))
+    straight = Bend(BENT, CENTRE, CORNER).undistorted(found)
+    # Over 24 px the frequency changes by 6 k_1 f r / 200 px * 24 px, 5 % at r = 0.8, evenly about
+    # the middle but for the next power, (12 / 200)^2 * 6 k_1 = 0.2 %.
+    assert straight == pytest.approx(np.hypot(f_x, f_y), rel=2e-3)
+
+
+def test_distortion_is_a_number_or_what_measure_distortion_writes(tmp_path):
+    np.save(tmp_path / "wave.npy", distorted(0.2, 0.0))
+    file = tmp_path / "distortion.json"
+    models = {"chosen": {"coefficients": list(BENT)}}
+    file.write_text(json.dumps({"centre_px": list(CENTRE), "corner_px": CORNER, "models": models}))
+
+    def ran(distortion, *how):
+        done = gpusim(
+            "measure", "spectra", tmp_path / "wave.npy", "--roi", "148,10,24,24", "--distortion",
+            distortion, *how,
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        return done.out
+
+    assert "without distortion" in ran(file, "--out", tmp_path / "out")
+    assert "Undistorted, c/px" in (tmp_path / "out" / "spectra.html").read_text()
+    (one,) = json.loads((tmp_path / "out" / "spectra.json").read_text())["waves"]
+    assert one["undistorted_cy_px"] == pytest.approx(0.2, rel=2e-3)
+    assert one["frequency_cy_px"]["value"] == pytest.approx(
+        one["over_undistorted"] * one["undistorted_cy_px"], rel=1e-12
+    )
+    (one,) = json.loads(ran("-3", "--json"))["waves"]
+    assert one["over_undistorted"] == pytest.approx(1 / 0.97, rel=1e-12)
+    for wrong in ("-100", "nan", tmp_path / "wave.npy"):
+        ran = gpusim("measure", "spectra", tmp_path / "wave.npy", "--distortion", wrong)
+        assert_refused(ran, "distortion")

@@ -208,6 +208,14 @@ def spectra(
             help="A region with one sinusoid, pixels; may be given again. Without it the whole.",
         ),
     ] = None,
+    distortion: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PERCENT|FILE",
+            help="Local geometric distortion: a number, or the distortion.json of `gpusim measure "
+            "distortion`. Shows each wave's frequency without it, and the ratio.",
+        ),
+    ] = None,
     channel: Channels = None,
     out: OutFolder = None,
     linear: Linear = False,
@@ -216,7 +224,7 @@ def spectra(
     """Measure sinusoidal patterns: frequency, amplitude, modulation, with uncertainties."""
     from gpusim.cli.spectra import spectra as run
 
-    run(path, roi or [], channel, out, linear=linear, as_json=as_json)
+    run(path, roi or [], channel, out, distortion=distortion, linear=linear, as_json=as_json)
 
 
 @measure.command()
