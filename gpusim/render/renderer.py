@@ -141,12 +141,12 @@ class Renderer:
         asked = self.accuracy.planned, self.longest_s
         seen = look(camera, self.scene, *asked, lambda *done: report("lens", *done))
         self.band, self.density, self.scene = seen.band, seen.density, seen.scene
-        self.bank, self.core = seen.bank, seen.bank.levels[0]
+        self.bank, self.core, self.costs = seen.bank, seen.bank.levels[0], costs
         started = self._spent("lens", started)
-        self.costs = costs
+        report("plan", 0, 1)  # highlights of a photograph are cut up here, for seconds
         self.plan = plan or self.planned(self.method, self._force)
+        report("plan", 1, 1)
         started = self._spent("plan", started)
-
         basis, distorted = self.plan.basis, "distortion" in self._force
         self.placed = self.on_device.place(self.scene, self.core, self.plan, distorted)
         light = basis.weights, basis.coefficients

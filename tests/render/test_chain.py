@@ -746,6 +746,15 @@ def test_where_the_memory_ends_tiles_are_halved(monkeypatch, device: Device):
     assert steps[-1][1] == steps[-1][2]
 
 
+def test_planning_is_a_phase_between_the_lens_and_the_render(device: Device):
+    steps = []
+    one = Renderer(
+        WIDE, wide_photograph(), Accuracy(1e-2, 0), device, lambda *step: steps.append(step)
+    )
+    one.release()
+    assert steps[-2:] == [("plan", 0, 1), ("plan", 1, 1)]
+
+
 def test_where_the_smallest_tile_does_not_fit_it_says_what_is_needed(monkeypatch, device: Device):
     subject = wide_photograph()
     with rendering(WIDE, subject) as one:
