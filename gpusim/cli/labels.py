@@ -16,11 +16,11 @@ from gpusim.library.labels import labels_on_sensor
 FORMATS = (".npy", ".png")
 
 
-def run(camera_name: str, labels: Path, out: Path, beyond: float) -> None:
+def run(camera_name: str, labels: Path, out: Path, beyond: float, projection: str) -> None:
     """Bring the labels of a file onto a camera's sensor, into another."""
     camera = load_camera(camera_name)
     with whole_file(out, FORMATS) as file:
-        found = labels_on_sensor(camera, read_labels(labels), beyond)
+        found = labels_on_sensor(camera, read_labels(labels), beyond, projection)
         if file.suffix.lower() == ".npy":
             np.save(file, found)
         else:

@@ -7,14 +7,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.lens.projection import RECTILINEAR
 from gpusim.optics.chief_ray import chief_ray_map
+from gpusim.psf.field_bank import seen_as
+from gpusim.scene.make import plane_of
+from gpusim.scene.panorama import PANORAMA, samples
 from gpusim.scene.raster import Raster
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
 
 
-def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> np.ndarray:
+def labels_on_sensor(
+    camera: Camera,
+    labels: np.ndarray,
+    beyond: float = 0,
+    projection: str = RECTILINEAR.name,
+) -> np.ndarray:
     """Return what label each pixel of a sensor sees, without blur.
 
     Each pixel has the label at the point that its middle's chief ray comes from, at the reference
@@ -27,6 +36,8 @@ def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> n
         Values of any type.
     beyond : number
         Label of what no ray of the lens or no part of the map reaches.
+    projection : str
+        That of the scene: see `gpusim.scene.make.make_scene`.
 
     Returns
     -------
@@ -36,7 +47,8 @@ def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> n
     Raises
     ------
     UserError
-        No map of labels, or ``beyond`` is none of their type.
+        No map of labels, ``beyond`` is none of their type, there is no such projection, or the
+        map is no panorama.
     """
     labels = np.asarray(labels)
     if labels.ndim not in (2, 3) or not labels.size or labels.dtype.kind not in "biuf":
@@ -51,18 +63,24 @@ def labels_on_sensor(camera: Camera, labels: np.ndarray, beyond: float = 0) -> n
         raise UserError(
             "no label of this type", field="beyond", value=beyond, allowed=str(labels.dtype)
         )
-    sensor, bank = camera.sensor, camera.bank()
+    sensor, bank = camera.sensor, seen_as(camera.bank(), plane_of(projection))
     half_um = [side * sensor.pixel_pitch_um / 2 for side in (sensor.cols, sensor.rows)]
     high, wide = labels.shape[:2]
-    pitch_um = Raster(np.zeros((1, high, wide), np.float32)).pitch_um(*half_um)
     y, x = (
         (np.arange(count) + 0.5) * sensor.pixel_pitch_um - half
         for count, half in zip((sensor.rows, sensor.cols), half_um[::-1], strict=True)
     )
     real_um = np.stack(np.meshgrid(x, y), axis=-1)
     ideal_um = chief_ray_map(bank.levels[0]).ideal_um(real_um)
-    col = np.floor(ideal_um[..., 0] / pitch_um + wide / 2).astype(int)
-    row = np.floor(ideal_um[..., 1] / pitch_um + high / 2).astype(int)
+    if projection == PANORAMA:
+        angle = np.moveaxis(ideal_um / (1e3 * bank.principal_distance_mm), -1, 0)
+        row, col = samples(*angle, (high, wide))
+        # At half a turn a direction is on either end of its row; beyond it there is none.
+        col, row = col % wide, np.where(np.hypot(*angle) <= np.pi, row, -1)
+    else:
+        pitch_um = Raster(np.zeros((1, high, wide), np.float32)).pitch_um(*half_um)
+        col, row = ideal_um[..., 0] / pitch_um + wide / 2, ideal_um[..., 1] / pitch_um + high / 2
+    col, row = np.floor(col).astype(int), np.floor(row).astype(int)
     seen = (row >= 0) & (row < high) & (col >= 0) & (col < wide)
     seen &= np.hypot(*np.moveaxis(real_um, -1, 0)) <= bank.image_circle_um
     found = np.full((sensor.rows, sensor.cols, *labels.shape[2:]), fill, labels.dtype)

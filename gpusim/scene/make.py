@@ -13,7 +13,7 @@ import numpy as np
 
 from gpusim.config.names import perhaps
 from gpusim.errors import UserError
-from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR
+from gpusim.lens.projection import ANGULAR, PROJECTIONS, RECTILINEAR, Projection
 from gpusim.scene.chart_file import Laid
 from gpusim.scene.charts import CHARTS, is_chart, load_chart
 from gpusim.scene.fills import Fill
@@ -74,9 +74,9 @@ def make_scene(
         For an unknown name, illuminant or projection, a luminance that is not positive, or an
         unusable file.
     """
-    _check(luminance_cd_m2, projection)
+    _check(luminance_cd_m2)
     panorama = projection == PANORAMA
-    name, plane = str(name_or_path), ANGULAR if panorama else PROJECTIONS[projection]
+    name, plane = str(name_or_path), plane_of(projection)
     made_from = {
         "name_or_path": _found(name),
         "luminance_cd_m2": luminance_cd_m2,
@@ -116,8 +116,8 @@ def make_scene(
     )
 
 
-def _check(luminance_cd_m2: float | None, projection: str) -> None:
-    """Refuse a luminance that is not positive, and an unknown projection."""
+def _check(luminance_cd_m2: float | None) -> None:
+    """Refuse a luminance that is not positive."""
     if luminance_cd_m2 is not None and not 0 < luminance_cd_m2 < np.inf:
         raise UserError(
             "impossible luminance",
@@ -125,6 +125,16 @@ def _check(luminance_cd_m2: float | None, projection: str) -> None:
             value=luminance_cd_m2,
             allowed="above 0",
         )
+
+
+def plane_of(projection: str) -> Projection:
+    """Return how a scene of a projection's name lies: a panorama by angle.
+
+    Raises
+    ------
+    UserError
+        There is no such name.
+    """
     if projection not in PROJECTIONS and projection != PANORAMA:
         raise UserError(
             "there is no such projection",
@@ -132,6 +142,7 @@ def _check(luminance_cd_m2: float | None, projection: str) -> None:
             value=projection,
             allowed=f"{', '.join(PROJECTIONS)}; {PANORAMA} for photographs of 360 x 180 degrees",
         )
+    return ANGULAR if projection == PANORAMA else PROJECTIONS[projection]
 
 
 def _check_chart(projection: str, transfer: str | None, upsampling: str | None) -> None:

@@ -45,6 +45,43 @@ def widened(panorama: np.ndarray) -> np.ndarray:
     return out
 
 
+def samples(
+    right: np.ndarray, down: np.ndarray, shape: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a panorama (rows, cols) has the directions of an angular projection.
+
+    Parameters
+    ----------
+    right, down : ndarray
+        Places in the angular projection, rad off the optical axis.
+    shape : (int, int)
+        The panorama's.
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        Rows and columns, counted from the panorama's upper left corner.
+
+    Raises
+    ------
+    UserError
+        Where it is not twice as wide as high.
+    """
+    rows, cols = shape
+    if cols != 2 * rows:
+        raise UserError(
+            "no panorama of 360 x 180 degrees",
+            field="projection",
+            value=f"equirectangular, {cols} x {rows} samples",
+            allowed="twice as many columns as rows",
+        )
+    theta = np.hypot(right, down)
+    sinc = np.sinc(theta / np.pi)  # sin(theta) / theta
+    longitude = np.arctan2(right * sinc, np.cos(theta))
+    latitude = np.arcsin(np.clip(down * sinc, -1, 1))
+    return (latitude / np.pi + 0.5) * rows, (longitude / (2 * np.pi) + 0.5) * cols
+
+
 def by_angle(panorama: np.ndarray) -> np.ndarray:
     """Return a panorama in the angular projection (azimuthal equidistant), all of it.
 
@@ -69,24 +106,15 @@ def by_angle(panorama: np.ndarray) -> np.ndarray:
     from scipy.ndimage import map_coordinates
 
     _, rows, cols = panorama.shape
-    if cols != 2 * rows:
-        raise UserError(
-            "the photograph is no panorama of 360 x 180 degrees",
-            field="projection",
-            value=f"equirectangular, {cols} x {rows} samples",
-            allowed="twice as many columns as rows",
-        )
     at = np.pi * ((np.arange(cols) + 0.5) / rows - 1)
     right, down = np.meshgrid(at, at)
     theta = np.hypot(right, down)
-    sinc = np.sinc(theta / np.pi)  # sin(theta) / theta
-    longitude = np.arctan2(right * sinc, np.cos(theta))
-    latitude = np.arcsin(np.clip(down * sinc, -1, 1))
+    row, col = samples(right, down, (rows, cols))
     # Across a pole the row goes on half a turn away; from the last column to the first.
     whole = widened(panorama)
     whole = np.concatenate(
         [np.roll(whole[:, :1], rows, 2), whole, np.roll(whole[:, -1:], rows, 2)], axis=1
     )
-    places = [(latitude / np.pi + 0.5) * rows + 0.5, (longitude / (2 * np.pi) + 0.5) * cols - 0.5]
+    places = [row + 0.5, col - 0.5]
     planes = [map_coordinates(plane, places, order=1, mode="grid-wrap") for plane in whole]
     return np.where(theta <= np.pi, planes, 0.0).astype(np.float32)

@@ -33,6 +33,17 @@ class Bent:
         return bank(coma_um=0.0, distortion=BEND, lateral=(0.0, 0.0, 0.0), falloff=0.0, fields=9)
 
 
+@dataclass(frozen=True)
+class Straight:
+    """A lens that does not distort."""
+
+    title: str = "straight"
+
+    def bank(self, progress: object = None, **sampling: object):
+        """Return its Gaussians."""
+        return bank(coma_um=0.0, distortion=0.0, lateral=(0.0, 0.0, 0.0), falloff=0.0, fields=9)
+
+
 CAMERA = Camera(Bent(), SENSOR, "a camera")
 
 
@@ -67,6 +78,39 @@ def test_labels_lie_where_the_light_does():
     assert apart.mean() < 0.01
     assert not apart[:, 60:70][20:50].any()
     assert set(np.unique(seen)) == {0, 1, 2}
+
+
+@pytest.mark.parametrize("projection", ["angular", "equirectangular"])
+def test_labels_of_scenes_by_angle_lie_where_their_directions_are_seen(projection: str):
+    """A lens that does not distort: x = f tan(theta) along each axis of the sensor."""
+    camera = Camera(Straight(), SENSOR, "a camera")
+    f_um = 1e3 * camera.bank().principal_distance_mm
+    high, wide = (480, 960) if projection == "equirectangular" else (960, 1280)
+    row, col = np.mgrid[:high, :wide]
+    found = labels_on_sensor(camera, np.stack([row, col], -1), -1, projection).astype(float)
+    y, x = (
+        (np.arange(count) + 0.5 - count / 2) * SENSOR.pixel_pitch_um for count in found.shape[:2]
+    )
+    x, y = np.meshgrid(x, y)
+    if projection == "equirectangular":
+        longitude, latitude = np.arctan(x / f_um), np.arctan(y / np.hypot(x, f_um))
+        expected = (latitude / np.pi + 0.5) * high, (longitude / (2 * np.pi) + 0.5) * wide
+    else:
+        # As a photograph: the larger of the two pitches covers the sensor, here both alike.
+        pitch_um, height = SENSOR.rows * SENSOR.pixel_pitch_um / high, np.hypot(x, y)
+        share = f_um * np.arctan(height / f_um) / height / pitch_um
+        expected = y * share + high / 2, x * share + wide / 2
+    # A sample is half of one off its middle at most; the spline of the map, 1e-4 um (FIT_ERROR_UM).
+    for number, place in enumerate(expected):
+        assert np.abs(found[..., number] + 0.5 - place).max() <= 0.5 + 1e-3
+    assert found.min() >= 0
+
+
+def test_labels_of_a_panorama_are_one(tmp_path: Path):
+    with pytest.raises(UserError, match="no panorama"):
+        labels_on_sensor(CAMERA, np.ones((4, 4)), 0, "equirectangular")
+    with pytest.raises(UserError, match="no such projection"):
+        labels_on_sensor(CAMERA, np.ones((4, 4)), 0, "round")
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int32, np.float64, bool])

@@ -75,11 +75,18 @@ def labels(
     beyond: Annotated[
         float, typer.Option(metavar="VALUE", help="Label of what the map does not reach.")
     ] = 0.0,
+    projection: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="That of the scene: rectilinear, angular, or equirectangular.",
+        ),
+    ] = "rectilinear",
 ) -> None:
     """Bring a scene's labels onto the sensor through the lens's distortion, without blur."""
     from gpusim.cli.labels import run
 
-    run(camera, path, out, beyond)
+    run(camera, path, out, beyond, projection)
 
 
 def burst(
