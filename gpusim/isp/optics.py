@@ -22,6 +22,9 @@ from gpusim.sensor.sensor import Sensor
 WARP_RECTILINEAR, FIX_VIGNETTE_RADIAL = 1, 3
 OPCODE_VERSION = (1, 3, 0, 0)
 OPTIONAL = 1  # flag: readers that do not know the opcode go on without it
+# Bends of a straight edge that finders of corners tell from their own errors: DNG's map of four
+# numbers is to be nearer to the chief rays.
+VISIBLE_PX = 0.2
 HEIGHTS = 129  # at which the lens is sampled, from the axis to the rim
 
 
@@ -129,6 +132,36 @@ def warp(optics: Optics, farthest_um: float, shift_um: np.ndarray) -> np.ndarray
     powers = r[:, None] ** (1 + 2 * np.arange(4))
     lands = (optics.real_um + shift_um)[seen] / farthest_um
     return np.linalg.lstsq(powers, lands, rcond=None)[0]
+
+
+def misfit_um(optics: Optics, farthest_um: float) -> float:
+    """Return by how much the map of `warp` is off the chief rays at most, within a picture.
+
+    ``farthest_um`` is the distance from the axis to its farthest corner.
+    """
+    k = warp(optics, farthest_um, np.zeros(optics.real_um.size))
+    r = optics.ideal_um / farthest_um
+    off = farthest_um * r[:, None] ** (1 + 2 * np.arange(4)) @ k - optics.real_um
+    # Its largest is often that of the corner, which lies between two heights.
+    reach = np.maximum(optics.ideal_um, optics.real_um)
+    seen = np.append(off[reach <= farthest_um], np.interp(farthest_um, reach, off))
+    return float(np.abs(seen).max())
+
+
+def correction_notes(optics: Optics, sensor: Sensor) -> tuple[str, ...]:
+    """Return what the corrections in a sensor's raws lack of the lens; nothing where they hold."""
+    if not optics.real_um.size:
+        return (
+            "raws say nothing of the lens's shading and distortion: it has no axis, and DNG no way",
+        )
+    pitch_um = sensor.pixel_pitch_um
+    off_px = misfit_um(optics, np.hypot(sensor.rows, sensor.cols) / 2 * pitch_um) / pitch_um
+    if off_px <= VISIBLE_PX:
+        return ()
+    return (
+        f"the distortion in raws, a polynomial of four numbers, is up to {off_px:.2g} px off the "
+        "lens's chief rays",
+    )
 
 
 def colour_shifts(optics: Optics, seen: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from gpusim.calibrate.rates import adapter_costs
 from gpusim.camera import Camera
 from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
-from gpusim.isp.optics import Optics, optics_of
+from gpusim.isp.optics import Optics, correction_notes, optics_of
 from gpusim.optics.flare import veiling_glare
 from gpusim.plan import Accuracy, Plan, plans_optics
 from gpusim.plan.band import with_band
@@ -386,13 +386,13 @@ class Renderer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How the scene was read and placed, and what a time afforded."""
+        """How the scene was read and placed, what a time afforded, what corrections lack."""
         placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
         told, asked = (self.afforded,) if self.afforded else (), self.accuracy
         if asked.aim is not None:
             why = f"by a looser plan the certificate missed {asked.text}"
             told += (f"planned for {asked.in_words(asked.aim)}: {why}",)
-        return self.scene.notes + placed + told
+        return self.scene.notes + placed + told + correction_notes(self.optics, self.camera.sensor)
 
     @property
     def white_e_per_s(self) -> dict[str, float]:
