@@ -94,6 +94,12 @@ def test_the_colorchecker_has_its_true_colours(device: Device, tmp_path, shoot, 
     assert error.max() <= 5
     # LibRaw's picture has 8 bits: 0.05 of its mean, as the tests of its development have it.
     assert error.mean() <= theirs.mean() + 0.05
+    # Under D50 and D65 one patch is 0.13 and 0.19 farther off than by LibRaw's single matrix; under
+    # A, which that is not for, the farthest of ours is less than half as far.
+    if illuminant == "A":
+        assert error.max() <= theirs.max() / 2
+    else:
+        assert error.max() <= theirs.max() + 0.19 + 0.05
 
 
 @pytest.mark.parametrize("illuminant", ["D50", "D65", "A"])
