@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -25,13 +26,20 @@ from gpusim.metrics.emva import Characterisation, characterise
 from gpusim.metrics.figure import Figure
 from gpusim.plan.stages import sensor_runs
 from gpusim.report.drawing import png
-from gpusim.report.noise_facts import IN_THE_DARK, OF_A_CHANNEL, noise_facts, number, two_digits
+from gpusim.report.noise_facts import (
+    IN_THE_DARK,
+    OF_A_CHANNEL,
+    noise_facts,
+    noise_rows,
+    number,
+    two_digits,
+)
 from gpusim.report.noise_figure import draw_noise
 from gpusim.report.noise_html import noise_html
 from gpusim.sensor.conversion import sensor_text
 from gpusim.sensor.load import load_sensor
 
-FILES = ("noise.json", "noise.html", "noise.png")
+FILES = ("noise.json", "noise.csv", "noise.html", "noise.png")
 
 
 @dataclass(frozen=True)
@@ -79,6 +87,8 @@ def noise(
         text = json.dumps(facts, indent=1, allow_nan=False)
         if folder is not None:
             (folder / "noise.json").write_text(text + "\n")
+            with (folder / "noise.csv").open("w", newline="") as opened:
+                csv.writer(opened).writerows(noise_rows(found))
             (folder / "noise.html").write_text(noise_html(found, rows, title, how))
             (folder / "noise.png").write_bytes(png(draw_noise(found, title, how)))
     if as_json:

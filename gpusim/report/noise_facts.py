@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gpusim.metrics.emva import Channel, Characterisation
@@ -69,6 +70,29 @@ def noise_facts(found: Characterisation, rows: Sequence[Row] | None) -> dict[str
         facts["verdicts"] = [dataclasses.asdict(row) for row in rows]
         facts["outside"] = sum(not row.within for row in rows)
     return facts
+
+
+def noise_rows(found: Characterisation) -> Iterator[Sequence[object]]:
+    """Yield the lines of the CSV file: the photon transfer of each channel, level by level."""
+    of = ("mean", "variance", "dark_mean", "dark_variance")
+    units = [f"{name}_{'dn2' if 'variance' in name else 'dn'}" for name in of]
+    beside = [name for unit in units for name in (unit, f"u_{unit}")]
+    yield ["channel", "exposure_s", "photons", *beside]
+    for channel in found.channels:
+        transfer = channel.transfer
+        for at, photons in enumerate(transfer.photons):
+            values = (
+                value
+                for name in of
+                for value in (
+                    getattr(transfer, name)[at],
+                    math.sqrt(getattr(transfer, f"{name}_u2")[at]),
+                )
+            )
+            yield [
+                channel.name, f"{transfer.exposure_s[at]:.9g}", f"{photons:.9g}",
+                *(f"{value:.9g}" for value in values),
+            ]  # fmt: skip
 
 
 def _figures(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:

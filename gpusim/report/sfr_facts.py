@@ -22,12 +22,17 @@ def sfr_facts(
     pitch_um : float, optional
         Pixel pitch: figures then stand in line pairs per mm too.
     cutoff_cy_px : float, optional
-        Where a diffraction-limited lens ends: Q is then the ratio of the areas up to Nyquist.
+        Where a diffraction-limited lens ends: the area ratio to Nyquist is then given.
     """
     units = (
         "cycles per pixel along the edge's normal, standard uncertainties (k = 1); "
         "the quantity of ISO 12233:2023 e-SFR"
     )
+    if cutoff_cy_px is not None:
+        units += (
+            "; area ratio: the area under the SFR to 0.5 cycles per pixel over that of a "
+            "diffraction-limited lens (no sampling Q, 2 lambda N over the pitch)"
+        )
     return {"units": units, "edges": [_edge(one, pitch_um, cutoff_cy_px) for one in found]}
 
 
@@ -59,7 +64,7 @@ def _edge(one: Edge, pitch_um: float | None, cutoff_cy_px: float | None) -> dict
     if pitch_um is not None and figures["mtf50"] is not None:
         facts["mtf50_lp_mm"] = figures["mtf50"].value / pitch_um * 1e3
     if cutoff_cy_px is not None:
-        facts["q"] = sfr.quality(cutoff_cy_px)
+        facts["area_ratio"] = sfr.quality(cutoff_cy_px)
     return facts
 
 

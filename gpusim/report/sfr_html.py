@@ -30,7 +30,7 @@ def sfr_html(facts: Mapping[str, Any], drawn: Figure) -> str:
 
 
 def _table(facts: Mapping[str, Any]) -> str:
-    more = [("mtf50_lp_mm", "MTF50, lp/mm"), ("q", "Q")]
+    more = [("mtf50_lp_mm", "MTF50, lp/mm"), ("area_ratio", "Area ratio")]
     more = [(key, name) for key, name in more if any(key in edge for edge in facts["edges"])]
     head = "".join(
         f'<th class="number">{name}</th>' for name in (*FIGURES.values(), *(n for _, n in more))

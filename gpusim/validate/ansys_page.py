@@ -115,8 +115,9 @@ def _sharpness(sharp: list[Sharpness]) -> list[Section]:
             "(gpusim.validate.ansys_pixel); the irradiance map weighs light by its energy. "
             "Predicted are the pupil's transfer function by rays, all colours about their own "
             "chief rays, and the pixel's two sincs. Rays alone and the diffraction limit are those "
-            f"of the lens without a pixel. Q is the paper's equation 4 at {CENTRE_NM:g} nm; the "
-            "area is that under the SFR to 1 cycle/px over that of the diffraction limit.",
+            "of the lens without a pixel. Sampling Q is the paper's equation 4 at "
+            f"{CENTRE_NM:g} nm, 2 lambda N over the pitch; the area is that under the SFR to 1 "
+            "cycle/px over that of the diffraction limit.",
             "mtf",
             draw_curves(sharp),
             _edges(sharp),
@@ -161,7 +162,7 @@ def _edges(sharp: list[Sharpness]) -> Rows:
                 one.reading.name, name, f"ROI {number}", f"{edge.mtf_error:.4f}",
                 f"{edge.error_px:+.4f}", *last,
             ])  # fmt: skip
-    head = "reading", "map", "edge", "MTF off by", "place off by [px]", "Q", "area"
+    head = "reading", "map", "edge", "MTF off by", "place off by [px]", "sampling Q", "area"
     return Rows(head, rows)
 
 

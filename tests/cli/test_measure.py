@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 
 import pytest
@@ -43,11 +44,19 @@ def test_the_loop_prints_a_verdict_for_each_parameter(kept):
 def test_the_page_is_written(kept):
     at, _ = kept
     assert sorted(file.name for file in (at / "page").iterdir()) == [
-        "noise.html", "noise.json", "noise.png",
+        "noise.csv", "noise.html", "noise.json", "noise.png",
     ]  # fmt: skip
     facts = json.loads((at / "page" / "noise.json").read_text())
     assert facts["outside"] == 0
     assert {row["parameter"] for row in facts["verdicts"]} >= {"K", "sigma_d", "DSNU"}
+    title, *levels = csv.reader((at / "page" / "noise.csv").open())
+    transfer = facts["channels"][0]["transfer"]
+    first = dict(zip(title, levels[0], strict=True))
+    assert float(first["mean_dn"]) == pytest.approx(transfer["mean"][0], rel=1e-8)
+    assert float(first["u_variance_dn2"]) ** 2 == pytest.approx(
+        transfer["variance_u2"][0], rel=1e-7
+    )
+    assert len(levels) == sum(len(one["transfer"]["mean"]) for one in facts["channels"])
     page = (at / "page" / "noise.html").read_text()
     for word in ("Overall system gain", "recovered within", "data:image/svg+xml"):
         assert word in page

@@ -48,7 +48,7 @@ def test_a_given_region_pitch_and_f_number_give_lp_mm_and_q(picture):
     )  # fmt: skip
     (one,) = json.loads(ran.out)["edges"]
     assert one["mtf50_lp_mm"] == pytest.approx(40.0, rel=1e-3)
-    assert 0 < one["q"] < 1
+    assert 0 < one["area_ratio"] < 1
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from metrics.colour_charts import SIZE, chart
 
 from gpusim.errors import UserError
-from gpusim.metrics.colour import measure_colour
+from gpusim.metrics.colour import compared, measure_colour
 from gpusim.metrics.picture import Plane
 from gpusim.scene.spectra import colorchecker, illuminant, xyz
 
@@ -64,6 +64,46 @@ def test_differences_are_those_of_their_formula():
     assert found.as_is.delta_e["76"].mean() > 3
     # What a matrix undoes is undone.
     assert found.fitted.delta_e["76"].max() < 1e-3
+
+
+# Lab of a pair and Delta E 2000: G. Sharma, W. Wu, E. N. Dalal, Color Res. Appl. 30 (2005), table
+# 1, pairs 1, 7, 10, 17, 20, 25 and 34.
+SHARMA = (
+    ((50.0, 2.6772, -79.7751), (50.0, 0.0, -82.7485), 2.0425),
+    ((50.0, 0.0, 0.0), (50.0, -1.0, 2.0), 2.3669),
+    ((50.0, 2.49, -0.001), (50.0, -2.49, 0.0010), 7.1792),
+    ((50.0, 2.5, 0.0), (73.0, 25.0, -18.0), 27.1492),
+    ((50.0, 2.5, 0.0), (58.0, 24.0, 15.0), 19.4535),
+    ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
+    ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082),
+)
+
+
+def xyz_of(lab, white):
+    """Return XYZ of CIELAB (CIE 15:2018, annex D)."""
+    fy = (lab[0] + 16) / 116
+    f = np.array([fy + lab[1] / 500, fy, fy - lab[2] / 200])
+    return white * np.where(f > 6 / 29, f**3, 3 * (6 / 29) ** 2 * (f - 4 / 29))
+
+
+def test_differences_of_1994_and_2000_are_those_that_are_published():
+    white = xyz(illuminant("D65"))
+    white = white / white[1]
+    chart, own = (np.array([xyz_of(pair[at], white) for pair in SHARMA]) for at in (0, 1))
+    found = compared(own, chart, white)
+    # Four digits after the point are published.
+    assert found.delta_e["2000"] == pytest.approx([pair[2] for pair in SHARMA], abs=6e-5)
+    first, second = (np.array([pair[at] for pair in SHARMA]) for at in (0, 1))
+    apart = second - first
+    chroma, other = (np.hypot(*each[:, 1:].T) for each in (first, second))
+    # CIE 116:1995: k_L = 1, K_1 = 0.045, K_2 = 0.015, weighed by the chart's chroma.
+    hue2 = (apart[:, 1:] ** 2).sum(axis=1) - (other - chroma) ** 2
+    by_equation = np.sqrt(
+        apart[:, 0] ** 2
+        + ((other - chroma) / (1 + 0.045 * chroma)) ** 2
+        + hue2 / (1 + 0.015 * chroma) ** 2
+    )
+    assert found.delta_e["94"] == pytest.approx(by_equation, abs=1e-6)
 
 
 def test_another_light_is_another_chart():
