@@ -9,10 +9,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
 from gpusim.metrics.distortion import measure_distortion
+from gpusim.metrics.edge import samples_of
 from gpusim.metrics.picture import Plane
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
-from gpusim.validate import ansys, ansys_mtf, ansys_noise, ansys_square
+from gpusim.validate import ansys, ansys_models, ansys_mtf, ansys_noise, ansys_square
 from gpusim.validate.ansys_electrons import Electrons, EvenScene
+from gpusim.validate.ansys_targets import BRIGHT, DARK
 from gpusim.validate.edges import TILT_RAD
 
 READING = ansys.READINGS[0]
@@ -40,10 +42,10 @@ def pixels(samples):
 def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
     """Return what a reading would give whose renders follow a lens."""
     x, y = ideal_places(lens, stretch)
-    side = 2 * x.max() / 20
+    side = ansys.square_mm(READING, lens)
     # Soft edges: hard ones between samples would move corners by hundredths of a pixel.
     soft = np.tanh(6 * np.sin(np.pi * x / side) * np.sin(np.pi * y / side))
-    board = pixels((ansys.BRIGHT + ansys.DARK + (ansys.BRIGHT - ansys.DARK) * soft) / 2)
+    board = pixels((BRIGHT + DARK + (BRIGHT - DARK) * soft) / 2)
     plane = Plane(board, None, (-math.inf, math.inf))
     peaks, (left, top, wide, high) = [], ansys.middle(READING)
     for period in ansys.PERIODS_PX:
@@ -52,7 +54,7 @@ def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
         peaks.append(ansys.peak_of(seen, READING, lens, period))
     certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
     captures = {"all": SimpleNamespace(certificate=certificate)}
-    return board, measure_distortion({"W": plane}), peaks, captures
+    return measure_distortion({"W": plane}), board, peaks, captures, board
 
 
 def frames_of(count, factor=1.0):
@@ -65,22 +67,28 @@ def frames_of(count, factor=1.0):
 
 
 @functools.cache
+def measured_of(count, factor=1.0):
+    """Return what each of so many frames says of the edge."""
+    return [measure_sfr(one, (0, 0, 64, 64)) for one in frames_of(count, factor)[1]]
+
+
+@functools.cache
 def noise_of(count, factor=1.0):
-    mean, frames = frames_of(count, factor)
+    mean, _ = frames_of(1)
     region = (0, 0, 64, 64)
     clean = measure_sfr(mean, region)
-    expected = ansys_noise.sfr_deviation(
-        clean.distance_px,
-        clean.lsf,
-        dark_e=3000.0,
-        bright_e=6000.0,
-        read_noise_e=5.0,
-        pixels_per_px=64 / math.cos(TILT_RAD),
+    pixels = samples_of(mean, region)
+    covariance = ansys_noise.sfr_covariance(
+        clean.line.distance(pixels.x, pixels.y),
+        mean.ravel() + 5.0**2,
+        step_e=3000.0,
+        distance_px=clean.distance_px,
+        lsf=clean.lsf,
         rise_px=clean.rise_px,
     )
-    curves = np.array([measure_sfr(one, region).sfr for one in frames])
+    curves = np.array([one.sfr for one in measured_of(count, factor)])
     reach = float(clean.distance_px[-1])
-    return ansys_noise.Noise(3, curves, clean.sfr, expected, reach)
+    return ansys_noise.Noise(3, curves, clean.sfr, covariance, reach)
 
 
 def sharp(**planted):
@@ -103,14 +111,13 @@ def sharp(**planted):
     captures = {"all": SimpleNamespace(certificate=certificate)}
     names = "diffraction limit", "rays alone", "lens", "lens and pixel", "Gaussian", "no colour"
     models = dict.fromkeys((*names, "Gaussian, no colour"), np.ones(F.size))
-    boxes = {1: (0, 0, 5, 5), 3: (2, 2, 5, 5)}
-    return ansys_mtf.Sharpness(
-        READING, 2.88, edges, noise, focus, models, captures, np.zeros((8, 8)), boxes
-    )
+    ways = [ansys_models.Opened("f/2", 2.0, 5.0)]
+    regions = {1: (0, 0, 5, 5), 3: (2, 2, 5, 5)}
+    return ansys_mtf.Sharpness(READING, 2.88, edges, noise, focus, models, ways, captures, regions)
 
 
 def even(off=0.0, rms=1e-4):
     """Return an even scene whose electrons are off by a share."""
     certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
-    places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0)]
+    places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0, 0.3, 0.0)]
     return EvenScene(places, SimpleNamespace(certificate=certificate))

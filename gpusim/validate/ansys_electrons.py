@@ -11,6 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from gpusim.camera import Camera
 from gpusim.plan import Accuracy
 from gpusim.render import Capture
@@ -24,16 +26,22 @@ from gpusim.validate.predict import Band, Predictor
 EVEN_AT = ((0, 0), (0.5, 0), (0, 0.9), (0.9, 0.9))  # of the way to the sides, right and down
 EVEN = 8  # pixels of the tiles over which electrons are averaged
 BAR = 1e-3
+LEAN_NM = 550.0
 
 
 @dataclass(frozen=True, eq=False)
 class Electrons:
-    """Electrons of an even scene at a place, mm: rendered, and by equation 1 from rays."""
+    """Electrons of an even scene at a place, mm: rendered, and by equation 1 from rays.
+
+    With the mean efficiency there, and how far the middle of the cone leans at 550 nm, deg.
+    """
 
     x_mm: float
     y_mm: float
     measured: float
     predicted: float
+    efficiency: float
+    lean_deg: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +84,14 @@ def electrons_of(camera: Camera, scene: Scene, predictor: Predictor, band: Band)
     captures = certified_tiles(camera, scene, Accuracy(BAR, PROBES), EXPOSURE_S, tiles)
     for (left, top, _, _), capture in zip(tiles, captures, strict=True):
         x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
-        photons = photons_per_s(scene.on(nm), predictor, sensor, math.hypot(x_mm, y_mm))
+        away_mm = math.hypot(x_mm, y_mm)
+        photons = photons_per_s(scene.on(nm), predictor, sensor, away_mm)
         (share,) = averaging.at(x_mm, y_mm, nm).values()
         measured = float(capture.rate.mean()) * EXPOSURE_S
-        found.append(Electrons(x_mm, y_mm, measured, float(photons @ share) * EXPOSURE_S))
+        predicted, efficiency = float(photons @ share), float(photons @ share / photons.sum())
+        (field,) = predictor.field_rad(np.array([1e3 * away_mm]), LEAN_NM)
+        share, radial, _ = predictor.cone(field, list(predictor.nodes_nm).index(LEAN_NM)).T
+        lean_deg = math.degrees(math.asin(float(share @ radial)))
+        places = x_mm, y_mm, measured, predicted * EXPOSURE_S
+        found.append(Electrons(*places, efficiency, lean_deg))
     return EvenScene(found, captures[0])

@@ -1,8 +1,9 @@
 """Sharpness of the Ansys and Meta paper's camera (section 3.3): edges, their noise, and focus.
 
-ROI 1 is the upper edge of a slanted square in the middle, ROI 3 its right one. Their SFR is
-measured in an electron map (the paper's equation 1, by a map of efficiencies over angle) and in a
-map of irradiance, and predicted from rays: the pupil's transfer function times the pixel's.
+ROI 1 is the upper edge of the slanted square in the middle of the paper's chart, ROI 3 its right
+one. Their SFR is measured in an electron map (the paper's equation 1, by a map of efficiencies over
+angle) and in a map of irradiance, and predicted from rays: the pupil's transfer function times the
+pixel's.
 
 **Focus.** What a shift of the image plane takes from the MTF of ROI 3, rendered and by rays.
 
@@ -23,13 +24,12 @@ from gpusim.lens.system import first_order
 from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.sensor.sensor import Sensor
-from gpusim.validate.ansys import LUMINANCE_CD_M2, Reading
+from gpusim.validate.ansys import Reading
 from gpusim.validate.ansys_electrons import EvenScene, electrons_of
-from gpusim.validate.ansys_models import CENTRE_NM, SHOWN, models_of
-from gpusim.validate.ansys_noise import Noise, bar_of
+from gpusim.validate.ansys_models import CENTRE_NM, SHOWN, Opened, models_of, opened
+from gpusim.validate.ansys_noise import Noise, bars_of
 from gpusim.validate.ansys_pixel import angular, radiometric
 from gpusim.validate.ansys_square import (
-    HALF_PX,
     LAMP,
     ROIS,
     TOLERANCE,
@@ -37,16 +37,16 @@ from gpusim.validate.ansys_square import (
     band_of,
     predictor_of,
 )
+from gpusim.validate.ansys_targets import LUMINANCE_CD_M2, half_um
 from gpusim.validate.bars import Bar
 from gpusim.validate.edges import ROI_PX, Found
-from gpusim.validate.predict import FIELDS
+from gpusim.validate.predict import CHIEF_FIELDS, FIELDS
 
-# Side of the part of the sensor that holds the square: a lens's first render costs by its field.
-CROP_PX = 160
-SPARE_PX = 24  # of the field, beyond the square: PSFs and the slopes about its edges
+SPARE_PX = 24  # of the field, beyond the regions: PSFs and the slopes about the edges
 SHIFTS_UM = (-10.0, 10.0, 20.0)  # of the image plane: figure 14
 REALISATIONS = 20  # figures 12 and 13
 WIDER = 1.15  # of a field: barrel distortion puts more of it on the sensor than a plain image has
+BESIDE_DEG = 0.5  # of the lens's field: rays of its very end are partly stopped
 SFR_BAR, FOCUS_BAR = 0.01, 0.005
 
 
@@ -75,11 +75,11 @@ class Sharpness:
         By shift, 0 among them; empty where it was not asked for.
     models : dict of str to ndarray (F,)
         MTFs of ROI 3 by limits and simpler models.
+    opened : list of Opened
+        The stand-in as it is, and opened to the paper's f/2.
     captures : dict of str to Capture
-    picture : ndarray (rows, cols)
-        A frame of the electron map.
-    boxes : dict of int to (x, y, width, height)
-        Regions in it.
+    regions : dict of int to (x, y, width, height)
+        In the picture of the whole reading.
     """
 
     reading: Reading
@@ -88,9 +88,9 @@ class Sharpness:
     noise: dict[int, Noise]
     focus: list[Focus]
     models: dict[str, np.ndarray]
+    opened: list[Opened]
     captures: dict[str, Capture]
-    picture: np.ndarray
-    boxes: dict[int, tuple[int, int, int, int]]
+    regions: dict[int, tuple[int, int, int, int]]
 
     @property
     def q(self) -> float:
@@ -122,25 +122,29 @@ class Sharpness:
         return [
             Bar.largest(f"SFR of ROI 1 and 3 to 1 cycle/px, {name}", sfr, SFR_BAR, "1"),
             *([Bar.largest(focus, lost, FOCUS_BAR, "1")] if lost else []),
-            bar_of(f"sigma of SFR outside its 95 % interval, {name}", list(self.noise.values())),
+            *bars_of(name, list(self.noise.values())),
             Bar.largest(f"certificates of edges, total RMS, {name}", totals, TOLERANCE, "1"),
         ]
 
 
+def reach_px(reading: Reading) -> int:
+    """Return how far from the middle the regions reach, and what is needed beside them."""
+    half_px = half_um(reading.camera.frame) / reading.pitch_um
+    return math.ceil(half_px + ROI_PX[0] / 2) + SPARE_PX
+
+
 def cropped(reading: Reading) -> Sensor:
-    """Return the middle of a reading's sensor."""
-    return reading.sensor.model_copy(update={"rows": CROP_PX, "cols": CROP_PX})
+    """Return the part of a reading's sensor that holds the square and its edges."""
+    side = 2 * reach_px(reading)
+    return reading.sensor.model_copy(update={"rows": side, "cols": side})
 
 
 def even_scene(reading: Reading) -> EvenScene:
-    """Render an even scene, and predict its electrons by equation 1.
-
-    The whole lens stands before the crop: one that is limited to what the crop sees lacks the light
-    that it throws in from beyond, 0.1 to 0.3 %.
-    """
-    sensor = angular(cropped(reading))
-    reach_px = WIDER * CROP_PX / math.sqrt(2)
-    predictor = predictor_of(reading.lens, sensor, reach_px, pupils=FIELDS)
+    """Render an even scene, and predict its electrons by equation 1."""
+    sensor = angular(reading.sensor)
+    field = math.radians(reading.field_deg - BESIDE_DEG)
+    reach = 1e3 * reading.efl_mm * math.tan(field) / reading.pitch_um
+    predictor = predictor_of(reading.lens, sensor, reach, pupils=FIELDS, chiefs=CHIEF_FIELDS)
     scene = make_scene("grey", LUMINANCE_CD_M2, LAMP)
     camera = Camera(lens=reading.lens, sensor=sensor, title="stand-in")
     return electrons_of(camera, scene, predictor, band_of(sensor))
@@ -164,21 +168,23 @@ def sharpness(
     positions = sorted((0.0, *shifts_um)) if shifts_um else []
     what, total = f"edges, {reading.name}", 2 + len(positions)
     steps = iter(range(total))
-    base = cropped(reading)
-    corner = 1e-3 * CROP_PX / math.sqrt(2) * base.pixel_pitch_um / reading.efl_mm
-    lens = reading.lens.limited(math.degrees(math.atan(WIDER * corner)))
-    far_px = HALF_PX + SPARE_PX + ROI_PX[1] / 2
+    base, far_px = cropped(reading), reach_px(reading)
+    # A lens's first render costs by its field.
+    corner_mm = 1e-3 * math.hypot(far_px, ROI_PX[1] / 2) * base.pixel_pitch_um
+    lens = reading.lens.limited(math.degrees(math.atan(WIDER * corner_mm / reading.efl_mm)))
     predictor = predictor_of(lens, base, far_px)
-    found, captures, focus = {}, {}, []
+    found, captures, noise, focus = {}, {}, {}, []
 
     progress(what, next(steps), total)
     with closing(Square(lens, angular(base), predictor)) as square:
         captures["electrons"] = square.capture
         found |= {("electrons", number): square.found(number) for number in ROIS}
-        frames = [square.frame(seed) for seed in range(REALISATIONS)]
-        noise = {number: square.noise(number, frames) for number in ROIS}
+        for number in ROIS:
+            frames = [square.frame(number, seed) for seed in range(REALISATIONS)]
+            noise[number] = square.noise(number, frames)
         models = models_of(square, lens)
-        boxes = {number: square.box(number) for number in ROIS}
+        aside = (reading.pixels - base.cols) // 2
+        regions = {n: (x + aside, y + aside, *size) for n, (x, y, *size) in square.regions.items()}
     progress(what, next(steps), total)
     with closing(Square(lens, radiometric(base), predictor)) as square:
         captures["irradiance"] = square.capture
@@ -186,10 +192,11 @@ def sharpness(
     for shift in positions:
         progress(what, next(steps), total)
         moved = lens.defocused(shift)
-        with closing(Square(moved, base, predictor_of(moved, base, far_px))) as square:
+        with closing(Square(moved, base, predictor_of(moved, base, far_px), (SHOWN,))) as square:
             captures[f"image plane {shift:+g} um"] = square.capture
             one = square.found(SHOWN)
         focus.append(Focus(shift, one.measured_mtf, one.predicted_mtf))
     progress(what, total, total)
     number = first_order(lens).f_number
-    return Sharpness(reading, number, found, noise, focus, models, captures, frames[0], boxes)
+    spots = opened(reading.lens)
+    return Sharpness(reading, number, found, noise, focus, models, spots, captures, regions)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -27,21 +29,24 @@ def _cycles(axes: Axes, title: str, **more: object) -> None:
     axes.set(title=title, xlabel="cycles per pixel", xlim=(0, 1), **more)
 
 
-def draw_curves(found: list[Sharpness]) -> Figure:
-    """Return the electron map, MTFs of ROI 3 and what measured ones miss (figures 11 and 15)."""
+def draw_curves(found: list[Sharpness], charts: Sequence[np.ndarray]) -> Figure:
+    """Return the charts, MTFs of ROI 3 and what measured ones miss (figures 11 and 15).
+
+    Pictures (rows, cols) of the charts are given by reading.
+    """
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.2, 0.7 + 3.5 * len(found)))
         told = "points: renders, with one standard deviation of a frame; lines: rays and the pixel"
         titles(figure, "Sharpness of ROI 3", [told], top=0.65 + 3.5 * len(found))
         f = FREQUENCIES_CY_PX
-        for row, one in enumerate(found):
+        for row, (one, picture) in enumerate(zip(found, charts, strict=True)):
             bottom = 0.55 + 3.5 * (len(found) - 1 - row)
             board = panel(figure, 0.35, bottom, 2.3, 2.4)
-            board.imshow(one.picture, cmap="gray", interpolation="nearest")
-            for number, (x, y, width, height) in one.boxes.items():
+            board.imshow(picture, cmap="gray", interpolation="nearest")
+            for number, (x, y, width, height) in one.regions.items():
                 look = {"fill": False, "edgecolor": REGIONS[number], "linewidth": 1.2}
                 board.add_patch(Rectangle((x - 0.5, y - 0.5), width, height, **look))
-                board.text(x + 2, y + 2, f"ROI {number}", color=REGIONS[number], va="top")
+                board.text(x, y - 2, f"ROI {number}", color=REGIONS[number], va="bottom")
             board.grid(False)
             board.set(title=one.reading.name, xticks=[], yticks=[])
             axes = panel(figure, 3.3, bottom, 4.1, 2.4)

@@ -1,33 +1,32 @@
 """The slanted square of the Ansys and Meta paper's sharpness: its renders, edges and regions.
 
-ROI 1 is the upper edge of a slanted square in the middle, ROI 3 its right one. What is measured of
-them is in `gpusim.validate.ansys_mtf`.
+ROI 1 is the upper edge of the square in the middle of the eSFR chart at 60 cm, ROI 3 its right one.
+What is measured of them is in `gpusim.validate.ansys_mtf`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 
 import numpy as np
 
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
-from gpusim.metrics.sfr import Sfr, measure_sfr
+from gpusim.metrics.edge import samples_of
+from gpusim.metrics.sfr import measure_sfr
 from gpusim.plan import Accuracy
-from gpusim.render import Renderer
-from gpusim.scene.scene import Scene
+from gpusim.render import Capture, Renderer
 from gpusim.sensor.sensor import Sensor
-from gpusim.validate.ansys import BAND_NM, BRIGHT, DARK, EXPOSURE_S, PROBES, drawn, weights
-from gpusim.validate.ansys_noise import Noise, sfr_deviation
+from gpusim.validate.ansys import BAND_NM, EXPOSURE_S, PROBES, weights
+from gpusim.validate.ansys_noise import Noise, sfr_covariance
+from gpusim.validate.ansys_targets import chart, half_um
 from gpusim.validate.certified import certified
 from gpusim.validate.edges import (
-    AXES,
-    TILT_RAD,
     Found,
     Target,
     compare,
-    cut,
     normal_of,
     region_of,
 )
@@ -37,7 +36,6 @@ from gpusim.validate.spheres import SphereTracer
 from gpusim.validate.tracers import refracted_losses
 
 LAMP = "5100K"  # of the panels (section 2.1), as a blackbody: D50 is known to 830 nm alone
-HALF_PX = 48.0  # of the square's sides
 ROIS = {1: "horizontal", 3: "vertical"}  # the upper and the right edge
 NODES_NM = np.arange(BAND_NM[0], BAND_NM[1] + 1, 50.0)  # every 25 nm: 2.5e-4 of MTF
 PUPILS, CHIEFS = 5, 9  # over 14 degrees: 9 pupils are 1.4e-5 of MTF
@@ -46,28 +44,15 @@ FILLED = 0.6  # of the full well, by the brightest pixel of the noisy frames
 TOLERANCE = 5e-4
 
 
-def scene_of(sensor: Sensor) -> Scene:
-    """Return a dark square on white, turned by five degrees, in the middle of the picture."""
-    side = 2 * HALF_PX
-    return drawn(
-        "title: a slanted square\nunit: pixels\n"
-        f"fills: {{white: {BRIGHT}, black: {DARK}}}\nbackground: white\nshapes:\n"
-        f"  - {{shape: rectangle, size: [{side}, {side}], angle_deg: {math.degrees(TILT_RAD)}, "
-        "fill: black}\n",
-        sensor,
-        LAMP,
-    )
-
-
 def predictor_of(
-    lens: Prescription, sensor: Sensor, px: float, *, pupils: int = PUPILS
+    lens: Prescription, sensor: Sensor, px: float, *, pupils: int = PUPILS, chiefs: int = CHIEFS
 ) -> Predictor:
-    """Return what predicts edges so far from the axis."""
+    """Return what predicts edges so far from the axis on the ideal plane."""
     system = build(lens)
     tracer = SphereTracer(system)
     widest = math.atan(1e-3 * px * sensor.pixel_pitch_um / tracer.efl_mm)
     losses = refracted_losses(system, NODES_NM)
-    return Predictor(tracer, widest, NODES_NM, losses, pupils=pupils, chiefs=CHIEFS)
+    return Predictor(tracer, widest, NODES_NM, losses, pupils=pupils, chiefs=chiefs)
 
 
 def band_of(sensor: Sensor) -> Band:
@@ -75,13 +60,13 @@ def band_of(sensor: Sensor) -> Band:
     return Band("W", *weights(sensor, LAMP))
 
 
-def edge_of(number: int, sensor: Sensor, predictor: Predictor) -> tuple[Place, Target]:
-    """Return an edge of the square: where it is imaged, and what it is."""
-    axis, band = ROIS[number], band_of(sensor)
-    side = -1 if axis == "horizontal" else 1
-    ideal = side * HALF_PX * sensor.pixel_pitch_um * normal_of(axis)
+def edge_of(number: int, camera: Camera, predictor: Predictor) -> tuple[Place, Target]:
+    """Return an edge of the chart's square: where it is imaged, and what it is."""
+    sensor, axis, frame = camera.sensor, ROIS[number], camera.frame
+    side, band = -1 if axis == "horizontal" else 1, band_of(sensor)
+    ideal = side * half_um(frame) * normal_of(axis)
     x, y = predictor.image_um(ideal, band) / sensor.pixel_pitch_um
-    target = Target(axis, scene_of(sensor).source, {number: ideal}, band)
+    target = Target(axis, chart(frame, LAMP).source, {number: ideal}, band)
     return Place(number, float(x), float(y)), target
 
 
@@ -94,72 +79,76 @@ def even_light(sensor: Sensor, predictor: Predictor, band: Band, region: tuple) 
 
 
 class Square:
-    """Renders of the square before a sensor, and their edges."""
+    """Renders of the square's edges before a sensor."""
 
-    def __init__(self, lens: Prescription, sensor: Sensor, predictor: Predictor) -> None:
+    def __init__(
+        self,
+        lens: Prescription,
+        sensor: Sensor,
+        predictor: Predictor,
+        numbers: Collection[int] = tuple(ROIS),
+    ) -> None:
         self.sensor, self.predictor = sensor, predictor
-        self.edges = {number: edge_of(number, sensor, predictor) for number in ROIS}
+        camera = Camera(lens=lens, sensor=sensor, title="stand-in")
+        scene = chart(camera.frame, LAMP)
+        self.edges = {number: edge_of(number, camera, predictor) for number in numbers}
         self.regions = {
             number: region_of(place, target.axis, sensor)
             for number, (place, target) in self.edges.items()
         }
-        x, y, width, height = np.array(list(self.regions.values())).T
-        left, top = int(x.min()), int(y.min())
-        self.tile = left, top, int((x + width).max()) - left, int((y + height).max()) - top
-        camera, scene = Camera(lens=lens, sensor=sensor, title="stand-in"), scene_of(sensor)
+        self.rates: dict[int, np.ndarray] = {}
         self.renderer, self.capture = certified(
             Accuracy(TOLERANCE, PROBES),
             lambda accuracy: Renderer(camera, scene, accuracy, noise=True),
-            lambda renderer: renderer.capture(EXPOSURE_S, tile=self.tile, keep=("rate",)),
+            self._worst,
         )
-        self.rate = self.capture.rate
-        self.exposure_s = FILLED * sensor.full_well_e / float(self.rate.max())
+        brightest = max(float(rate.max()) for rate in self.rates.values())
+        self.exposure_s = FILLED * sensor.full_well_e / brightest
+
+    def _worst(self, renderer: Renderer) -> Capture:
+        """Render the regions; return the capture of the one whose certificate says more."""
+        captures = {
+            number: renderer.capture(EXPOSURE_S, tile=region, keep=("rate",))
+            for number, region in self.regions.items()
+        }
+        self.rates = {number: one.rate for number, one in captures.items()}
+        return max(captures.values(), key=lambda one: one.certificate.total_rms)
 
     def close(self) -> None:
         """Give the device's memory back."""
         self.renderer.release()
 
-    def frame(self, seed: int) -> np.ndarray:
-        """Return the electrons (rows, cols) of a frame with noise."""
-        how = {"tile": self.tile, "seed": seed, "keep": ("electrons",)}
+    def frame(self, number: int, seed: int) -> np.ndarray:
+        """Return the electrons (rows, cols) of an edge in a frame with noise."""
+        how = {"tile": self.regions[number], "seed": seed, "keep": ("electrons",)}
         return self.renderer.capture(self.exposure_s, **how).electrons
 
-    def box(self, number: int) -> tuple[int, int, int, int]:
-        """Return a region (x, y, width, height) within the tile."""
-        left, top, width, height = self.regions[number]
-        return left - self.tile[0], top - self.tile[1], width, height
-
-    def region(self, number: int, picture: np.ndarray) -> np.ndarray:
-        """Return a region of a picture of the tile, over the light of an even scene."""
-        own = cut(picture, self.box(number))
-        light = even_light(self.sensor, self.predictor, band_of(self.sensor), self.regions[number])
-        return own / light
+    def light(self, number: int) -> np.ndarray:
+        """Return the light (rows, cols) of an even scene at an edge, over the axis's."""
+        return even_light(self.sensor, self.predictor, band_of(self.sensor), self.regions[number])
 
     def found(self, number: int) -> Found:
         """Return an edge without noise, measured and predicted."""
         place, target = self.edges[number]
-        picture, band = self.region(number, self.rate), band_of(self.sensor)
+        picture, band = self.rates[number] / self.light(number), band_of(self.sensor)
         return compare(place, target, band, picture, sensor=self.sensor, predictor=self.predictor)
 
     def noise(self, number: int, frames: list[np.ndarray]) -> Noise:
         """Return an edge in frames of electrons, and what the closed form says of it."""
-
-        def sfr_of(electrons: np.ndarray) -> tuple[np.ndarray, Sfr]:
-            picture = self.region(number, electrons)
-            return picture, measure_sfr(picture, (0, 0, *picture.shape[::-1]))
-
-        light, clean = sfr_of(self.exposure_s * self.rate)
-        levels = np.sort(light.ravel())
+        light, mean_e = self.light(number), self.exposure_s * self.rates[number]
+        region = (0, 0, *mean_e.shape[::-1])
+        clean, pixels = measure_sfr(mean_e / light, region), samples_of(mean_e / light, region)
+        variance = (mean_e + self.sensor.temporal_dark_noise_e**2) / light**2
+        levels = np.sort(pixels.value)
         outer = levels.size // 4
-        edge, length_px = self.found(number), self.box(number)[2 if ROIS[number] == AXES[1] else 3]
-        expected = sfr_deviation(
-            clean.distance_px,
-            np.interp(clean.distance_px, edge.distance_px, edge.predicted_lsf),
-            dark_e=float(levels[:outer].mean()),
-            bright_e=float(levels[-outer:].mean()),
-            read_noise_e=self.sensor.temporal_dark_noise_e,
-            pixels_per_px=length_px / math.cos(TILT_RAD),
+        edge = self.found(number)
+        covariance = sfr_covariance(
+            clean.line.distance(pixels.x, pixels.y),
+            (variance.T if pixels.turned else variance).ravel(),
+            step_e=float(levels[-outer:].mean() - levels[:outer].mean()),
+            distance_px=clean.distance_px,
+            lsf=np.interp(clean.distance_px, edge.distance_px, edge.predicted_lsf),
             rise_px=clean.rise_px,
         )
-        curves = np.array([sfr_of(frame)[1].sfr for frame in frames])
-        return Noise(number, curves, clean.sfr, expected, float(clean.distance_px[-1]))
+        curves = np.array([measure_sfr(frame / light, region).sfr for frame in frames])
+        return Noise(number, curves, clean.sfr, covariance, float(clean.distance_px[-1]))

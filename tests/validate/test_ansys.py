@@ -6,6 +6,7 @@ is tested without the engine; the whole command runs behind the marker ``slow``.
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,8 +26,7 @@ def lens():
 
 def lost(predicted, pictures):
     """Return the bars that do not hold."""
-    board, distortion, peaks, captures = pictures
-    found = ansys.Read(READING, predicted, distortion, board, peaks, captures)
+    found = ansys.Read(READING, predicted, *pictures)
     return {bar.name.split(",")[0] for bar in found.bars() if not bar.held}
 
 
@@ -66,6 +66,26 @@ def test_a_warp_that_is_off_by_a_thousandth_is_seen(lens):
     assert "LGD at every radius" in lost(lens, drawn(lens, stretch=0.001))
 
 
+def test_a_mean_distortion_that_is_not_the_papers_is_seen(lens):
+    assert "mean LGD against the paper's" in lost(lens, drawn(lens, stretch=0.01))
+
+
+def test_corners_that_scatter_are_seen(lens):
+    """By 0.03 px along each axis, where the curve through all of them still lies right."""
+    found, *others = drawn(lens)
+    draw = np.random.default_rng(4)
+    x, y = (at + draw.normal(0, 0.03, at.size) for at in (found.marks.x, found.marks.y))
+    moved = replace(found, marks=replace(found.marks, x=x, y=y))
+    assert lost(lens, (moved, *others)) == {"single corners against the lens"}
+
+
+def test_corners_are_found_nearly_to_the_corner_of_the_picture(lens):
+    read = ansys.Read(READING, lens, *drawn(lens))
+    # 11 of 160 px from the sides, where the last corner lies.
+    assert read.distortion.radius.max() == pytest.approx(1 - 11 / 160, abs=1e-3)
+    assert read.radii[-1] > 0.9
+
+
 def test_lens_data_that_are_off_are_seen(lens):
     surfaces = list(READING.lens.surfaces)
     surfaces[3] = surfaces[3].model_copy(update={"radius": 1.02 * surfaces[3].radius})
@@ -86,8 +106,7 @@ def test_a_certificate_that_is_not_met_is_seen(lens):
 def test_the_command_writes_its_pages_and_ends_with_1_where_a_bar_is_lost(
     lens, tmp_path, monkeypatch, share
 ):
-    board, distortion, peaks, captures = drawn(lens)
-    found = ansys.Read(READING, lens, distortion, board, peaks, captures)
+    found = ansys.Read(READING, lens, *drawn(lens))
     made = sharp(rms=share * ansys_square.TOLERANCE)
     count = len(ansys.READINGS)
     gave = [*[made] * count, *[found] * count, even()]
