@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from gpusim.calibrate.rates import adapter_costs
 from gpusim.gpu import default_device
-from gpusim.plan import Accuracy, plan_optics
+from gpusim.plan import Accuracy
 from gpusim.plan.deadline import first_frame_s
-from gpusim.render.look import look
+from gpusim.render.planning import planning
 from gpusim.scene import make_scene
 from gpusim.sensor.effects import EFFECTS
 
@@ -61,8 +61,13 @@ def cost_of(sweep: Sweep, progress: Progress | None = None) -> Cost:
     costs = adapter_costs(
         default_device(), progress=lambda done, total: report("calibrate", done, total)
     )
-    seen = look(camera, scene, accuracy, progress=lambda done, total: report("lens", done, total))
-    plan = plan_optics(seen.bank, camera.sensor, seen.scene, accuracy, costs, density=seen.density)
+    plan = planning(
+        camera,
+        scene,
+        accuracy,
+        costs,
+        progress=lambda done, total: report("lens", done, total),
+    ).plan()
     frame_s = sum(
         stage.predicted_cost_s or 0.0
         for stage in plan.stages

@@ -28,11 +28,9 @@ from gpusim.isp.rawfile import read_raw
 from gpusim.isp.settings import check_ev
 from gpusim.library.again import recipe_of_raw
 from gpusim.optics.methods import check_method
-from gpusim.plan import Accuracy, plan_optics
-from gpusim.plan.band import with_band
+from gpusim.plan import Accuracy
 from gpusim.render import capture as take
-from gpusim.render import look
-from gpusim.render.deadline import resolved
+from gpusim.render.planning import planning
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 from gpusim.scene.illumination import unevenly_lit
@@ -186,22 +184,22 @@ def _plan_text(
     exposure_s: float,
 ) -> str:
     """Return the plan of a render in words; by the adapter's own rates where there are no costs."""
-    given = {"noise": noise, "method": method, "exposure_s": exposure_s}
     with screen.progress_bar() as progress:
         costs = costs or adapter_costs(
             device, progress=lambda done, total: progress("calibrate", done, total)
         )
-
-        def traced(done: int, total: int) -> None:
-            progress("lens", done, total)
-
-        accuracy, afforded = resolved(camera, scene, accuracy, costs, **given, progress=traced)
-        seen = look(camera, scene, accuracy, exposure_s, traced)
-    chosen = plan_optics(
-        seen.bank, camera.sensor, seen.scene, accuracy, costs, **given, density=seen.density
-    )
-    text = with_band(chosen, seen.band).text()
-    return "\n".join([text, *([textwrap.fill(f"{afforded}.")] if afforded else [])])
+        found = planning(
+            camera,
+            scene,
+            accuracy,
+            costs,
+            noise=noise,
+            method=method,
+            exposure_s=exposure_s,
+            progress=lambda done, total: progress("lens", done, total),
+        )
+    told = [textwrap.fill(f"{found.afforded}.")] if found.afforded else []
+    return "\n".join([found.plan(method).text(), *told])
 
 
 def exposure_seconds(text: str) -> float:

@@ -16,6 +16,7 @@ from gpusim.optics.kernels import core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.deadline import predicted_parts
+from gpusim.plan.layout import TRANSFORMS
 from gpusim.plan.optics import alias_of
 from gpusim.plan.predict import GUARD, cut_error
 from gpusim.plan.problem import CUTS_UM as PLANNED_CUTS_UM
@@ -27,7 +28,6 @@ TOLERANCES = (3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 NODE_FACTORS = (0.25, 0.5, 0.7, 1.4, 2.0)  # of the chosen cells along each axis
 OVERSAMPLINGS = (2, 4)
 CUTS_UM = (6.0, 10.0, 16.0, 24.0)
-TRANSFORMS = (256, 512, 1024)
 RUNNERS_UP = 3  # plans that the planner takes for the next cheapest
 CHOSEN = "planner"
 
@@ -89,7 +89,7 @@ def _runner_up(number: int) -> Callable[[Renderer], tuple[Plan, dict[str, float]
     """Return what takes a plan that lost by its predicted time alone."""
 
     def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
-        plans = renderer.plans(1 + RUNNERS_UP)
+        plans = renderer.planning.plans(1 + RUNNERS_UP)
         if number >= len(plans):
             raise UserError(
                 "There is no such plan within the tolerance.",
@@ -105,7 +105,7 @@ def _method(method: str) -> Callable[[Renderer], tuple[Plan, dict[str, float]]]:
     """Return what plans for another method, whatever it costs."""
 
     def change(renderer: Renderer) -> tuple[Plan, dict[str, float]]:
-        return renderer.planned(method), {}
+        return renderer.planning.plan(method), {}
 
     return change
 

@@ -1,8 +1,7 @@
 """The render: light brought to the photosites tile by tile, and read out."""
 
 from gpusim.render.capture import Capture
-from gpusim.render.look import Look, look
 from gpusim.render.renderer import Renderer
 from gpusim.render.take import capture
 
-__all__ = ["Capture", "Look", "Renderer", "capture", "look"]
+__all__ = ["Capture", "Renderer", "capture"]

@@ -19,8 +19,7 @@ from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, correction_notes, optics_of
 from gpusim.optics.flare import veiling_glare
-from gpusim.plan import Accuracy, Plan, plans_optics
-from gpusim.plan.band import with_band
+from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import Costs
 from gpusim.plan.signal import white_rates
 from gpusim.plan.tiles import Rect, aligned
@@ -29,10 +28,9 @@ from gpusim.render.capture import Capture, captured
 from gpusim.render.certificate import certified
 from gpusim.render.checks import check_planned, check_shot, rectangle
 from gpusim.render.coarse import CoarseCamera, coarse_halo
-from gpusim.render.deadline import resolved
 from gpusim.render.lighting import Lighting, planes_on
-from gpusim.render.look import look
 from gpusim.render.on_device import OnDevice, Progress
+from gpusim.render.planning import planning
 from gpusim.render.reading import Reader, Reading, reading_of
 from gpusim.render.recipe import recipe_of
 from gpusim.render.refocus import refocused
@@ -127,7 +125,7 @@ class Renderer:
     def _prepare(self, report: Progress, costs: Costs, plan: Plan | None) -> None:
         """Plan, and place the scene on the sensor."""
         camera, started = self.camera, time.perf_counter()
-        self.accuracy, self.afforded = resolved(
+        self.planning = planning(
             camera,
             self.scene,
             self.accuracy,
@@ -138,13 +136,12 @@ class Renderer:
             exposure_s=self.longest_s,
             progress=lambda *done: report("lens", *done),
         )
-        asked = self.accuracy.planned, self.longest_s
-        seen = look(camera, self.scene, *asked, lambda *done: report("lens", *done))
+        self.accuracy, seen = self.planning.accuracy, self.planning.seen
         self.band, self.density, self.scene = seen.band, seen.density, seen.scene
         self.bank, self.core, self.costs = seen.bank, seen.bank.levels[0], costs
         started = self._spent("lens", started)
         report("plan", 0, 1)  # highlights of a photograph are cut up here, for seconds
-        self.plan = plan or self.planned(self.method, self._force)
+        self.plan = plan or self.planning.plan(self.method, self._force)
         report("plan", 1, 1)
         started = self._spent("plan", started)
         basis, distorted = self.plan.basis, "distortion" in self._force
@@ -156,29 +153,6 @@ class Renderer:
         self.glare = glare.astype(np.float32)
         self.resident_glare = self.device.resident("glare", self.glare)
         self._spent("scene", started)
-
-    def planned(self, method: str | None = None, force: Collection[str] = ()) -> Plan:
-        """Return the plan for a method, or for the cheapest: see `gpusim.plan.plan_optics`."""
-        return self.plans(1, method, force)[0]
-
-    def plans(
-        self, count: int, method: str | None = None, force: Collection[str] = ()
-    ) -> list[Plan]:
-        """Return the plan and what the planner takes for the next cheapest ways, `count` in all."""
-        found = plans_optics(
-            self.bank,
-            self.camera.sensor,
-            self.scene,
-            self.accuracy.planned,
-            self.costs,
-            count=count,
-            noise=self._noise,
-            method=method,
-            force=force,
-            exposure_s=self.longest_s,
-            density=self.density,
-        )
-        return [with_band(plan, self.band) for plan in found]
 
     def release(self) -> None:
         """Give the device's memory back; the renderer cannot be used any more."""
@@ -388,7 +362,7 @@ class Renderer:
     def notes(self) -> tuple[str, ...]:
         """How the scene was read and placed, what a time afforded, what corrections lack."""
         placed = (self.placed.note,) if isinstance(self.placed, PlacedRaster) else ()
-        told, asked = (self.afforded,) if self.afforded else (), self.accuracy
+        told, asked = (self.planning.afforded,) if self.planning.afforded else (), self.accuracy
         if asked.aim is not None:
             why = f"by a looser plan the certificate missed {asked.text}"
             told += (f"planned for {asked.in_words(asked.aim)}: {why}",)

@@ -16,7 +16,7 @@ import yaml
 from pyarrow import parquet
 from typer.testing import CliRunner
 
-from gpusim.batch import kept
+from gpusim.batch import cost, kept
 from gpusim.batch.kept import LIGHTS
 from gpusim.batch.run import prepared, status, tasks_of
 from gpusim.batch.run import run as run_batch
@@ -24,6 +24,11 @@ from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import Task, rendered, work
 from gpusim.cli.app import app
 from gpusim.errors import UserError
+from gpusim.plan import Accuracy
+from gpusim.plan.costs import LAVAPIPE
+from gpusim.plan.deadline import first_frame_s
+from gpusim.render import planning
+from gpusim.scene import make_scene
 from gpusim.scene.exr import units_of
 
 CAMERA = {
@@ -209,6 +214,19 @@ def test_the_dry_run_counts_and_plans(folder: Path):
     assert facts["planned_s"] == pytest.approx(2 * light + 12 * frame, abs=2.2e-3)
     assert light > 0
     assert set(folder.iterdir()) == before | {folder / "sweep.yaml"}
+
+
+def test_a_sweep_for_a_time_is_counted_by_what_the_time_affords(folder: Path, monkeypatch):
+    """As its renders are planned; the loosest tolerance takes other seconds."""
+    monkeypatch.setattr(cost, "adapter_costs", lambda device, **more: LAVAPIPE)
+    sweep = Sweep.load(written(folder, tolerance="as good as 2 s allows"))
+    camera = sweep.frames[0].camera()
+    scene = make_scene("colorchecker", frame=camera.frame)
+    afforded = Accuracy(3e-2)
+    expected = first_frame_s(planning.planning(camera, scene, afforded, LAVAPIPE).plan())
+    monkeypatch.setattr(planning, "resolved", lambda *given, **more: (afforded, "2 s afford it"))
+    found = cost.cost_of(sweep)
+    assert found.light_s + found.frame_s == pytest.approx(expected, rel=1e-12)  # a sum's rounding
 
 
 def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folder: Path):

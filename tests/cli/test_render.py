@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,9 +27,10 @@ from gpusim.cli import render
 from gpusim.errors import UserError
 from gpusim.isp.develop import develop
 from gpusim.isp.settings import Settings
-from gpusim.plan import Accuracy
+from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.render import renderer
+from gpusim.report.facts import _plan
 from gpusim.scene.exr import write_exr
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
@@ -240,6 +242,31 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
     for shown in ("run paint", "skip noise", "noise is switched off", "chosen ", "too dear"):
         assert shown in words
     assert LAVAPIPE.source in words
+
+
+@pytest.mark.parametrize(
+    "lens, tolerance", [(made.bank, "3e-2"), (made.plane_bank, "as good as 1 ms allows")]
+)
+def test_a_dry_run_plans_as_the_render_does(
+    lens: Callable[[], object], tolerance: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """What the dry run puts into words, as JSON: that of the render's report, times and all."""
+    monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
+    monkeypatch.setattr(renderer, "adapter_costs", lambda device, **more: LAVAPIPE)
+    alike = SimpleNamespace(title="Gaussians", model_dump=dict, history=())
+    camera = made.StubCamera(lens(), made.sensor(32, 48), lens=alike)
+    monkeypatch.setattr(render, "load_camera", lambda *named: camera)
+    # No plan takes 1 ms: the loosest tolerance is what is left, and is told.
+    given = ("render", "demo", "slanted-edge", "--tolerance", tolerance, "--certify", 0)
+    given += ("--best-effort",)
+    done = gpusim(*given, "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    monkeypatch.setattr(Plan, "text", lambda plan: json.dumps(_plan(plan)))
+    dry = gpusim(*given, "--out", tmp_path / "dry", "--dry-run")
+    planned, end = json.JSONDecoder().raw_decode(dry.out)
+    assert planned == report["plan"]
+    assert ("planned for" in dry.out[end:]) == tolerance.startswith("as good")
 
 
 def test_the_memory_and_the_rectangle_reach_the_chain(asked: dict[str, Any], tmp_path: Path):
