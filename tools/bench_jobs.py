@@ -16,7 +16,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import scipy.fft
-from bench_blur import blur_1mp
 from bench_burst import burst_job
 from bench_ccd import linear_job, smear_job, trap_job
 from bench_isp import develop_job
@@ -976,10 +975,6 @@ JOBS: dict[str, tuple[str, Callable[[Device, tuple[int, int]], Job]]] = {
     "tolerances": ("three tolerances, five scenes, three lenses, certified", tolerances_job),
     "psf-bank": ("PSFs of a double Gauss from its prescription, 15 fields x 7 lines", psf_bank),
     "psf-refocus": ("the same at another focus", psf_refocus),
-    "blur-1mp": (
-        "1024 x 1024 samples, 3 channels, 31 x 31 PSFs of 9 x 9 nodes",
-        lambda device, frame: blur_1mp(device, Job),
-    ),
     "develop-12mp": (
         "a raw frame to a picture of 8 bits, demosaiced by Malvar's filters",
         partial(develop_job, method="malvar", job=Job),
