@@ -46,7 +46,7 @@ class FieldKernels:
     Attributes
     ----------
     splines : ndarray (F, J, C, n, n)
-        Coefficients of quintic splines, [y, x]: [tangential, radial] of a lens with an axis; the
+        Coefficients of quintic splines, [y, x]: [sagittal, tangential] of a lens with an axis; the
         chief ray is at sample n / 2. Planes and channels are sampled together: in memory those of a
         sample follow one another (see `interleaved`).
     places : Places

@@ -60,9 +60,9 @@ def sampled_kernels(
     fields, weights, cos, sin = kernels.places.at(x_um, y_um)
     dx = (np.arange(2 * half_size) - half_size) * sim_pitch_um
     dy = dx[:, None]
-    radial = (cos * dx + sin * dy) / kernels.pitch_um
-    tangential = (cos * dy - sin * dx) / kernels.pitch_um
-    inside = np.maximum(np.abs(radial), np.abs(tangential)) < n // 2 - 2
+    tangential = (cos * dx + sin * dy) / kernels.pitch_um
+    sagittal = (cos * dy - sin * dx) / kernels.pitch_um
+    inside = np.maximum(np.abs(tangential), np.abs(sagittal)) < n // 2 - 2
     inside[0] = inside[:, 0] = False
     # Those of a sample side by side. Made by Fourier transforms, splines go on periodically.
     splines = np.empty((n + 1, n + 1, planes * channels))
@@ -71,7 +71,7 @@ def sampled_kernels(
         for field, weight in zip(fields, weights, strict=True)
     )
     splines[n], splines[:, n] = splines[0], splines[:, 0]
-    at = (part[inside] + n // 2 for part in (tangential, radial))
+    at = (part[inside] + n // 2 for part in (sagittal, tangential))
     area = (sim_pitch_um / kernels.pitch_um) ** 2
     found = _spline_weights(*at, n + 1) @ splines.reshape((n + 1) ** 2, -1)
     found *= area

@@ -138,9 +138,9 @@ class Alias:
         number = blend.fields[int(np.argmax(blend.weights))]
         spectrum = self._spectra(number, channel)
         fx, fy = f, f[:, None]
-        radial, tangential = blend.cos * fx + blend.sin * fy, blend.cos * fy - blend.sin * fx
-        inside = np.maximum(np.abs(radial), np.abs(tangential)) < 0.5 / self.bank_pitch_um
-        at = np.stack([tangential[inside], radial[inside]]) * (len(spectrum) * self.bank_pitch_um)
+        tangential, sagittal = blend.cos * fx + blend.sin * fy, blend.cos * fy - blend.sin * fx
+        inside = np.maximum(np.abs(tangential), np.abs(sagittal)) < 0.5 / self.bank_pitch_um
+        at = np.stack([sagittal[inside], tangential[inside]]) * (len(spectrum) * self.bank_pitch_um)
         found = np.zeros(inside.shape, np.complex64)
         found[inside] = map_coordinates(spectrum, at, order=1, mode="grid-wrap")
         aperture = self.sensor.response_um

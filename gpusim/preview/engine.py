@@ -227,8 +227,8 @@ class Engine:
     def psf(self, knobs: Knobs, x: float, y: float) -> tuple[np.ndarray, float]:
         """Return the draft's PSF (n, n) in the middle of the spectrum nearest to a photosite.
 
-        Turned as it lies on the sensor is left to the eye: row tangential, column radial. The pitch
-        of its samples, um, comes with it.
+        Turned as it lies on the sensor is left to the eye: row sagittal, column tangential, along
+        the radius. The pitch of its samples, um, comes with it.
         """
         draft, sensor = self._draft, knobs.bare.made_camera().sensor
         if draft is None:

@@ -31,13 +31,13 @@ class Bank(FieldBank):
     real_height_um : ndarray, shape (F, L)
         Where the chief ray of each wavelength lands.
     psf : ndarray of float32, shape (F, L, n, n)
-        Row: tangential eta; column: radial xi, pointing away from the axis.
+        Row eta: sagittal. Column xi: tangential, along the radius and away from the axis.
     relative_illumination : ndarray, shape (F, L)
         What an even scene shows, over that on axis.
     projected_solid_angle_sr, transmission : ndarray, shape (L,)
         On axis.
     chief : ndarray, shape (F, L, 2), or None
-        Radial and tangential.
+        Along xi and along eta: tangential and sagittal.
     field_light : ndarray, shape (F, L), or None
         What an even scene sends through the lens about a field, per area of its image, over
         `projected_solid_angle_sr`: see ``gpusim.lens.entering``.

@@ -1,8 +1,8 @@
 """What lies between the wavelengths of a bank: everything that is known at its lines goes smoothly.
 
 Glass disperses nearly evenly in 1 / lambda, in which a spline through the lines follows chief rays,
-PSFs and what passes. Of 0.4 um of lateral colour of the double Gauss, between lines 25 nm apart,
-splines miss 3.5e-4 um and straight lines 7.9e-3 um (tests/psf/test_lines.py).
+PSFs and what passes. The double Gauss has 0.4 um of lateral colour: between lines 25 nm apart
+splines miss 3.5e-4 um of it, and straight lines 7.9e-3 um (tests/psf/test_lines.py).
 """
 
 from __future__ import annotations

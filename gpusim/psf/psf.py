@@ -22,7 +22,7 @@ def intensity(
 
     U = E_eta P E_xi with P = A exp(i k W) and the two Fourier kernels as matrices (Soummer et al.,
     Opt. Express 15, 15935, 2007), so that the image grid does not depend on the
-    wavelength. Where pupil and PSF are symmetric in the tangential direction, the kernel is
+    wavelength. Where pupil and PSF are symmetric in the sagittal direction, the kernel is
     2 cos(k alpha eta) and only rows eta <= 0 are computed.
 
     Parameters
@@ -37,9 +37,9 @@ def intensity(
     Returns
     -------
     psf : ndarray, shape (size, size)
-        Share of the light per sample; rows tangential (eta), columns radial (xi, pointing away from
-        the axis); sample j at (j - size / 2) pitch from the chief ray's point. With a whole pupil,
-        rows are x and columns y.
+        Share of the light per sample; rows sagittal (eta), columns tangential (xi, along the radius
+        and away from the axis); sample j at (j - size / 2) pitch from the chief ray's point. With a
+        whole pupil, rows are x and columns y.
     outside : float
         Share of the light that falls outside the window: 1 - psf.sum(). The total is known from
         the pupil (Parseval): lambda^2 times the integral of A^2.

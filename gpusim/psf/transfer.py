@@ -6,7 +6,7 @@ An OTF is the Fourier transform of the light's distribution along one direction 
 
 and the MTF its modulus. Frequencies are in cycles/mm in the image plane. Directions have the names
 of ISO 15529 and of lens design: **tangential** is the frequency vector along the radius (lines
-perpendicular to it, which lie tangentially): columns xi of a bank's PSFs. **Sagittal** is
+perpendicular to it): columns xi of a bank's PSFs. **Sagittal** is
 perpendicular to that (radial lines): rows eta.
 
 From a pupil the OTF comes by its line spread function, which has no window: by Parseval's theorem
@@ -44,7 +44,7 @@ def otf(
     Parameters
     ----------
     psf : ndarray, shape (..., n, n)
-        Rows tangential (eta), columns radial (xi), as in a bank; its origin is sample n / 2.
+        Rows sagittal (eta), columns tangential (xi), as in a bank; its origin is sample n / 2.
     pitch_um : float
         Spacing of the samples.
     frequency_cy_mm : ndarray, shape (K,)

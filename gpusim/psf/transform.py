@@ -1,4 +1,4 @@
-"""From pupils on the device to PSFs: the stages pupil, along and across.
+"""From pupils on the device to PSFs: the stages pupil, fft along and fft across.
 
 Nodes hold W and the rim, on half of a pupil whose other half mirrors it, or on a whole one. The
 field is put on the transform's grid in any image plane, and transformed.

@@ -78,7 +78,7 @@ RADIAL = Table(
         "psf": (
             (*_OF_FIELD, "eta", "xi"),
             "1",
-            "share of the light per sample; row eta tangential, column xi radial, away from the "
+            "share of the light per sample; row eta sagittal, column xi tangential, away from the "
             "axis; centred on the chief ray of its own wavelength; upright image; 0 outside the "
             "circle in the window",
         ),
@@ -112,13 +112,13 @@ RADIAL = Table(
         "chief": (
             (*_OF_FIELD, "direction"),
             "1",
-            "direction cosines of the chief ray at the image, radial and tangential",
+            "direction cosines of the chief ray at the image, tangential (xi) and sagittal (eta)",
         ),
         "cone": (
             (*_OF_FIELD, "cell", "part"),
             "1",
-            "rays that arrive: direction cosines, radial and tangential, and share of the "
-            "projected solid angle",
+            "rays that arrive: direction cosines, tangential (xi) and sagittal (eta), and share of "
+            "the projected solid angle",
         ),
         # Where chief rays are known between the fields: else those of the fields are all.
         "ray_deg": (

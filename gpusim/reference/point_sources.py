@@ -31,7 +31,7 @@ def point_sources(
         Radial direction, as long as there are near samples in a unit.
     radiance : ndarray (N, M)
     near, far : lists of ndarray (C, M, n, n)
-        Cubic-spline coefficients of each highlight's kernels, row tangential, column radial; the
+        Cubic-spline coefficients of each highlight's kernels, row sagittal, column tangential; the
         highlight's centre at n / 2, zero beyond.
     radius : float
         Distance up to which near ones count, and beyond which far ones do; near samples.

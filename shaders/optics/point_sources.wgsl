@@ -11,7 +11,7 @@
 // light is not, for no highlight takes light away.
 // Every pixel takes its highlights in the order of the list, so that tiles repeat the same sums bit for bit.
 // Units: positions in pixels, kernels in samples of their own, a in units of the scene's spectra, rates in electrons/s.
-// kernels (kernels, C, fours, NEAR^2 + FAR^2, 4): c, fine ones first, row tangential, column radial, four spectra side by side;
+// kernels (kernels, C, fours, NEAR^2 + FAR^2, 4): c, fine ones first, row sagittal, column tangential, four spectra side by side;
 // the chief ray is at NEAR/2 and at FAR/2.
 // Highlights near to each other share one: lavapipe takes its time to load, not to add.
 // rates (S, rows, cols), of the rectangle.

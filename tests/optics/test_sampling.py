@@ -51,18 +51,18 @@ def test_kernels_of_a_lens_without_an_axis_lie_as_they_are(place: int):
         assert light < 0.95 or not at.any()
 
 
-def analytic(place: int, field: int, radial: np.ndarray, tangential: np.ndarray) -> np.ndarray:
+def analytic(place: int, field: int, tangential: np.ndarray, sagittal: np.ndarray) -> np.ndarray:
     """Return the PSF of the test lens as a density, per um^2, centred on its own chief ray."""
     sigma, share = (0.95, 1.0, 1.15)[place], field / 3
-    return 0.75 * gaussian(radial, sigma) * gaussian(tangential, sigma) + 0.25 * gaussian(
-        radial - 3.0 * share, 1.2 * sigma
-    ) * gaussian(tangential - 2.0 * share, 1.2 * sigma)
+    return 0.75 * gaussian(tangential, sigma) * gaussian(sagittal, sigma) + 0.25 * gaussian(
+        tangential - 3.0 * share, 1.2 * sigma
+    ) * gaussian(sagittal - 2.0 * share, 1.2 * sigma)
 
 
 @pytest.mark.parametrize("azimuth_deg", [0, 30, 90, 180, 217, 270])
 @pytest.mark.parametrize("field", [0, 1, 3])
 def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int):
-    """X right, y down: radial is away from the axis, tangential 90 deg clockwise of it."""
+    """X right, y down: tangential is away from the axis, sagittal 90 deg clockwise of it."""
     kernels = everything(weights=np.array([[[1.0, 2.0, 0.5]]]), pitch_um=0.6)
     angle = np.radians(azimuth_deg)
     height = kernels.places.radius_um[field]
@@ -71,15 +71,15 @@ def test_kernels_are_the_psf_turned_to_the_azimuth(azimuth_deg: int, field: int)
     if height == 0:
         outward = np.array([1.0, 0.0])
     y, x = (np.indices((48, 48)) - 24) * 0.6
-    radial, tangential = x * outward[0] + y * outward[1], y * outward[0] - x * outward[1]
+    tangential, sagittal = x * outward[0] + y * outward[1], y * outward[0] - x * outward[1]
     expected = 0.36 * sum(
         weight
         * LENS.relative_illumination[field, place]
         * analytic(
             place,
             field,
-            radial - (LENS.real_height_um[field, place] - height),
-            tangential,
+            tangential - (LENS.real_height_um[field, place] - height),
+            sagittal,
         )
         for place, weight in enumerate([1.0, 2.0, 0.5])
     )
@@ -118,7 +118,7 @@ def test_a_quarter_turn_is_exact():
         sampled_kernels(kernels, height * x, height * y, 0.6, 20, planes=2)
         for x, y in ((1, 0), (0, 1), (-1, 0))
     )
-    # K_right[y, x] = h(radial x, tangential y); downwards the radius is y and the tangent -x.
+    # K_right[y, x] = h(tangential x, sagittal y); downwards the radius is y and across it -x.
     turned = np.rot90(right[..., 1:, 1:], -1, axes=(2, 3))
     rounding = 1e-9 * right.max()  # float64, but for cos(90 deg)
     assert_close(down[..., 1:, 1:], turned.copy(), atol=rounding)

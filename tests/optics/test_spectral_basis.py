@@ -79,11 +79,11 @@ def test_edge_responses_are_running_sums_of_the_psf():
         for place in range(3):
             psf = LENS.psf[field, place].astype(float)
             psf /= brightest
-            tangential = psf.sum(axis=1).cumsum()[::2]
-            assert_close(parts[place, at, 1], tangential, atol=1e-12)
+            sagittal = psf.sum(axis=1).cumsum()[::2]
+            assert_close(parts[place, at, 1], sagittal, atol=1e-12)
             shift = LENS.real_height_um[field, place] - LENS.real_height_um[field, 1]
-            radial = psf.sum(axis=0).cumsum()
-            moved = np.interp(np.arange(n) - shift / 0.5, np.arange(n), radial)[::2]
+            tangential = psf.sum(axis=0).cumsum()
+            moved = np.interp(np.arange(n) - shift / 0.5, np.arange(n), tangential)[::2]
             assert_close(parts[place, at, 0], moved, atol=1e-12)
 
 
