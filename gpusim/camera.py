@@ -19,7 +19,17 @@ from gpusim.config.model import Strict
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
+from gpusim.formats.imported import with_field_to
+from gpusim.formats.lens_file import load_prescription
+from gpusim.formats.lens_file import presets as lenses
+from gpusim.formats.ready import MTF_TABLE, is_ready, load_ready, mtf_presets
+from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import conjugates, first_order
+from gpusim.psf.lens_bank import lens_bank
 from gpusim.scene.patterns import Frame
+from gpusim.sensor.filters_model import load_filters
+from gpusim.sensor.load import load_sensor
+from gpusim.sensor.load import presets as sensors
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -146,9 +156,6 @@ class Camera:
 
         ``sampling`` is for lenses that are traced: see `gpusim.psf.lens_bank.lens_bank`.
         """
-        from gpusim.lens.prescription import Prescription
-        from gpusim.psf.lens_bank import lens_bank
-
         if isinstance(self.lens, Prescription):
             return lens_bank(self.lens, progress, **sampling)
         return self.lens.bank(progress, **sampling)
@@ -156,9 +163,6 @@ class Camera:
     @cached_property
     def frame(self) -> Frame:
         """What a chart is laid out for: the sensor, and how large the lens shows things."""
-        from gpusim.lens.prescription import Prescription
-        from gpusim.lens.system import conjugates, first_order
-
         lens = self.lens
         if not isinstance(lens, Prescription):
             return Frame.of(self.sensor, lens.bank().principal_distance_mm)
@@ -192,10 +196,6 @@ def load_camera(
     UserError
         Unknown preset, missing or malformed file, or a field that is wrong.
     """
-    from gpusim.formats.ready import load_ready
-    from gpusim.sensor.filters_model import load_filters
-    from gpusim.sensor.load import load_sensor
-
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
         path = PRESETS / f"{name_or_path}.yaml"
@@ -245,10 +245,6 @@ def changed_lens(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
 
 def _no_camera(name: str) -> str:
     """Say that there is no camera of a name: of which kind it is, or which may be meant."""
-    from gpusim.formats.lens_file import presets as lenses
-    from gpusim.formats.ready import mtf_presets
-    from gpusim.sensor.load import presets as sensors
-
     kinds = {"lens": {*lenses(), *mtf_presets()}, "sensor": set(sensors())}
     for kind, names in kinds.items():
         if name in names:
@@ -275,8 +271,6 @@ def _spelled_out(data: object) -> object:
 
 def _ready_place(camera_file: Path, name: str) -> str | None:
     """Return where a ready-made lens is that goes by a name alone; None for a prescription."""
-    from gpusim.formats.ready import is_ready
-
     places = (str(camera_file.parent / name), _beside(camera_file, name))
     return next((place for place in places if is_ready(place)), None)
 
@@ -286,10 +280,6 @@ def _lens(camera_file: Path, choice: LensChoice, sensor: Sensor) -> Lens:
 
     A lens whose file states the axis alone is used to the corners of the sensor.
     """
-    from gpusim.formats.imported import with_field_to
-    from gpusim.formats.lens_file import load_prescription
-    from gpusim.formats.ready import MTF_TABLE, load_ready
-
     if choice.prescription is None:
         name = choice.bank or choice.mtf
         # A folder has no suffix, and only MTF tables come with the package.

@@ -8,6 +8,7 @@ from typing import Any
 from gpusim.cli.files import whole_file
 from gpusim.config.mistakes import checked
 from gpusim.errors import UserError
+from gpusim.isp.develop import develop
 from gpusim.isp.files import TIFFS, write_picture
 from gpusim.isp.libraw import develop_by_libraw
 from gpusim.isp.settings import Settings, read_settings, settings_text
@@ -78,8 +79,6 @@ def _ours(
     binned: bool,
     bits: int | None,
 ) -> None:
-    from gpusim.isp.develop import develop
-
     settings = _settings(settings_file, given)
     wide = bits == 16 or (bits is None and out.suffix.lower() in TIFFS)
     with whole_file(out, (".png", *TIFFS)) as file:

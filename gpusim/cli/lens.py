@@ -33,6 +33,7 @@ from gpusim.lens.model_glass import state_model_glasses
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import System, build, first_order
 from gpusim.psf.compute import cached_bank
+from gpusim.psf.compute_plane import cached_plane_bank
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import (
     checks_table,
@@ -151,8 +152,6 @@ def plane_work(job: Job) -> list[tuple[str, str]]:
 
     The bank takes a while: without a file to write, first-order data are all that is shown.
     """
-    from gpusim.psf.compute_plane import cached_plane_bank
-
     if job.file is None:
         return first_order_facts(job.system)
     bank = cached_plane_bank(

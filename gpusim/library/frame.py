@@ -25,6 +25,7 @@ from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
 from gpusim.library.together import read_raws
+from gpusim.scene.exr import write_exr
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
 
@@ -166,8 +167,6 @@ class Frame:
         elif suffix in (".png", ".jpg", ".jpeg"):
             write_picture(path, np.asarray(self.develop(ev)))
         elif suffix == ".exr":
-            from gpusim.scene.exr import write_exr
-
             write_exr(path, {"Y": self.electrons}, units="e-")
         elif suffix == ".npz":
             np.savez(

@@ -14,6 +14,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Recording, Resident, default_device
+from gpusim.library.frame import Frame, taken
 from gpusim.library.held import Held
 from gpusim.library.shot import checked
 from gpusim.library.store import read_light, save_light
@@ -198,8 +199,6 @@ class Light:
         >>> light.burst(20, [1/240, 1/60], seed=7)
         Burst('small', 20 frames of 64 x 48 pixels, 1/240 s, 1/60 s)
         """
-        from gpusim.library.frame import Frame
-
         seen = self.at(iso=iso, gain=gain)
         shot = seen.shot(exposure_s, seed, frame, temperature_c)
         raw = seen.read({"dn": np.uint16}, shot, noise)["dn"]
@@ -264,8 +263,6 @@ class Light:
         UserError
             No frame, or a value out of range.
         """
-        from gpusim.library.frame import taken
-
         return taken(
             self,
             count,

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpusim.errors import UserError
+from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
+from gpusim.lens.analysis.rays import airy_radius_um
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.samples import sample_field
+from gpusim.lens.system import build
+from gpusim.lens.wavefront import pupils
+from gpusim.psf import transfer
+from gpusim.psf.psf import intensity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -170,13 +177,6 @@ class Views(Prescription):
         >>> round(Lens.load("double-gauss").psf(field=0.5, wavelength_nm=550).field_deg, 2)
         11.0
         """
-        from gpusim.lens.analysis.rays import airy_radius_um
-        from gpusim.lens.samples import sample_field
-        from gpusim.lens.system import build
-        from gpusim.lens.wavefront import pupils
-        from gpusim.psf.psf import intensity
-        from gpusim.psf.transfer import PUPIL_NODES
-
         if samples < 2 or samples % 2:
             raise UserError("no such window", field="samples", value=samples, allowed="even")
         if window_um is not None and not 0 < window_um < math.inf:
@@ -189,7 +189,7 @@ class Views(Prescription):
         if window_um is None:
             window_um = 2 * WINDOW_AIRY * airy_radius_um(system, float(line[0]))
         traced = sample_field(system, system.index(line), theta, 0.0)
-        (pupil,) = pupils(traced, line, window_um, PUPIL_NODES)
+        (pupil,) = pupils(traced, line, window_um, transfer.PUPIL_NODES)
         pitch_um = window_um / samples
         values, outside = intensity(pupil, float(line[0]), samples, pitch_um)
         return Psf(values, pitch_um, math.degrees(theta), float(line[0]), outside)
@@ -215,11 +215,6 @@ class Views(Prescription):
         >>> Lens.load("double-gauss").mtf(field=0.7).at(30.0)[0] < 1
         True
         """
-        from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
-        from gpusim.lens.analysis.rays import airy_radius_um
-        from gpusim.lens.system import build
-        from gpusim.psf import transfer
-
         system = build(self)
         theta = self._theta(field)
         light = white_light(system)
@@ -250,8 +245,6 @@ class Views(Prescription):
         >>> from gpusim import Lens
         >>> figure = Lens.load("double-gauss").layout().plot()
         """
-        from gpusim.lens.system import build
-
         return Layout(build(self), self.title)
 
     def _theta(self, field: float) -> float:

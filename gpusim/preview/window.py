@@ -14,11 +14,10 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu.screen import drawing_on
+from gpusim.preview.state import Knobs
 
 if TYPE_CHECKING:
     from gpusim.preview.app import App
-    from gpusim.preview.state import Knobs
-
 SIZE = (1528, 774)  # points: a view of 960 x 720 between the panels, over the status lines
 ANSWERED = 4  # frames: ImGui takes in a move, a press and a release in frames of their own
 # Before ImGui's handlers, of order -99: what they use they keep from later ones. Over a panel no
@@ -175,8 +174,6 @@ def turned(camera: str, scene: str, knobs: Mapping[str, Any]) -> Knobs:
     UserError
         Something of them cannot.
     """
-    from gpusim.preview.state import Knobs
-
     chosen = Knobs(camera, scene).turned(**knobs)
     chosen.made_camera()
     chosen.made_scene()

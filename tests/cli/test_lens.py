@@ -15,7 +15,6 @@ from PIL import Image
 from gpusim.cli import lens as cli_lens
 from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.formats.ready import NPZ_ARRAYS, load_ready
-from gpusim.psf import compute_plane
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.compute_plane import compute_plane_bank
@@ -174,7 +173,7 @@ def test_a_lens_without_axis_shows_its_first_order_and_writes_its_plane_bank(
         )
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # not for a bank like this
-    monkeypatch.setattr(compute_plane, "cached_plane_bank", small)
+    monkeypatch.setattr(cli_lens, "cached_plane_bank", small)
     ran = gpusim("lens", tilted, "--out", tmp_path / "bank.nc")
     assert ran.code == 0, ran.err
     assert "50.0000 mm" in ran.out
@@ -191,7 +190,7 @@ def test_a_lens_without_axis_has_a_page_over_both_directions(
             lens, [550.0], [-10.0, 0.0, 10.0], [0.0, 10.0], size=32, progress=progress
         )
 
-    monkeypatch.setattr(compute_plane, "cached_plane_bank", small)
+    monkeypatch.setattr(cli_lens, "cached_plane_bank", small)
     without_figures(monkeypatch)
     ran = gpusim("lens", tilted, "--out", tmp_path / f"lens.{suffix}")
     assert ran.code == 0, ran.err
