@@ -15,14 +15,13 @@ from gpusim.camera import Camera
 from gpusim.config.mistakes import checked
 from gpusim.errors import UserError
 from gpusim.lens.perturb import perturbed
-from gpusim.library.session import LENS_SETTINGS
+from gpusim.library.session import LENS_SETTINGS, READ_OUT
 from gpusim.sensor.optical import OPTICAL
 from gpusim.sensor.sensor import Sensor
 
 if TYPE_CHECKING:
     from gpusim.batch.sweep import Sweep
 
-READ_OUT = ("exposure_s", "iso", "gain", "seed", "frame", "temperature_c", "noise")
 OF_SCENE = ("luminance_cd_m2", "illuminant")
 
 

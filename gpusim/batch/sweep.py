@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator
 
 from gpusim.batch.axes import Axis, combined
 from gpusim.batch.crops import Crops
-from gpusim.batch.frame import OF_SCENE, READ_OUT, Frame
+from gpusim.batch.frame import OF_SCENE, Frame
 from gpusim.batch.labels import label_file
 from gpusim.batch.values import check_value
 from gpusim.camera import Camera, load_camera
@@ -23,7 +23,7 @@ from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.lens.perturb import OF_ELEMENT, OF_SURFACE, names_part
-from gpusim.library.session import LENS_SETTINGS
+from gpusim.library.session import LENS_SETTINGS, READ_OUT
 from gpusim.metrics.summary import MEASURES
 from gpusim.plan import Accuracy
 from gpusim.render.checks import rectangle

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from gpusim.cache import cache_folder
 from gpusim.calibrate.optics import (
     host_rates,
     other_rates,
@@ -53,9 +54,9 @@ def adapter_costs(
 
     Notes
     -----
-    The cache is ``$XDG_CACHE_HOME/gpusim/costs`` (``~/.cache`` where unset). The key is a hash of
-    the adapter, its driver, the shaders and the files of this package. Where the cache cannot be
-    written the rates are measured every time.
+    The cache is the folder ``costs`` of `gpusim.cache`. The key is a hash of the adapter, its
+    driver, the shaders and the files of this package. Where the cache cannot be written the rates
+    are measured every time.
     """
     path = _path(device)
     found = None if again else _read(path)
@@ -83,8 +84,7 @@ def _path(device: Device) -> Path:
         digest.update(file.read_bytes())
     for name in ("adapter", "driver", "backend", "wgpu"):
         digest.update(str(report[name]).encode() + b"\0")
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "costs"
-    return folder / f"{digest.hexdigest()[:32]}.json"
+    return cache_folder("costs") / f"{digest.hexdigest()[:32]}.json"
 
 
 def _read(path: Path) -> Costs | None:

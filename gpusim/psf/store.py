@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
+from gpusim.cache import cache_folder
 from gpusim.gpu.wgsl import shaders_root
 
 if TYPE_CHECKING:
@@ -192,15 +193,15 @@ def from_cache(
 
     Notes
     -----
-    The cache is ``$XDG_CACHE_HOME/gpusim/banks`` (``~/.cache`` where unset). The key is a hash of
-    the prescription, the settings, the glass data's version and the source of `gpusim.lens` and
-    `gpusim.psf`, so that nothing stale is ever found. A file that cannot be read is computed again;
-    where the cache cannot be written the provenance says so. Beyond `CACHE_BYTES` the files go that
-    were not used for longest.
+    The cache is the folder ``banks`` of `gpusim.cache`. The key is a hash of the prescription, the
+    settings, the glass data's version and the source of `gpusim.lens` and `gpusim.psf`, so that
+    nothing stale is ever found. A file that cannot be read is computed again; where the cache
+    cannot be written the provenance says so. Beyond `CACHE_BYTES` the files go that were not used
+    for longest.
     """
     settings = dict(settings)
     progress = settings.pop("progress", None)
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gpusim" / "banks"
+    folder = cache_folder("banks")
     path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
     if path.exists():
         try:

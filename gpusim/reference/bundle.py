@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.reference.backward import aim, chief_back, newton, through, trace_back
+from gpusim.reference.backward import aim, chief_back, trace_back
 
 OVERSIZE = 1.04  # rays are traced to so many radii of each rim, so that the rim is interpolated
 RAYS_ACROSS = 81
@@ -173,46 +173,5 @@ def rays_of(system, index: np.ndarray, image: np.ndarray, chief: np.ndarray, fra
         1e3 * frame.focal_mm * (across @ way),
         bundle.path[keep] + left,
         cosines[:, keep],
-        margin[:, keep],
-    )
-
-
-def field_rays(
-    system, index: np.ndarray, image: np.ndarray, chief: np.ndarray, frame: Frame
-) -> Rays:
-    """Trace, along the light, the field whose chief ray lands on an image point (2,), mm.
-
-    Its rays land elsewhere, by the aberrations; places and paths are left out.
-    """
-    middle = trace_back(system, index, image[:, None], chief)
-    along = middle.direction
-    e1 = frame.e1 - (frame.e1 @ along) * along[:, 0]
-    e1 /= np.sqrt(e1 @ e1)
-    sides = np.stack([e1, np.cross(along[:, 0], e1)])
-    rim = OVERSIZE * system.stop_radius_mm
-    x, y = np.meshgrid(*2 * [np.linspace(-rim, rim, RAYS_ACROSS)])
-    keep = np.hypot(x, y) <= rim
-    stop = np.stack([x[keep], y[keep]])
-
-    def launched(p, _=None):
-        # From well before the lens: where a ray starts along its own direction changes nothing.
-        start = middle.point + sides.T @ p - 10 * rim * along
-        sent = np.broadcast_to(along, start.shape)
-        return through(system, index, start, sent, np.ones(p.shape[1], bool), sense=1)
-
-    nothing = np.zeros_like(stop)
-    at, found = newton(system, launched, nothing, stop, step=1e-4 * rim, retreat=nothing[:, :1])
-    here = launched(at)
-    found &= here.ok
-    margin = (here.own**2).sum(axis=1) / system.semi_diameter_mm[:, None] ** 2 - 1
-    diaphragm = (stop**2).sum(axis=0) / system.stop_radius_mm**2 - 1
-    margin = np.concatenate([margin, diaphragm[None]])
-    keep = found & (margin <= OVERSIZE**2 - 1 + 1e-12).all(axis=0)
-    nothing = np.zeros(int(keep.sum()))
-    return Rays(
-        at[:, keep] / frame.focal_mm,
-        np.stack([nothing, nothing]),
-        nothing,
-        here.direction[:2, keep],
         margin[:, keep],
     )

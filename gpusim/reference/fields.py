@@ -125,13 +125,16 @@ def lateral_um(fields: Heights | Grid) -> float:
     return float(np.hypot(*np.transpose(shifts)).max())
 
 
-class OneHeight(Heights):
-    """What a bank makes of one height, taken for every source point: turned, and not changed."""
+class Everywhere:
+    """Fields of one place, taken for every source point.
 
-    def __init__(self, bank: Any, radius_um: float) -> None:
-        super().__init__(bank)
-        self.mixed = super().near(np.array([[radius_um, 0.0]]))
-        self.used = sorted(set(self.mixed[0].ravel().tolist()))
+    Attributes
+    ----------
+    mixed : tuple of ndarray (N, 1)
+        As `near` returns it for that place.
+    """
+
+    mixed: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
@@ -141,6 +144,15 @@ class OneHeight(Heights):
         """Yield the same fields for all source points (P, 2)."""
         for field, side, share in zip(*(one[:, 0] for one in self.mixed), strict=True):
             yield int(field), int(side), np.full(len(source), share)
+
+
+class OneHeight(Everywhere, Heights):
+    """What a bank makes of one height, taken for every source point: turned, and not changed."""
+
+    def __init__(self, bank: Any, radius_um: float) -> None:
+        super().__init__(bank)
+        self.mixed = Heights.near(self, np.array([[radius_um, 0.0]]))
+        self.used = sorted(set(self.mixed[0].ravel().tolist()))
 
 
 class TracedHeight(OneHeight):
@@ -259,22 +271,13 @@ class Grid:
                 yield row * len(self.bank.field_x_deg) + col, 1, of_col * of_row
 
 
-class OnePoint(Grid):
+class OnePoint(Everywhere, Grid):
     """What a bank makes of one image point, taken for every source point."""
 
     def __init__(self, bank: Any, point_um: np.ndarray) -> None:
         super().__init__(bank)
-        self.mixed = super().near(np.reshape(point_um, (1, 2)))
+        self.mixed = Grid.near(self, np.reshape(point_um, (1, 2)))
         self.used = sorted(set(self.mixed[0].ravel().tolist()))
-
-    def near(self, source: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same fields (N, P) for all source points (P, 2), their sides and shares."""
-        return tuple(np.repeat(one, len(source), axis=1) for one in self.mixed)
-
-    def shares(self, source: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Yield the same fields for all source points (P, 2)."""
-        for field, side, share in zip(*(one[:, 0] for one in self.mixed), strict=True):
-            yield int(field), int(side), np.full(len(source), share)
 
 
 class TracedPoint(OnePoint):

@@ -68,7 +68,7 @@ def gaussian_bank(
         efl_mm=efl_mm,
         f_number=2.8,
         pitch_um=pitch_um,
-        provenance={"title": "Gaussians", "source": "stress", "history": "made up"},
+        provenance={"title": "Gaussians", "history": "made up"},
     )
 
 

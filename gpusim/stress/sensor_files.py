@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import yaml
 
+from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.sensor.load import PRESETS, load_sensor
 from gpusim.sensor.sensor import Sensor
@@ -18,9 +19,14 @@ from gpusim.stress.table import REFUSED, Case
 MAY_BE_NEGATIVE = ("reference_temperature_c",)
 
 
+def preset() -> dict:
+    """Return the fields of a preset's file."""
+    return read_yaml(PRESETS / "imx477.yaml", "the sensor file")
+
+
 def altered(**changes: object) -> Sensor:
     """Load a preset's file in which some fields, by dotted names, have other values."""
-    data = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
+    data = preset()
     for path, value in changes.items():
         *above, last = path.split(".")
         place = data
@@ -52,10 +58,9 @@ def every_number(value: float) -> Callable[[], tuple]:
     """Return the case of a value that no number of a sensor may have, in each field in turn."""
 
     def case() -> tuple:
-        data = yaml.safe_load((PRESETS / "imx477.yaml").read_text(encoding="utf-8"))
         fields = [
             name
-            for name, old in data.items()
+            for name, old in preset().items()
             if isinstance(old, int | float) and not (value == -1 and name in MAY_BE_NEGATIVE)
         ]
         accepted = []

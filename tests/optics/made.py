@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,6 +25,7 @@ from gpusim.sensor.cfa import ColourFilterArray
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.qe import QuantumEfficiency
 from gpusim.sensor.sensor import Sensor
+from gpusim.stress.made import gaussian_bank
 
 ULP = 2.0**-24  # largest relative error of one rounding to f32
 
@@ -77,7 +78,6 @@ def bank(
     )
     ideal = np.linspace(0.0, circle_um, fields)
     share = ideal / circle_um
-    reference = len(wavelengths) // 2
     real = (ideal * (1 + distortion * share**2))[:, None] * (
         1 + np.array(lateral)[: len(wavelengths)]
     )
@@ -92,26 +92,15 @@ def bank(
             wide = gaussian(at, 4 * sigma)
             psf[number, place] = (1 - halo) * psf[number, place] + halo * np.outer(wide, wide)
     psf /= psf.sum(axis=(2, 3), keepdims=True)
-    nothing = np.zeros((fields, len(wavelengths)))
-    return Bank(
-        wavelengths_nm=wavelengths,
-        reference_nm=float(wavelengths[reference]),
-        field_deg=np.degrees(np.arctan(ideal / 1000.0)),
-        ideal_height_um=ideal,
+    given = {"size": size, "wavelengths": len(wavelengths), "circle_um": circle_um}
+    return replace(
+        gaussian_bank(**given, fields=fields, efl_mm=1.0),
         real_height_um=real,
         psf=psf.astype(np.float32),
         relative_illumination=1
         - falloff * share[:, None] ** 2 * np.linspace(1.0, 1.1, len(wavelengths)),
         projected_solid_angle_sr=np.linspace(0.10, 0.102, len(wavelengths)),
         transmission=np.linspace(0.58, 0.60, len(wavelengths)),
-        outside_energy=nothing,
-        folded_energy=nothing,
-        fit_residual_waves=nothing,
-        failed_rays=nothing,
-        efl_mm=1.0,
-        f_number=2.8,
-        pitch_um=0.5,
-        provenance={"title": "Gaussians", "history": "made up"},
     )
 
 

@@ -15,8 +15,8 @@ from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.wavefront import pupils
 from gpusim.psf.transfer import diffraction_mtf
 from gpusim.reference.aperture import aperture_of
-from gpusim.reference.backward import chief_back
-from gpusim.reference.bundle import field_rays, frame_of, rays_of
+from gpusim.reference.backward import chief_back, newton, through, trace_back
+from gpusim.reference.bundle import OVERSIZE, RAYS_ACROSS, Frame, Rays, frame_of, rays_of
 from gpusim.reference.lens_truth import Judge
 from gpusim.reference.lens_view import view
 from gpusim.scene.chart import Chart, Rect
@@ -75,6 +75,47 @@ def perfect():
 def seen_through_it(perfect):
     """Give what the axis sees: 550 nm, and two lines beside it that carry no light."""
     return view(perfect, (0.0, 0.0), np.array([500.0, 550.0, 600.0]))
+
+
+def field_rays(
+    system, index: np.ndarray, image: np.ndarray, chief: np.ndarray, frame: Frame
+) -> Rays:
+    """Trace, along the light, the field whose chief ray lands on an image point (2,), mm.
+
+    Its rays land elsewhere, by the aberrations; places and paths are left out.
+    """
+    middle = trace_back(system, index, image[:, None], chief)
+    along = middle.direction
+    e1 = frame.e1 - (frame.e1 @ along) * along[:, 0]
+    e1 /= np.sqrt(e1 @ e1)
+    sides = np.stack([e1, np.cross(along[:, 0], e1)])
+    rim = OVERSIZE * system.stop_radius_mm
+    x, y = np.meshgrid(*2 * [np.linspace(-rim, rim, RAYS_ACROSS)])
+    keep = np.hypot(x, y) <= rim
+    stop = np.stack([x[keep], y[keep]])
+
+    def launched(p, _=None):
+        # From well before the lens: where a ray starts along its own direction changes nothing.
+        start = middle.point + sides.T @ p - 10 * rim * along
+        sent = np.broadcast_to(along, start.shape)
+        return through(system, index, start, sent, np.ones(p.shape[1], bool), sense=1)
+
+    nothing = np.zeros_like(stop)
+    at, found = newton(system, launched, nothing, stop, step=1e-4 * rim, retreat=nothing[:, :1])
+    here = launched(at)
+    found &= here.ok
+    margin = (here.own**2).sum(axis=1) / system.semi_diameter_mm[:, None] ** 2 - 1
+    diaphragm = (stop**2).sum(axis=0) / system.stop_radius_mm**2 - 1
+    margin = np.concatenate([margin, diaphragm[None]])
+    keep = found & (margin <= OVERSIZE**2 - 1 + 1e-12).all(axis=0)
+    nothing = np.zeros(int(keep.sum()))
+    return Rays(
+        at[:, keep] / frame.focal_mm,
+        np.stack([nothing, nothing]),
+        nothing,
+        here.direction[:2, keep],
+        margin[:, keep],
+    )
 
 
 @pytest.mark.parametrize(("theta", "azimuth"), [(0.0, 0.0), (10.0, 30.0), (18.0, 200.0)])
