@@ -46,6 +46,13 @@ if TYPE_CHECKING:
     from gpusim.scene.scene import Scene
 
 KEPT_PLANES = {"electrons": "e-", "rate": "e-/s"}  # and their units
+LENS_OPTIONS = {
+    "focal_length_mm": "--focal-length",
+    "f_number": "--f-number",
+    "object_distance_m": "--object-distance",
+    "focus_distance_m": "--focus-distance",
+    "focus_shift_um": "--focus-shift",
+}
 
 
 @dataclass(frozen=True)
@@ -147,7 +154,13 @@ def run(
 def _camera(name: str, asked: RenderOptions) -> Camera:
     """Return the camera, at the gain or the ISO speed that is asked for."""
     changes = {name: value for name, value in asked.lens.items() if value is not None}
-    camera, gain, iso = load_camera(name, changes, asked.sensor), asked.gain, asked.iso
+    try:
+        camera, gain, iso = load_camera(name, changes, asked.sensor), asked.gain, asked.iso
+    except UserError as error:
+        changed = (error.field or "").removeprefix("lens.")
+        if changed in changes:  # it was typed: the camera's file is not to blame
+            error.file, error.field = None, LENS_OPTIONS[changed]
+        raise
     if gain is not None and iso is not None:
         raise UserError("both name the gain", field="--iso", value=iso, allowed="--gain or --iso")
     if gain is not None:

@@ -25,6 +25,12 @@ UNITS = {
     "_percent": "per cent",
     "_c": "degrees Celsius; absolute zero is -273.15",
 }
+# What pydantic says of a value of another kind, in our words: a text that is no number, a fraction.
+KINDS = {
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "a whole number"),
+    "int_from_float": "a whole number",
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+}
 LONGEST_VALUE = 60  # characters that a screen shows
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -140,7 +146,8 @@ def _wrong(finding: dict, model: type[BaseModel], path: Path | None) -> UserErro
             value="nothing" if value is None else f"{_shown(value) or type(value).__name__}",
             allowed=f"lines `field: value` of {', '.join(_fields(model, where))}",
         )
-    allowed = finding["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    told = finding["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    allowed = KINDS.get(finding["type"], told)
     names = [part for part in where if isinstance(part, str)]
     unit = next((unit for end, unit in UNITS.items() if names and names[-1].endswith(end)), None)
     return UserError(

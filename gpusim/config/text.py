@@ -127,7 +127,8 @@ def read_yaml(path: Path, what: str) -> object:
         It cannot be read, is no YAML, or more or deeper than any settings are; a key stands twice
         in one mapping; a text has control characters.
     """
-    return yaml_of(read_bytes(path, what, MOST_YAML_BYTES), path, what)
+    allowed = "a file of YAML: lines `field: value`, and lists"
+    return yaml_of(read_bytes(path, what, MOST_YAML_BYTES, allowed), path, what)
 
 
 def yaml_of(content: bytes, path: Path, what: str) -> object:
@@ -190,7 +191,7 @@ def read_json(path: Path, what: str) -> object:
     UserError
         As `read_yaml`.
     """
-    return json_of(read_bytes(path, what, MOST_JSON_BYTES), path, what)
+    return json_of(read_bytes(path, what, MOST_JSON_BYTES, "a file of JSON"), path, what)
 
 
 def json_of(content: bytes, path: Path, what: str) -> object:

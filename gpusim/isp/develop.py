@@ -11,7 +11,7 @@ from gpusim.errors import UserError
 from gpusim.gpu import Device, default_device
 from gpusim.isp.pipeline import Developed, develop_source
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
-from gpusim.isp.rawfile import read_raw
+from gpusim.isp.rawfile import RAW_FILES, read_raw
 from gpusim.isp.settings import Settings
 from gpusim.isp.source import Source, like, read_source
 
@@ -50,7 +50,7 @@ def develop(
         The file is missing or cannot be read, there is nothing to bin, or the settings do not fit.
     """
     if not os.path.isfile(path):
-        raise UserError("no such raw file", file=path)
+        raise UserError("no such raw file", file=path, allowed=RAW_FILES)
     source = _read(path, binned=binned)
     if settings.like is not None:
         source = _like(source, Path(settings.like))
@@ -63,7 +63,7 @@ def develop(
 
 def _like(source: Source, path: Path) -> Source:
     if not os.path.isfile(path):
-        raise UserError("no such raw file", file=path, field="--like")
+        raise UserError("no such raw file", file=path, field="--like", allowed=RAW_FILES)
     try:
         return like(source, _read(path, binned=False))
     except ValueError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
-from gpusim.isp.rawfile import RawFile, read_raw
+from gpusim.isp.rawfile import RAW_FILES, RawFile, read_raw
 from gpusim.isp.settings import check_ev
 from gpusim.isp.source import baseline_ev
 from gpusim.scene.colorimetry import encode_srgb
@@ -51,7 +51,7 @@ def develop_by_libraw(path: Path, ev: float = 0.0, *, binned: bool = False) -> n
     """
     check_ev(ev)
     if not os.path.isfile(path):
-        raise UserError("no such raw file", file=path)
+        raise UserError("no such raw file", file=path, allowed=RAW_FILES)
     try:
         raw = read_raw(path)
     except ValueError as error:

@@ -11,6 +11,8 @@ from gpusim.isp import tiff
 from gpusim.isp.dng import BLACK_IS_ZERO, CFA, LINEAR_RAW, MAKE, TAGS
 from gpusim.sensor.cfa import CFA_LETTERS
 
+RAW_FILES = "a raw frame: a DNG, or what else LibRaw reads"
+
 
 @dataclass(frozen=True, eq=False)
 class RawFile:

@@ -67,7 +67,7 @@ def picture_scene(
         )
     method = check_upsampling(upsampling or MALLETT)
     if not os.path.isfile(path):
-        raise UserError("no such scene file", file=path)
+        raise UserError("no such scene file", file=path, allowed=PICTURES)
     if suffix == ".exr":
         _check_units(path)
     bands = _bands(path, suffix, illuminant)

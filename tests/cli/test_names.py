@@ -38,12 +38,38 @@ def test_what_there_is_is_listed():
         (("render", "tessar", "demo"), ["tessar is a lens; no camera has it"]),
         (("render", "demo", "slanted"), ["perhaps slanted-edge is meant"]),
         (("render", "demo", "demo", "--sensor", "imx47"), ["perhaps imx477 is meant"]),
-        (("render", "demo", "demo", "--f-number", "-2"), ["lens.f_number", "greater than 0"]),
+        (("render", "demo", "demo", "--f-number", "-2"), ["--f-number\n", "greater than 0"]),
+        (("render", "demo", "demo", "--f-number", "0.1"), ["--f-number\n", ">= 2"]),
+        (("render", "demo", "demo", "--focus-shift", "nan"), ["--focus-shift\n", "finite"]),
         (("render", "mtf-only", "demo", "--f-number", "4"), ["f_number", "prescription"]),
     ],
 )
 def test_a_wrong_name_is_told_the_nearest_one(tmp_path: Path, arguments, words):
     assert_refused(gpusim(*arguments, "--out", tmp_path, "--dry-run"), *words)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("render", "demo", "none.exr", "--dry-run"), ["no such scene", "spectral"]),
+        (
+            ("render", "demo", "none.yaml", "--dry-run"),
+            ["the chart cannot be read", "a file of YAML"],
+        ),
+        (("develop", "none.dng"), ["no such raw", "LibRaw"]),
+        (("batch", "none.yaml"), ["the sweep file cannot be read", "a file of YAML"]),
+        (
+            ("tolerance", "demo", "--budget", "none.yaml"),
+            ["the tolerance budget", "a file of YAML"],
+        ),
+        (("sensor", "imx477", "--set", "rows=abc"), ["allowed: a whole number\n"]),
+    ],
+)
+def test_what_is_not_there_is_told_with_what_may_be(tmp_path: Path, arguments, words):
+    out = [] if arguments[0] == "sensor" else ["--out", tmp_path / "out.png"]
+    ran = gpusim(*arguments, *out)
+    assert_refused(ran, "allowed:", *words)
+    assert "unable to parse" not in ran.err
 
 
 def test_other_commands_tell_it_too(tmp_path: Path):

@@ -167,7 +167,7 @@ GREEN_AT_415_NM = ("quantum_efficiency", "channels", "G", 3)
         (("full_well_e",), 1e9, "full_well_e", "less than or equal to 10000000"),
         (("bit_depth",), 0, "bit_depth", "greater than or equal to 1"),
         (("bit_depth",), 40, "bit_depth", "less than or equal to 16"),
-        (("bit_depth",), 12.5, "bit_depth", "valid integer"),
+        (("bit_depth",), 12.5, "bit_depth", "a whole number"),
         (("system_gain_dn_per_e",), -1, "system_gain_dn_per_e", "greater than 0"),
         (("system_gain_dn_per_e",), float("nan"), "system_gain_dn_per_e", "finite"),
         (("pixel_pitch_um",), float("inf"), "pixel_pitch_um", "finite"),
@@ -175,7 +175,7 @@ GREEN_AT_415_NM = ("quantum_efficiency", "channels", "G", 3)
         (("fill_factor",), 1.2, "fill_factor", "less than or equal to 1"),
         (("reference_temperature_c",), -300, "reference_temperature_c", "greater than -273.15"),
         (("black_level_dn",), 4095, "black_level_dn", "below 4095"),
-        (("rows",), "many", "rows", "valid integer"),
+        (("rows",), "many", "rows", "a whole number"),
         (("serial_number",), 2**64, "serial_number", "less than"),
         (
             ("quantum_efficiency", "channels", "G", 3),
