@@ -86,9 +86,9 @@ def noise_of(count, factor=1.0):
         lsf=clean.lsf,
         rise_px=clean.rise_px,
     )
-    curves = np.array([one.sfr for one in measured_of(count, factor)])
+    curves = np.array([one.sfr[: F.size] for one in measured_of(count, factor)])
     reach = float(clean.distance_px[-1])
-    return ansys_noise.Noise(3, curves, clean.sfr, covariance, reach)
+    return ansys_noise.Noise(3, curves, clean.sfr[: F.size], covariance, reach)
 
 
 def sharp(**planted):

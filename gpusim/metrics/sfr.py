@@ -29,9 +29,10 @@ from gpusim.metrics.figure import Figure
 
 # Knots of the spline, px of the sampled lattice's finest way. A cubic spline passes 0.5 cycles/px,
 # an eighth of a cycle a knot, but for some (1/8)^4 * 0.6 = 1.5e-4 (de Boor 1978, XII).
+# At 2 cycles/px, half a cycle a knot, 4 % of what little response is there.
 KNOT_PX = 0.25
 DEGREE = 3
-STEP_PX = 1 / 16  # of the sum over d: the integrand holds less than 2 cycles/px
+STEP_PX = 1 / 16  # of the sum over d: the integrand holds less than 4 cycles/px
 # The knots are close within so many widths of the rise from 10 to 90 % and as many px; farther out
 # their distance is that share of the way from there.
 CORE_RISES, CORE_PX, GROWTH, WIDEST_PX = 1.0, 1.5, 0.25, 4.0
@@ -39,7 +40,8 @@ FLAT_SHARE = 0.75  # of the window
 # Weight of the penalty on the third derivative, against the data's own weight. It decides where no
 # pixel lies, and changes SFR at 0.5 cycles/px by less than 1e-5.
 PENALTY = 1e-7
-FREQUENCIES_CY_PX = np.linspace(0.0, 1.0, 201)
+MEASURED_CY_PX = np.linspace(0.0, 2.0, 401)
+FREQUENCIES_CY_PX = MEASURED_CY_PX[:201]  # to 1 cycle/px: those of comparisons
 CLIPPED_SHARE = 2e-3  # of the pixels at the largest or smallest code
 LEAST_STEP = 5.0  # of the edge, in standard deviations of the noise of a pixel
 LEAST_REACH_PX = 4.0  # beside the edge
@@ -60,7 +62,9 @@ class Sfr:
     line : Line
         Where it lies.
     frequency_cy_px : ndarray (F,)
-        Along the edge's normal, cycles per pixel.
+        Along the edge's normal, cycles per pixel: 0 to 2. Where distances from the edge repeat
+        every D px, at slants with a tangent of 1/2 (D = 0.45) or 1 (0.71), what lies beyond
+        1 / (2 D) is the spline's.
     sfr, u_sfr : ndarray (F,)
         Spatial frequency response, and its standard uncertainty.
     distance_px, esf, lsf : ndarray (D,)
@@ -247,7 +251,7 @@ def _measured(line: Line, rough: _Spline) -> Sfr:
             allowed=f"{LEAST_STEP:g} or more",
         )
     window = _window(at / reach)
-    f = FREQUENCIES_CY_PX
+    f = MEASURED_CY_PX
     waves = np.exp(-2j * np.pi * np.outer(f, at)) * (window * STEP_PX)
     transfer = waves @ spline.slopes(at)  # (F, J)
     response = transfer @ spline.coefficients

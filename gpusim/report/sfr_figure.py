@@ -116,7 +116,7 @@ def _responses(axes: Axes, shown: Sequence[Edge], cutoff_cy_px: float | None) ->
         )
         top = max(top, 1.05 * sfr.sfr.max())
     if cutoff_cy_px is not None:
-        f = np.linspace(0, min(1.0, cutoff_cy_px), 200)
+        f = np.linspace(0, min(2.0, cutoff_cy_px), 200)
         at = f / cutoff_cy_px
         axes.plot(
             f,
@@ -130,6 +130,6 @@ def _responses(axes: Axes, shown: Sequence[Edge], cutoff_cy_px: float | None) ->
         "Nyquist", (0.5, top), (3, -9), textcoords="offset points", fontsize=7.5, color=SOFT
     )
     axes.set(title="Spatial frequency response", xlabel="cycles per pixel", ylabel="SFR")
-    axes.set_xlim(0, 1)
+    axes.set_xlim(0, 2)
     axes.set_ylim(0, top)
     axes.legend(loc="upper right", ncol=1 + (len(shown) > 8))

@@ -15,7 +15,7 @@ from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
 from gpusim.metrics.edge import samples_of
-from gpusim.metrics.sfr import measure_sfr
+from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer
 from gpusim.sensor.sensor import Sensor
@@ -150,5 +150,6 @@ class Square:
             lsf=np.interp(clean.distance_px, edge.distance_px, edge.predicted_lsf),
             rise_px=clean.rise_px,
         )
-        curves = np.array([measure_sfr(frame / light, region).sfr for frame in frames])
-        return Noise(number, curves, clean.sfr, covariance, float(clean.distance_px[-1]))
+        upto = FREQUENCIES_CY_PX.size
+        curves = np.array([measure_sfr(frame / light, region).sfr[:upto] for frame in frames])
+        return Noise(number, curves, clean.sfr[:upto], covariance, float(clean.distance_px[-1]))

@@ -175,7 +175,7 @@ def compare(
         band.name,
         measured,
         predicted,
-        sfr.sfr,
+        sfr.sfr[: FREQUENCIES_CY_PX.size],
         transfer(at, lsf, at[-1]),
         at,
         np.interp(at + own_offset, at, sfr.lsf),
