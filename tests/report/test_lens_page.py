@@ -49,7 +49,8 @@ def demo_lens():
 @pytest.fixture(scope="module")
 def page(demo_lens) -> LensPage:
     lines = [450.0, 500.0, 550.0, 600.0, 650.0]
-    bank = compute_bank(demo_lens, lines, default_fields_deg(demo_lens, 5), size=64)
+    # In 64 samples a caustic of the corner's blue is cut: 6.7 % of its light would count as lost.
+    bank = compute_bank(demo_lens, lines, default_fields_deg(demo_lens, 5), size=96)
     return lens_page(bank, build(demo_lens))
 
 
@@ -228,7 +229,7 @@ def ready(page: LensPage) -> BankPage:
 
 def test_a_banks_own_mtf_is_that_of_its_pupils_but_for_the_window(page: LensPage, ready: BankPage):
     beyond = page.bank.outside_energy.max()
-    assert beyond < 0.06
+    assert beyond < 0.03
     for own, traced in zip(ready.curves, page.curves, strict=True):
         assert (own.name, own.field_deg) == (traced.name, traced.field_deg)
         for one, other in zip(own.against_frequency, traced.against_frequency, strict=True):
