@@ -73,10 +73,10 @@ def labels_on_sensor(
     real_um = np.stack(np.meshgrid(x, y), axis=-1)
     ideal_um = chief_ray_map(bank.levels[0]).ideal_um(real_um)
     if projection == PANORAMA:
-        angle = np.moveaxis(ideal_um / (1e3 * bank.principal_distance_mm), -1, 0)
-        row, col = samples(*angle, (high, wide))
+        right, down = np.moveaxis(ideal_um / (1e3 * bank.principal_distance_mm), -1, 0)
+        row, col = samples(right, down, (high, wide))
         # At half a turn a direction is on either end of its row; beyond it there is none.
-        col, row = col % wide, np.where(np.hypot(*angle) <= np.pi, row, -1)
+        col, row = col % wide, np.where(np.hypot(right, down) <= np.pi, row, -1)
     else:
         pitch_um = Raster(np.zeros((1, high, wide), np.float32)).pitch_um(*half_um)
         col, row = ideal_um[..., 0] / pitch_um + wide / 2, ideal_um[..., 1] / pitch_um + high / 2

@@ -49,8 +49,8 @@ def make_scene(
         where it replaces the file's own ``whiteLuminance``. Without either, 300.
     illuminant : str, optional
         Light on a chart or on a picture of reflectances, D50 by default: a CIE name, or a
-        blackbody's temperature ("5100K"), or a file of a spectrum. An RGB photograph has its own
-        light in it: its spectra are lit by D65.
+        blackbody's temperature ("5100K"), that of CIE daylight ("D57", "D5700K"), or a file of a
+        spectrum. An RGB photograph has its own light in it: its spectra are lit by D65.
     projection : str
         How it lies on the ideal image plane: "rectilinear", or "angular" for lenses that see far
         to the sides; "equirectangular" for a photograph that is a panorama of 360 x 180 degrees,

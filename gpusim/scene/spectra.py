@@ -37,6 +37,10 @@ SECOND_RADIATION_M_K = 1.438776877e-2
 # CIE 015:2018, eq. 4.1: illuminant A is Planck's law at 2848 K with the c2 of its time.
 _A_KELVIN, _A_C2_M_K, _A_UNIT_NM = 2848.0, 1.435e-2, 560.0
 _KELVIN = re.compile(r"(\d{1,6}(?:\.\d+)?) ?K", re.ASCII)
+# CIE daylight: hundreds of kelvins by the c2 of its time, D57, or the temperature itself, D5700K.
+_DAYLIGHT = re.compile(r"D(?:(\d{2,3})|(\d{4,5}(?:\.\d+)?) ?K)", re.ASCII)
+_DAYLIGHT_C2_RATIO = 1.4388 / 1.4380  # CIE 015:2018, 4.1.2: D65 has 6504 K
+COOLEST_DAYLIGHT_K, HOTTEST_DAYLIGHT_K = 4000.0, 25_000.0
 COOLEST_K, HOTTEST_K = 500.0, 100_000.0  # of a blackbody that lights a scene
 
 
@@ -93,7 +97,8 @@ def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.nda
     ----------
     name : str
         ``"D50"``, ``"D65"``, ``"A"``, ``"FL2"``, ``"LED-B3"``, ...; a temperature, ``"5100K"``,
-        for Planck's law; or a file: see `gpusim.scene.spd.read_spectrum`.
+        for Planck's law; ``"D57"`` or ``"D5700K"`` for CIE daylight; or a file: see
+        `gpusim.scene.spd.read_spectrum`.
     wavelengths_nm : ndarray (K,)
 
     Returns
@@ -113,13 +118,15 @@ def illuminant(name: str, wavelengths_nm: np.ndarray = WAVELENGTHS_NM) -> np.nda
     if (kelvin := _kelvin(name)) is not None:
         return _planck(wavelengths, kelvin, SECOND_RADIATION_M_K)
     known, table = _table("illuminants")
+    if name not in table and (kelvin := _daylight_kelvin(name)) is not None:
+        return _daylight(wavelengths, kelvin)
     if name not in table:
         raise UserError(
             "unknown illuminant",
             field="illuminant",
             value=name,
-            allowed=f"{', '.join(table)}, a blackbody by its temperature: 5100K, or a file: "
-            f"{FORMATS}",
+            allowed=f"{', '.join(table)}, a blackbody by its temperature: 5100K, daylight: D57 or "
+            f"D5700K, or a file: {FORMATS}",
         )
     there = np.isfinite(table[name])
     found = np.interp(wavelengths, known[there], table[name][there])
@@ -156,6 +163,38 @@ def _kelvin(name: str) -> float | None:
     return kelvin
 
 
+def _daylight_kelvin(name: str) -> float | None:
+    """Return the temperature of a CIE daylight's name; None for one that means none."""
+    found = _DAYLIGHT.fullmatch(name)
+    if found is None:
+        return None
+    kelvin = float(found[2] or 100 * float(found[1]))
+    if not COOLEST_DAYLIGHT_K <= kelvin <= HOTTEST_DAYLIGHT_K:
+        raise UserError(
+            "the CIE has no daylight of that temperature",
+            field="illuminant",
+            value=name,
+            allowed=f"D{COOLEST_DAYLIGHT_K:g}K to D{HOTTEST_DAYLIGHT_K:g}K, or D40 to D250",
+        )
+    return kelvin if found[2] else kelvin * _DAYLIGHT_C2_RATIO
+
+
+def _daylight(wavelengths_nm: np.ndarray, kelvin: float) -> np.ndarray:
+    """Return CIE daylight, 100 at 560 nm (CIE 015:2018, eq. 4.4 to 4.8)."""
+    if kelvin <= 7000:
+        terms = -4.6070e9, 2.9678e6, 0.09911e3, 0.244063
+    else:
+        terms = -2.0064e9, 1.9018e6, 0.24748e3, 0.237040
+    x = float(np.polyval(terms, 1 / kelvin))
+    y = -3.000 * x**2 + 2.870 * x - 0.275
+    below = 0.0241 + 0.2562 * x - 0.7341 * y
+    # The CIE rounds both to three decimals.
+    first = round((-1.3515 - 1.7703 * x + 5.9114 * y) / below, 3)
+    second = round((0.0300 - 31.4424 * x + 30.0717 * y) / below, 3)
+    parts = _columns("daylight", wavelengths_nm)
+    return parts["S0"] + first * parts["S1"] + second * parts["S2"]
+
+
 def _planck(wavelengths_nm: np.ndarray, kelvin: float, c2_m_k: float) -> np.ndarray:
     """Return Planck's law, 100 at 560 nm: lambda^-5 / (exp(c2 / (lambda T)) - 1)."""
     scale = c2_m_k * 1e9 / kelvin
@@ -175,6 +214,8 @@ def illuminant_known(name: str) -> Known:
     if _kelvin(name) is not None or name in ("A", "E"):
         return Known(f"illuminant {name}", 0.0, math.inf)
     known, table = _table("illuminants")
+    if name not in table:
+        return Known(f"illuminant {name}", *_table_ends_nm("daylight"))
     first, *_, last = known[np.isfinite(table[name])].tolist()
     return Known(f"illuminant {name}", first, last)
 

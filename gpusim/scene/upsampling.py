@@ -108,12 +108,11 @@ def lit_rgb(
 
     light = partial(_daylight, table, white, scale_cd_m2)
     spectra, white_spectrum = light(WAVELENGTHS_NM)
-    if table is not None:
-        mean, worst = round_trip(planes, shares, spectra, scale_cd_m2)
-        notes += (
-            f"spectra of {WORDS[upsampling]}: under D65 the picture's colours come back within "
-            f"dE*ab {mean:.2f} in the mean, {worst:.2f} at most",
-        )
+    mean, worst = round_trip(planes, shares, spectra, scale_cd_m2)
+    notes += (
+        f"spectra of {WORDS[upsampling]}: under D65 the picture's colours come back within "
+        f"dE*ab {mean:.2f} in the mean, {worst:.2f} at most",
+    )
     given = {"light": light, "made_of": (rgb_known(table), illuminant_known("D65"))}
     return Scene(name, spectra, Raster(shares), "D65", white_spectrum, notes, **given)
 

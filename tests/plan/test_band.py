@@ -11,6 +11,7 @@ from gpusim.known import Known
 from gpusim.plan import Accuracy
 from gpusim.plan.band import DROPPED_SHARE, band_of
 from gpusim.scene import make_scene
+from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, grid_nm
 from gpusim.sensor.filters_model import Filter
 from gpusim.sensor.qe import QuantumEfficiency
@@ -85,6 +86,23 @@ def test_the_share_without_data_is_that_of_the_integral():
     assert f"{100 * found.share:.2g} %" in text
     assert "beyond 700 nm" in text
     assert "the sensor's quantum efficiency" in text
+
+
+def test_a_photograph_names_its_infra_red_that_no_spectrum_of_rgb_has():
+    wide = sensor([300.0, 1100.0], [0.5, 0.5])
+    grey = Scene.from_rgb(np.full((4, 5, 3), 0.3), 100.0)
+    found = band_of(CAMERA.lens, wide, grey, TIGHT)
+    assert tuple(found.wavelengths_nm[[0, -1]]) == (380, 780)
+    below, beyond = found.unknown
+    assert (below.last_nm, beyond.first_nm) == (380, 780)
+    assert all("Mallett and Yuksel" in one.lacking[0] for one in found.unknown)
+    # Photons of what is known, as at its ends beyond, from where the lens begins, by sums over
+    # steps of 5 nm: half a step at each end, of some 60.
+    nm = np.arange(max(one.first_nm for one in CAMERA.lens.known), 1101.0, 5.0)
+    photons = nm * (grey.source.planes[:, 0, 0] @ grey.on(nm).spectra)
+    share = photons[nm >= 780].sum() / photons.sum()
+    assert beyond.share == pytest.approx(share, rel=0.01)
+    assert "beyond 780 nm" in beyond.text and f"{100 * beyond.share:.2g} %" in beyond.text
 
 
 def test_what_the_tolerance_would_not_see_is_not_named():

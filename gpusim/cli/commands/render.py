@@ -64,8 +64,8 @@ def render(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Light on a chart or on reflectances: D50, A, FL2, ...; a blackbody: 5100K; or a "
-            "spectrum: .csv, .json, .spdx of IES TM-27.",
+            help="Light on a chart or on reflectances: D50, A, FL2, ...; daylight: D57; a "
+            "blackbody: 5100K; or a spectrum: .csv, .json, .spdx of IES TM-27.",
         ),
     ] = None,
     illumination: Annotated[
