@@ -18,8 +18,8 @@ from gpusim.lens.prescription import Prescription
 from gpusim.plan.costs import LAVAPIPE
 
 LONGEST = (
-    "tests/validate/test_kodak.py::test_renders_of_near_vertical_edges_hold_their_bars",
-    "tests/validate/test_ansys.py::test_the_command_holds_all_bars",
+    "tests/validate/test_kodak.py::test_rendered_edges_hold_their_bars[far]",
+    "tests/validate/test_ansys.py::test_rendered_edges_hold_their_bars",
 )
 BEGUN = time.monotonic()
 

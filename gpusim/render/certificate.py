@@ -66,12 +66,15 @@ def certified(
         by,
         progress=lambda done, total: report("certify", done, total),
         readout=readout,
-        judged=lambda: bank_share(
-            exact,
-            renderer.camera.lens,
-            rate,
-            by,
-            progress=lambda done, total: report("trace anew", done, total),
-            dropped=renderer.band.dropped,
+        judged=lambda: (
+            renderer.judged
+            or bank_share(
+                exact,
+                renderer.camera.lens,
+                rate,
+                by,
+                progress=lambda done, total: report("trace anew", done, total),
+                dropped=renderer.band.dropped,
+            )
         ),
     )

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from gpusim.calibrate.rates import adapter_costs
 from gpusim.camera import Camera
+from gpusim.certify import Judged
 from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
 from gpusim.isp.optics import Optics, correction_notes, optics_of
@@ -107,6 +108,7 @@ class Renderer:
         self.on_device = OnDevice(self.device, camera.sensor, self.memory_bytes)
         self.kept: dict[Rect, np.ndarray] = {}  # electrons/s of the planes, by tile
         self.resident_glare: Resident | None = None
+        self.judged: Judged | None = None  # the bank's part of certificates, where it is known
         report = progress or (lambda what, done, total: None)
         if costs is None:
             # Before the budget counts: a calibration needs some 300 MiB.

@@ -37,6 +37,7 @@ from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys_targets import LAMP, LUMINANCE_CD_M2, board, chart, drawn, sinusoid
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certificate_bar, certificates_of
 from gpusim.validate.spheres import SphereTracer
 
 LENS = Path(__file__).parents[1] / "data" / "validate" / "ansys-stand-in.yaml"
@@ -252,9 +253,9 @@ class Read:
         """Return what has to hold."""
         name, unit = self.reading.name, "% points"
         errors = [peak.error for peak in self.peaks]
-        totals = [one.certificate.total_rms for one in self.captures.values()]
         scatter = [float(np.sqrt(np.mean(self.scatter_px**2)))]
         mean, off = f"mean LGD against the paper's, {name}", [self.mean_lgd - MEAN_LGD]
+        certificates = certificates_of(self.captures, TOLERANCE)
         return [
             Bar.largest(f"LGD at every radius, {name}", self.lgd_errors, LGD_BAR, unit),
             Bar.largest(
@@ -262,7 +263,7 @@ class Read:
             ),
             *([Bar.largest(mean, off, MEAN_BAR, unit)] if self.reading.distorts else []),
             Bar.largest(f"peaks of 1/3, 1/4, 1/5 cycles/px, {name}", errors, PEAK_BAR, "%"),
-            Bar.largest(f"certificates, total RMS, {name}", totals, TOLERANCE, "of the signal"),
+            certificate_bar(certificates, f"certificates, total, {name}"),
         ]
 
 

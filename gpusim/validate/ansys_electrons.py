@@ -20,7 +20,7 @@ from gpusim.scene.scene import Scene
 from gpusim.validate.ansys import EXPOSURE_S, PROBES
 from gpusim.validate.averaging import Averaging, photons_per_s
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certified_tiles
+from gpusim.validate.certified import certificate_bar, certificates_of, certified_tiles
 from gpusim.validate.predict import Band, Predictor
 
 EVEN_AT = ((0, 0), (0.5, 0), (0, 0.9), (0.9, 0.9))  # of the way to the sides, right and down
@@ -54,10 +54,10 @@ class EvenScene:
     def bars(self) -> list[Bar]:
         """Return what has to hold."""
         errors = [one.measured / one.predicted - 1 for one in self.places]
-        total = [self.capture.certificate.total_rms]
+        certificates = certificates_of({"even scene": self.capture}, BAR)
         return [
             Bar.largest("electrons by equation 1", errors, BAR, "of them"),
-            Bar.largest("certificate of the even scene, total RMS", total, BAR, "of the signal"),
+            certificate_bar(certificates, "certificate of the even scene, total"),
         ]
 
 

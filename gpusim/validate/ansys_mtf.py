@@ -39,6 +39,7 @@ from gpusim.validate.ansys_square import (
 )
 from gpusim.validate.ansys_targets import LUMINANCE_CD_M2, half_um
 from gpusim.validate.bars import Bar
+from gpusim.validate.certified import certificate_bar, certificates_of
 from gpusim.validate.edges import ROI_PX, Found
 from gpusim.validate.predict import CHIEF_FIELDS, FIELDS
 
@@ -118,12 +119,12 @@ class Sharpness:
         sfr = [one.mtf_error for one in self.found.values()]
         lost = [np.abs(a - b).max() for a, b in self.losses().values()]
         focus = f"loss by focus to 1 cycle/px, {name}"
-        totals = [one.certificate.total_rms for one in self.captures.values()]
+        certificates = certificates_of(self.captures, TOLERANCE)
         return [
             Bar.largest(f"SFR of ROI 1 and 3 to 1 cycle/px, {name}", sfr, SFR_BAR, "1"),
             *([Bar.largest(focus, lost, FOCUS_BAR, "1")] if lost else []),
             *bars_of(name, list(self.noise.values())),
-            Bar.largest(f"certificates of edges, total RMS, {name}", totals, TOLERANCE, "1"),
+            certificate_bar(certificates, f"certificates of edges, total, {name}"),
         ]
 
 

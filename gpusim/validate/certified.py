@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from gpusim.camera import Camera
-from gpusim.certify import Certificate
+from gpusim.certify import Certificate, Judged, Share
+from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.library.expose import lit
 from gpusim.library.light import Light
 from gpusim.plan import Accuracy
@@ -17,8 +18,12 @@ from gpusim.render.anew import planned_anew
 from gpusim.render.checks import rectangle
 from gpusim.scene.scene import Scene
 from gpusim.validate.bars import Bar
+from gpusim.validate.report import Rows, Section
 
 CERTIFICATE_BAR = 1.0  # error over what is allowed
+# Of each further rectangle of a renderer: a second of one core. Its bank's part is the first one's,
+# for tracing the lens anew takes twelve.
+FURTHER_PROBES = 8
 
 
 @dataclass(frozen=True)
@@ -32,14 +37,19 @@ class Certified:
     def share(self) -> float:
         """Error over what is allowed, the worse of RMS and of the worst probe (ten times it)."""
         one = self.certificate
-        return max(one.total_rms, one.total_worst / 10) / self.tolerance
+        return max(one.total_rms, one.total_worst / WORST_TO_RMS) / self.tolerance
 
 
-def certificate_bar(certificates: Mapping[str, Certified]) -> Bar:
-    """Return the bar of the certificates: total error over the tolerance."""
-    name = f"certificates of {len(certificates)} renders, total"
+def certificate_bar(certificates: Mapping[str, Certified], name: str = "") -> Bar:
+    """Return the bar of the certificates: total error over the tolerance, RMS and worst probe."""
+    name = name or f"certificates of {len(certificates)} renders, total"
     shares = [one.share for one in certificates.values()]
     return Bar.largest(name, shares, CERTIFICATE_BAR, "of what is allowed")
+
+
+def certificates_of(made: Mapping[str, WithCertificate], tolerance: float) -> dict[str, Certified]:
+    """Return the certificates of frames or lights that were planned for a tolerance."""
+    return {name: Certified(one.certificate, tolerance) for name, one in made.items()}
 
 
 def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]:
@@ -52,13 +62,42 @@ def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]
     }
 
 
+def certificate_section(
+    certificates: Mapping[str, Certified], without: Mapping[str, str] | None = None
+) -> Section:
+    """Return the section that says of each render what its certificate found.
+
+    Parameters
+    ----------
+    certificates : dict of str to Certified
+    without : dict of str to str, optional
+        Renders that have none, and why.
+    """
+    text = (
+        "The error of the mean signal over the signal, of engine, bank, sensor and window together,"
+        f" at probe pixels: RMS within the tolerance, the worst within {WORST_TO_RMS:g} times it. "
+        "Rectangles that share a renderer, its plan and its bank share the bank's part, for which "
+        "the lens is traced anew for the first of them."
+    )
+    body = [
+        [name, f"{one.tolerance:g}", f"{one.certificate.total_rms:.1e}",
+         f"{one.certificate.total_worst:.1e}", str(one.certificate.probes)]
+        for name, one in certificates.items()
+    ]  # fmt: skip
+    body += [[name, f"none: {why}", "", "", ""] for name, why in (without or {}).items()]
+    head = ("render", "tolerance", "total, RMS", "total, worst probe", "probes")
+    return Section("Certificates of the renders", text, rows=Rows(head, body))
+
+
 Rect = tuple[int, int, int, int]  # x, y, width, height
 
 
 def certified_tiles(
     camera: Camera, scene: Scene, accuracy: Accuracy, exposure_s: float, tiles: Sequence[Rect]
 ) -> list[Capture]:
-    """Return the mean light of rectangles, ``rate`` kept; the first has the certificate.
+    """Return the mean light of rectangles, ``rate`` kept, each with a certificate.
+
+    The lens is traced anew for the first alone; it should be where PSFs change most.
 
     Parameters
     ----------
@@ -77,6 +116,7 @@ def certified_tiles(
 
     first, *others = tiles
     renderer, capture = certified(accuracy, made, lambda renderer: taken(renderer, first))
+    _go_on(renderer, capture)
     try:
         return [capture, *(taken(renderer, tile) for tile in others)]
     finally:
@@ -86,7 +126,9 @@ def certified_tiles(
 def certified_lights(
     camera: Camera, scene: Scene, accuracy: Accuracy, tiles: Sequence[Rect]
 ) -> list[Light]:
-    """Return the light of rectangles; the first has the certificate.
+    """Return the light of rectangles, each with a certificate.
+
+    The lens is traced anew for the first alone; it should be where PSFs change most.
 
     Parameters
     ----------
@@ -101,10 +143,18 @@ def certified_lights(
         lambda asked: Renderer(camera, scene, asked),
         lambda renderer: lit(renderer, first),
     )
+    _go_on(renderer, light)
     try:
         return [light, *(lit(renderer, one) for one in others)]
     finally:
         renderer.release()
+
+
+def _go_on(renderer: Renderer, first: WithCertificate) -> None:
+    """Let a renderer certify further rectangles, with the bank's part of the first one's."""
+    one = first.certificate
+    renderer.judged = Judged(Share(one.bank_rms, one.bank_worst, one.probes), one.window, ())
+    renderer.accuracy = replace(renderer.accuracy, probes=FURTHER_PROBES)
 
 
 Taken = TypeVar("Taken", bound=WithCertificate)

@@ -18,7 +18,6 @@ from gpusim.camera import Camera
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import build
-from gpusim.library.light import Light
 from gpusim.plan import Accuracy
 from gpusim.scene import make_scene
 from gpusim.scene.chart import Chart, Rect
@@ -26,7 +25,7 @@ from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certified_lights
+from gpusim.validate.certified import Certified, certificate_bar, certified_lights
 from gpusim.validate.edges import (
     AXES,
     TILT_RAD,
@@ -182,10 +181,10 @@ def rectangle(sensor: Sensor, numbers: Collection[int]) -> tuple[int, int, int, 
 
 def band_lights(
     camera: Camera, chart: Chart, groups: Sequence[Collection[int]]
-) -> tuple[Light, np.ndarray]:
+) -> tuple[list[Certified], np.ndarray]:
     """Return the light of a chart by band, electrons/s (bands, rows, cols), 0 off groups of places.
 
-    The light of the first group comes too, for its certificate; the others go by its plan.
+    The certificates of all groups come too; the others go by the plan of the first.
     """
     sensor = camera.sensor
     rates = np.zeros((len(sensor.channels), sensor.rows, sensor.cols))
@@ -195,7 +194,7 @@ def band_lights(
         top, left = y - light.area[0], x - light.area[1]
         found = light.rates[:, top : top + height, left : left + width]
         rates[:, y : y + height, x : x + width] = found
-    return lights[0], rates
+    return [Certified(one.certificate, TOLERANCE) for one in lights], rates
 
 
 def even_light(sensor: Sensor, predictor: Predictor, band: Band) -> np.ndarray:
@@ -214,8 +213,8 @@ class Edges:
     ----------
     found : dict of (str, str, int) to Found
         By band, axis and number of the place.
-    lights : dict of str to Light
-        By what was rendered: the edges of each sheet, in all bands.
+    certificates : dict of str to Certified
+        By what was rendered: edges that share a rectangle, in all bands.
     tracer : str
         The program that predicted.
     independent : bool
@@ -223,18 +222,18 @@ class Edges:
     """
 
     found: dict[tuple[str, str, int], Found]
-    lights: dict[str, Light]
+    certificates: dict[str, Certified]
     tracer: str
     independent: bool
 
     @classmethod
     def of(cls, parts: Sequence[Edges]) -> Edges:
         """Return the edges of several charts, all predicted by one program."""
-        found, lights = {}, {}
+        found, certificates = {}, {}
         for one in parts:
             found |= one.found
-            lights |= one.lights
-        return cls(found, lights, parts[0].tracer, parts[0].independent)
+            certificates |= one.certificates
+        return cls(found, certificates, parts[0].tracer, parts[0].independent)
 
     def apart(self, band: str, axis: str, number: int) -> tuple[float, float]:
         """Return where a band's edge lies from the reference's: predicted and measured, px."""
@@ -256,11 +255,8 @@ class Edges:
         for number, where in MTF_EDGES.items():
             errors = [self.found[band, "vertical", number].mtf_error for band in BANDS]
             bars.append(Bar.largest(f"MTF to 1 cycle/px, {where}, R, G, B", errors, MTF_BAR, "1"))
-        certificates = [one.certificate for one in self.lights.values()]
-        totals = [one.total_rms for one in certificates]
-        name = f"certificates of {len(totals)} renders, total RMS"
-        bars.append(Bar.largest(name, totals, TOLERANCE, "of the signal"))
-        return bars
+        name = f"certificates of {len(self.certificates)} renders of edges, total"
+        return [*bars, certificate_bar(self.certificates, name)]
 
 
 def measure_edges(
@@ -283,7 +279,7 @@ def measure_edges(
     sheets : collection of str
         Names of `SHEETS`; by default all edges.
     """
-    found, lights = {}, {}
+    found, certificates = {}, {}
     sensor = three_sensors()
     camera = Camera(lens=rendered, sensor=sensor, title="stand-in, three bands")
     own = {name: band_of(name) for name in sensor.channels}
@@ -294,10 +290,11 @@ def measure_edges(
         for target in targets(predictor, sensor, {n for one in SHEETS[where] for n in one})
     ]
     what = f"edges {', '.join(sheets)}"
-    for where, target in charts:
-        progress(what, len(lights), len(charts))
-        light, rates = band_lights(camera, target.chart, SHEETS[where])
-        lights[f"near-{target.axis} edges {where}"] = light
+    for number, (where, target) in enumerate(charts):
+        progress(what, number, len(charts))
+        own_certificates, rates = band_lights(camera, target.chart, SHEETS[where])
+        for group, one in zip(SHEETS[where], own_certificates, strict=True):
+            certificates[f"near-{target.axis} edges {', '.join(map(str, group))}"] = one
         for place in (place for place in TABLE_1 if place.number in target.ideal_um):
             region = region_of(place, target.axis, sensor)
             for (name, band), rate in zip(own.items(), rates, strict=True):
@@ -307,4 +304,4 @@ def measure_edges(
                 )
     progress(what, len(charts), len(charts))
     tracer = predictor.tracer
-    return Edges(found, lights, tracer.name, tracer.independent)
+    return Edges(found, certificates, tracer.name, tracer.independent)

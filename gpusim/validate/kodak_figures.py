@@ -30,7 +30,8 @@ def draw_positions(edges: Edges) -> Figure:
     numbers = np.array([place.number for place in TABLE_1])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11.2, 5.4))
-        told = "filled: ours, round near-vertical, square near-horizontal; crosses: the paper's"
+        told = "filled: ours, round near-vertical, square near-horizontal; "
+        told += "crosses: the paper's, which are near-vertical"
         titles(figure, "Edge positions, measured less predicted", [edges.tracer, told], top=5.35)
         left = panel(figure, 0.75, 0.75, 4.6, 3.35)
         right = panel(figure, 6.2, 0.75, 4.6, 3.35)

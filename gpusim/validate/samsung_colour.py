@@ -25,7 +25,7 @@ from gpusim.scene import make_scene
 from gpusim.scene.colorimetry import adaptation
 from gpusim.sensor.load import load_sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified
+from gpusim.validate.certified import Certified, certificates_of
 from gpusim.validate.samsung_camera import SENSOR, STANDARD, camera_of
 from gpusim.validate.tracers import refracted_losses
 
@@ -55,7 +55,7 @@ class Colours:
         of the patches themselves, adapted from the light of the scene to that of sRGB (Bradford).
     picture : ndarray (rows, cols, 3)
         The developed picture, sRGB.
-    certified : Certified
+    certificates : dict of str to Certified
     """
 
     names: tuple[str, ...]
@@ -63,7 +63,7 @@ class Colours:
     truth: np.ndarray
     chart: np.ndarray
     picture: np.ndarray
-    certified: Certified
+    certificates: dict[str, Certified]
 
     @property
     def misses(self) -> np.ndarray:
@@ -99,7 +99,7 @@ def measure_colours(lens: Prescription) -> Colours:
         xy(truth),
         xy(chart),
         picture,
-        Certified(light.certificate, TOLERANCE),
+        certificates_of({"colour": light}, TOLERANCE),
     )
 
 

@@ -28,7 +28,7 @@ from gpusim.plan import Accuracy
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certified_tiles
+from gpusim.validate.certified import Certified, certificates_of, certified_tiles
 from gpusim.validate.edges import BLACK, WHITE, lit
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
@@ -80,6 +80,11 @@ class Corner:
         """Distance from the chief ray."""
         return math.dist(self.measured, self.chief)
 
+    @property
+    def shift_px(self) -> float:
+        """Predicted distance from the chief ray: what coma does."""
+        return math.dist(self.predicted, self.chief)
+
 
 @dataclass(frozen=True, eq=False)
 class Corners:
@@ -92,6 +97,11 @@ class Corners:
         """Return the errors of a lens, RMS."""
         own = [one.error_px for one in self.found if one.optics == optics]
         return math.sqrt(sum(e**2 for e in own) / len(own))
+
+    def chief_rms_px(self, optics: Optics) -> float:
+        """Return the distances from chief rays of a lens, RMS."""
+        own = [one.from_chief_px for one in self.found if one.optics == optics]
+        return math.sqrt(sum(d**2 for d in own) / len(own))
 
     def bars(self) -> list[Bar]:
         """Return what has to hold."""
@@ -118,20 +128,21 @@ def measure_corners(
         half = math.radians(optics.full_deg / 2)
         nodes = REFERENCE_NM + np.array([-10.0, 0.0, 10.0])  # splines ask for neighbours
         predictor = predictor_of(build(lens), REACH_OF_FIELD * half, nodes, own=own)
-        corners, certificates[f"corners, {optics.name}"] = corners_of(optics, lens, predictor)
+        corners, made = corners_of(optics, lens, predictor)
         found += corners
+        certificates |= made
     progress("corners", len(lenses), len(lenses))
     return Corners(found, certificates)
 
 
 def corners_of(
     optics: Optics, lens: Prescription, predictor: Predictor
-) -> tuple[list[Corner], Certified]:
-    """Return the corners of a lens, and the certificate of the render."""
+) -> tuple[list[Corner], dict[str, Certified]]:
+    """Return the corners of a lens, and the certificates of the renders."""
     sensor = lines_sensor([["G"]], {"G": REFERENCE_NM})
     places = places_of(optics, predictor, sensor)
     camera, scene = camera_of(optics, lens, sensor), lit(chart_of(places, predictor, sensor))
-    # The outermost comes first: it has the certificate.
+    # The outermost comes first: the bank is judged there.
     places = dict(reversed(places.items()))
     tiles = [tile_of(chief, sensor) for chief in places.values()]
     accuracy = Accuracy(TOLERANCE, PROBES)
@@ -144,7 +155,8 @@ def corners_of(
             corner_in(picture, chief, sensor) for picture in (capture.rate, expected)
         )
         found.append(Corner(optics, where, measured, predicted, tuple(chief.tolist())))
-    return found[::-1], Certified(captures[0].certificate, TOLERANCE)
+    names = (f"corners, {optics.name}, {where}" for where in places)
+    return found[::-1], certificates_of(dict(zip(names, captures, strict=True)), TOLERANCE)
 
 
 def places_of(optics: Optics, predictor: Predictor, sensor: Sensor) -> dict[str, np.ndarray]:

@@ -159,8 +159,10 @@ def draw_noise(noise: Noise) -> Figure:
             dots = {"marker": "o", "markersize": 4, "linestyle": "none", "color": shade}
             left.plot(at, [one.expected_dn for one in own], color=shade, label=f"ISO {iso}")
             left.plot(at, [one.signal_dn for one in own], **dots)
-            right.plot(at, [one.expected_snr for one in own], color=shade)
-            right.plot(at, [one.snr for one in own], **dots)
+            noisy = [one for one in own if one.snr is not None]
+            at = [1e3 * one.exposure_s for one in noisy]
+            right.plot(at, [one.expected_snr for one in noisy], color=shade)
+            right.plot(at, [one.snr for one in noisy], **dots)
         given = {"xscale": "log", "yscale": "log", "xlabel": "exposure [ms]"}
         left.set(title="Signal (equations 2 and 3)", ylabel="signal [DN]", **given)
         right.set(title="Temporal signal-to-noise ratio", ylabel="SNR [1]", **given)

@@ -17,14 +17,13 @@ import numpy as np
 
 from gpusim.lens.prescription import Prescription
 from gpusim.plan import Accuracy
-from gpusim.render import Renderer
 from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.averaging import Averaging, photons_per_s
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified
+from gpusim.validate.certified import Certified, certificates_of, certified_tiles
 from gpusim.validate.predict import Predictor
 from gpusim.validate.samsung_camera import SENSOR, STANDARD, camera_of
 
@@ -61,7 +60,7 @@ class Efficiency:
 
     places: Sequence[Place]
     curves: dict[tuple[int, str], np.ndarray]
-    certified: Certified
+    certificates: dict[str, Certified]
 
     def bars(self) -> list[Bar]:
         """Return what has to hold."""
@@ -86,40 +85,36 @@ def angular_sensor() -> Sensor:
 def measure_qe(lens: Prescription, predictor: Predictor) -> Efficiency:
     """Render an even scene, and average the map directly at places."""
     sensor = angular_sensor()
-    accuracy = Accuracy(TOLERANCE, PROBES)
-    camera = camera_of(STANDARD, lens, sensor)
-    scene = make_scene("grey")
-    renderer = Renderer(camera, scene, accuracy, noise=False)
-    averaging, places, curves, certificate = Averaging(sensor, predictor), [], {}, None
-    letters = np.array(sensor.cfa.pattern)
-    try:
-        for number, (x_mm, y_mm) in enumerate(PLACES_MM):
-            pitch_mm = 1e-3 * sensor.pixel_pitch_um
-            left, top = (
-                2 * round((side / 2 + at / pitch_mm - SIDE_PX / 2) / 2)
-                for side, at in ((sensor.cols, x_mm), (sensor.rows, y_mm))
+    camera, scene = camera_of(STANDARD, lens, sensor), make_scene("grey")
+    pitch_mm = 1e-3 * sensor.pixel_pitch_um
+    tiles = [
+        (*(2 * round((side / 2 + at / pitch_mm - SIDE_PX / 2) / 2)
+           for side, at in ((sensor.cols, x_mm), (sensor.rows, y_mm))), SIDE_PX, SIDE_PX)
+        for x_mm, y_mm in PLACES_MM
+    ]  # fmt: skip
+    # The farthest comes first: the bank is judged there.
+    captures = certified_tiles(camera, scene, Accuracy(TOLERANCE, PROBES), EXPOSURE_S, tiles[::-1])[
+        ::-1
+    ]
+    averaging, places, curves = Averaging(sensor, predictor), [], {}
+    sites = np.tile(np.array(sensor.cfa.pattern), (SIDE_PX // 2, SIDE_PX // 2))
+    for number, ((left, top, _, _), capture) in enumerate(zip(tiles, captures, strict=True)):
+        x, y = (
+            (start + SIDE_PX / 2 - side / 2) * pitch_mm
+            for start, side in ((left, sensor.cols), (top, sensor.rows))
+        )
+        photons = photons_per_s(scene, predictor, sensor, math.hypot(x, y))
+        found = averaging.at(x, y, WAVELENGTHS_NM)
+        places.append(
+            Place(
+                x,
+                y,
+                {n: float(capture.rate[sites == n].mean() / photons.sum()) for n in CHANNELS},
+                {n: float(photons @ found[n] / photons.sum()) for n in CHANNELS},
             )
-            tile = left, top, SIDE_PX, SIDE_PX
-            capture = renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",))
-            if certificate is None:
-                certificate, renderer.accuracy = capture.certificate, Accuracy(TOLERANCE, 0)
-            x, y = (
-                (start + SIDE_PX / 2 - side / 2) * pitch_mm
-                for start, side in ((left, sensor.cols), (top, sensor.rows))
-            )
-            photons = photons_per_s(scene, predictor, sensor, math.hypot(x, y))
-            found = averaging.at(x, y, WAVELENGTHS_NM)
-            sites = np.tile(letters, (SIDE_PX // 2, SIDE_PX // 2))
-            places.append(
-                Place(
-                    x,
-                    y,
-                    {n: float(capture.rate[sites == n].mean() / photons.sum()) for n in CHANNELS},
-                    {n: float(photons @ found[n] / photons.sum()) for n in CHANNELS},
-                )
-            )
-            at = np.isin(WAVELENGTHS_NM, SHOWN_NM)
-            curves |= {(number, name): found[name][at] for name in CHANNELS}
-    finally:
-        renderer.release()
-    return Efficiency(places, curves, Certified(certificate, TOLERANCE))
+        )
+        at = np.isin(WAVELENGTHS_NM, SHOWN_NM)
+        curves |= {(number, name): found[name][at] for name in CHANNELS}
+    names = (f"efficiency, {one.x_mm:.1f}, {one.y_mm:.1f} mm" for one in places)
+    certificates = certificates_of(dict(zip(names, captures, strict=True)), TOLERANCE)
+    return Efficiency(places, curves, certificates)

@@ -1,4 +1,4 @@
-"""Rays from an object plane through a lens of spheres, in NumPy: no code of the engine's.
+"""Rays from an object plane through a lens of spheres, traced in NumPy without the engine.
 
 A ray from p along the unit vector d meets the sphere of curvature c where, with lengths from its
 vertex on the axis,
@@ -10,8 +10,10 @@ middle of the stop; they are found by Newton's rule from the paraxial entrance p
 indices, summed, are a ray's path; Debye's sphere about the chief ray's point r0 cuts (r - r0) . d
 off it, r where the ray lands.
 
-A field angle is that of the object point from that pupil, and lengths on the ideal plane are in the
-engine's unit: both say what is asked, and LGD depends on neither.
+What the engine works out from the lens's file is given: `gpusim.validate.tracers.SHARED`, and first
+order. A field angle is that of the object point from the paraxial entrance pupil, and lengths on
+the ideal plane are in the engine's unit, its principal distance: both say what is asked, and LGD
+depends on neither. Rays cover the paraxial pupil's size and more: what passes, apertures say.
 
 A point of a plain object at the slant distance R sends L dp dq dA into direction cosines p and q,
 and dA cos(theta) / R^2 is the solid angle d Omega that the area dA fills as seen from the pupil.

@@ -1,7 +1,7 @@
 """Rays for predictions, from a lens program that is not ours; from our float64 tracer without it.
 
-Both are given what the lens's file says: surfaces, stop, clear apertures, image plane, and the
-refractive indices, for catalogues differ in the sixth digit. Each gives rays by direction cosines
+Both are given what the lens's file says, and what the engine works out from it (`SHARED`): the
+indices are among it, for catalogues differ in the sixth digit. Each gives rays by direction cosines
 behind the lens with the optical path to Debye's reference sphere (`gpusim.lens.wavefront`), so that
 one code makes line spreads of either.
 """
@@ -20,12 +20,22 @@ import numpy as np
 from gpusim.lens.aim import AIM_TOLERANCE, aim
 from gpusim.lens.samples import field_launch, sample_rays
 from gpusim.lens.system import System, first_order
+from gpusim.validate.bars import Bar
 
 # Rays reach so far beyond the stop's rim that polynomials interpolate at every rim; the paraxial
 # image of a wide pupil in the stop is some percent off the real one.
 OVERSIZE = 1.1
 # The ideal image plane is by definition this wavelength's focal length times tan(field) (README).
 PLANE_NM = 550.0
+# What pages say of it; the other tests are those of tests/lens.
+SHARED = (
+    "The tracer is given the lens: its surfaces and, as the engine reads them out of its file, the "
+    "indices of refraction, the clear apertures, the stop's radius and the place of the image "
+    "plane, and what each surface passes by Fresnel's equation for these indices. An error in "
+    "these would be one of both sides, and no bar here sees it: other tests hold indices against "
+    "data sheets, and first order, focus and f-number against closed forms and other programs. The "
+    "tracing of rays, aim, pupils, wavefronts, PSFs, distortion and light are not shared."
+)
 WIDE_DEG = 45.0  # beyond, optiland's iterative aiming finds no ray of a fisheye
 RAYS_ACROSS = 45  # over half the pupil some 1000: nine for each coefficient of degree 14
 
@@ -75,10 +85,21 @@ class Tracer(Protocol):
 
 
 def tracer_of(system: System, *, own: bool = False) -> Tracer:
-    """Return optiland for a lens, or our tracer where that is asked for or optiland is missing."""
+    """Return optiland for a lens, or our tracer where that is asked for or optiland is missing.
+
+    Ours loses a bar of the report: see `independence_bar`.
+    """
     if own or importlib.util.find_spec("optiland") is None:
         return OwnTracer(system)
     return OptilandTracer(system)
+
+
+def independence_bar(independent: bool) -> Bar:
+    """Return the bar that no prediction comes from our own tracer, or how to get another one."""
+    name = "independent tracer"
+    if not independent:
+        name += " (optiland is one: pip install .[judges])"
+    return Bar(name, float(not independent), 0.0, "predictions by ours", 1)
 
 
 def _points() -> tuple[np.ndarray, np.ndarray]:

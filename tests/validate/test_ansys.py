@@ -1,7 +1,7 @@
 """The Ansys report's bars hold where lens and picture agree, and break where an error is planted.
 
 In place of renders the pictures are drawn from the lens's rays, so that what measures and compares
-is tested without the engine; the whole command runs behind the marker ``slow``.
+is tested without the engine; renders of its parts run behind the marker ``slow``.
 """
 
 import json

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ansys_findings import READING, F, even, measured_of, noise_of, sharp
+from wrong_sfr import PLANTED
 
 from gpusim.camera import Camera
 from gpusim.validate import ansys_models, ansys_mtf, ansys_noise, ansys_pixel, ansys_square
@@ -125,6 +126,16 @@ def test_edges_as_predicted_are_found_so(camera, sensor, predictor, number):
     place, target, band, picture = drawn(camera, predictor, number)
     found = compare(place, target, band, picture, sensor=sensor, predictor=predictor)
     assert found.mtf_error < 0.002 and abs(found.error_px) < 0.002
+
+
+@pytest.mark.parametrize(("kind", "name", "planted"), PLANTED, ids=["derivative", "window"])
+def test_a_wrong_sfr_loses_the_bar(camera, sensor, predictor, monkeypatch, kind, name, planted):
+    sound, given = sharp(), drawn(camera, predictor, 3)
+    monkeypatch.setattr(kind, name, planted)
+    found = compare(*given, sensor=sensor, predictor=predictor)
+    bars = replace(sound, found={("electrons", 3): found}).bars()
+    (lost,) = [bar.name for bar in bars if not bar.held]
+    assert lost.startswith("SFR of ROI")
 
 
 def test_a_wrong_aperture_and_a_wrong_focus_are_seen(camera, sensor, predictor):

@@ -35,7 +35,7 @@ def edges():
         for band in BANDS for axis in AXES for place in TABLE_1
     }  # fmt: skip
     certificate = SimpleNamespace(total_rms=1e-4, total_worst=1e-3, met=True, probes=8)
-    return Edges(found, {"R": SimpleNamespace(certificate=certificate)}, "a tracer", False)
+    return Edges(found, {"R": Certified(certificate, 1e-3)}, "a tracer", False)
 
 
 @pytest.fixture
@@ -74,15 +74,22 @@ def test_all_of_it_is_written(measured):
     made = report(measured)
     facts = json.loads(json.dumps(made.facts(), allow_nan=False))
     assert len(facts["edges"]) == 60
-    assert len(facts["bars"]) == 9 + 1 + 1 + 1 + 2 + 1 + 1 + 1
-    assert all(bar["held"] for bar in facts["bars"])
+    assert len(facts["bars"]) == 1 + 9 + 1 + 1 + 1 + 2 + 1 + 1 + 1
+    # The tracer is ours.
+    (lost,) = [bar["name"] for bar in facts["bars"] if not bar["held"]]
+    assert lost.startswith("independent tracer")
     assert [one["samples"] for one in facts["cost"]] == list(SAMPLES)
     drawn = [one for one in made.sections if one.figure is not None]
     page = made.html({one.name: png(one.figure) for one in drawn})
     assert page.count("<figure>") == 9
     assert "NOT independent" in page
     text = made.markdown({one.name: one.name for one in drawn})
-    assert text.count("+0.0100") == 60
+    # Each position, and red and blue to green, whose errors are nought.
+    assert text.count("+0.0100") == 60 and text.count("+0.0000") == 40
+    # The paper's table 1 is of near-vertical edges: its columns stand beside no others.
+    assert text.count("R, paper") == 1 and text.count("predicted, paper") == 2
+    assert text.count("| -0.059 | -0.068 | -0.065 |") == 1
+    assert text.count("| -0.080 | -0.100 | -0.020 |") == 1
 
 
 def test_an_edge_that_goes_with_the_sim_grid_is_seen(measured):
