@@ -100,11 +100,11 @@ def sharp(**planted):
     )
     edges = {(name, n): edge for name in ("electrons", "irradiance") for n in ansys_square.ROIS}
     noise = dict.fromkeys(ansys_square.ROIS, noise_of(20, planted.get("noise", 1.0)))
-    focus = [
-        ansys_mtf.Focus(shift, np.exp(-(2 + abs(shift) / 20) * F) * (1 + 0 * F),
-                        np.exp(-(2 + planted.get("focus", 1.0) * abs(shift) / 20) * F))
-        for shift in (-10.0, 0.0, 10.0, 20.0)
-    ]  # fmt: skip
+    focus = []
+    for shift in (-10.0, 0.0, 10.0, 20.0):
+        measured = None if planted.get("by_rays") else np.exp(-(2 + abs(shift) / 20) * F)
+        predicted = np.exp(-(2 + planted.get("focus", 1.0) * abs(shift) / 20) * F)
+        focus.append(ansys_mtf.Focus(shift, measured, predicted))
     certificate = SimpleNamespace(
         total_rms=planted.get("rms", 1e-4), total_worst=1e-3, met=True, probes=8
     )

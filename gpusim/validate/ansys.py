@@ -68,10 +68,11 @@ class Reading:
         Along each side of the square.
     field_deg : float
         A little beyond that of the corner.
-    distorts : bool
-        Whether the paper's mean distortion can be had: 6.8 degrees from the axis, where the central
-        part of the sensor ends at 3 mm, even an orthographic fisheye, r = f sin(theta), has but
-        -theta^2 / 6 = -0.23 % on the average.
+    simulated : bool
+        Whether it is the one of the paper's simulation. The other cannot have the paper's mean
+        distortion: 6.8 degrees from the axis, where the central part of the sensor ends at 3 mm,
+        even an orthographic fisheye, r = f sin(theta), has but -theta^2 / 6 = -0.23 % on the
+        average.
     """
 
     name: str
@@ -79,7 +80,7 @@ class Reading:
     pitch_um: float
     pixels: int
     field_deg: float
-    distorts: bool
+    simulated: bool
 
     @cached_property
     def lens(self) -> Prescription:
@@ -261,7 +262,7 @@ class Read:
             Bar.largest(
                 f"single corners against the lens, RMS, {name}", scatter, SCATTER_BAR, "px"
             ),
-            *([Bar.largest(mean, off, MEAN_BAR, unit)] if self.reading.distorts else []),
+            *([Bar.largest(mean, off, MEAN_BAR, unit)] if self.reading.simulated else []),
             Bar.largest(f"peaks of 1/3, 1/4, 1/5 cycles/px, {name}", errors, PEAK_BAR, "%"),
             certificate_bar(certificates, f"certificates, total, {name}"),
         ]

@@ -7,7 +7,7 @@ from functools import partial
 
 from gpusim.validate.ansys import READINGS, Read, Reading, read
 from gpusim.validate.ansys_electrons import EvenScene
-from gpusim.validate.ansys_mtf import SHIFTS_UM, Sharpness, even_scene, sharpness
+from gpusim.validate.ansys_mtf import Sharpness, even_scene, sharpness
 from gpusim.validate.at_once import Progress, at_once
 
 
@@ -28,10 +28,8 @@ def measured(progress: Progress = lambda what, done, total: None) -> Measured:
     progress : callable
         Called with (what, done, total).
     """
-    first, *others = READINGS  # the first is the paper's simulation
-    edges = [partial(sharpness, first, SHIFTS_UM), *(partial(sharpness, one, ()) for one in others)]
-    targets = [partial(read, one) for one in READINGS]
-    found = at_once([*edges, *targets, partial(_even, first)], progress)
+    edges, targets = ([partial(of, one) for one in READINGS] for of in (sharpness, read))
+    found = at_once([*edges, *targets, partial(_even, READINGS[0])], progress)
     return Measured(found[len(edges) : -1], found[: len(edges)], found[-1])
 
 

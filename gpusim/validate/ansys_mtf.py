@@ -5,7 +5,8 @@ one. Their SFR is measured in an electron map (the paper's equation 1, by a map 
 angle) and in a map of irradiance, and predicted from rays: the pupil's transfer function times the
 pixel's.
 
-**Focus.** What a shift of the image plane takes from the MTF of ROI 3, rendered and by rays.
+**Focus.** What a shift of the image plane takes from the MTF of ROI 3, by rays and, for the paper's
+simulation, rendered: each position takes a lens of its own, 45 s of a core.
 
 **What the reduced-order model costs**, of ROI 3: `gpusim.validate.ansys_models`.
 """
@@ -13,7 +14,7 @@ pixel's.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 
@@ -35,6 +36,7 @@ from gpusim.validate.ansys_square import (
     TOLERANCE,
     Square,
     band_of,
+    predicted_mtf,
     predictor_of,
 )
 from gpusim.validate.ansys_targets import LUMINANCE_CD_M2, half_um
@@ -53,10 +55,10 @@ SFR_BAR, FOCUS_BAR = 0.01, 0.005
 
 @dataclass(frozen=True, eq=False)
 class Focus:
-    """ROI 3 with the image plane moved: MTFs measured and predicted (F,)."""
+    """ROI 3 with the image plane moved: MTFs (F,) predicted and, where rendered, measured."""
 
     shift_um: float
-    measured: np.ndarray
+    measured: np.ndarray | None
     predicted: np.ndarray
 
 
@@ -73,7 +75,7 @@ class Sharpness:
         By map, "electrons" or "irradiance", and region.
     noise : dict of int to Noise
     focus : list of Focus
-        By shift, 0 among them; empty where it was not asked for.
+        By shift, 0 among them.
     models : dict of str to ndarray (F,)
         MTFs of ROI 3 by limits and simpler models.
     opened : list of Opened
@@ -104,12 +106,15 @@ class Sharpness:
         limit = self.models["diffraction limit"]
         return float(self.found["electrons", SHOWN].measured_mtf.sum() / limit.sum())
 
-    def losses(self) -> dict[float, tuple[np.ndarray, np.ndarray]]:
-        """Return by shift what it takes from the MTF, measured and predicted (F,)."""
+    def losses(self) -> dict[float, tuple[np.ndarray | None, np.ndarray]]:
+        """Return by shift what it takes from the MTF, measured (or None) and predicted (F,)."""
         by_shift = {one.shift_um: one for one in self.focus}
-        still = by_shift.pop(0.0, None)
+        still = by_shift.pop(0.0)
         return {
-            shift: (still.measured - one.measured, still.predicted - one.predicted)
+            shift: (
+                None if one.measured is None else still.measured - one.measured,
+                still.predicted - one.predicted,
+            )
             for shift, one in by_shift.items()
         }
 
@@ -117,7 +122,7 @@ class Sharpness:
         """Return what has to hold."""
         name = self.reading.name
         sfr = [one.mtf_error for one in self.found.values()]
-        lost = [np.abs(a - b).max() for a, b in self.losses().values()]
+        lost = [np.abs(a - b).max() for a, b in self.losses().values() if a is not None]
         focus = f"loss by focus to 1 cycle/px, {name}"
         certificates = certificates_of(self.captures, TOLERANCE)
         return [
@@ -153,7 +158,6 @@ def even_scene(reading: Reading) -> EvenScene:
 
 def sharpness(
     reading: Reading,
-    shifts_um: Sequence[float] = (),
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> Sharpness:
     """Render and measure the square of one reading.
@@ -161,12 +165,10 @@ def sharpness(
     Parameters
     ----------
     reading : Reading
-    shifts_um : sequence of float
-        Where the image plane stands, beside 0; none: ROI 3 is not followed through focus.
     progress : callable, optional
         Called with (what, done, total).
     """
-    positions = sorted((0.0, *shifts_um)) if shifts_um else []
+    positions = sorted((0.0, *SHIFTS_UM))
     what, total = f"edges, {reading.name}", 2 + len(positions)
     steps = iter(range(total))
     base, far_px = cropped(reading), reach_px(reading)
@@ -193,7 +195,12 @@ def sharpness(
     for shift in positions:
         progress(what, next(steps), total)
         moved = lens.defocused(shift)
-        with closing(Square(moved, base, predictor_of(moved, base, far_px), (SHOWN,))) as square:
+        predictor = predictor_of(moved, base, far_px)
+        if not reading.simulated:
+            camera = Camera(lens=moved, sensor=base, title="stand-in")
+            focus.append(Focus(shift, None, predicted_mtf(SHOWN, camera, predictor)))
+            continue
+        with closing(Square(moved, base, predictor, (SHOWN,))) as square:
             captures[f"image plane {shift:+g} um"] = square.capture
             one = square.found(SHOWN)
         focus.append(Focus(shift, one.measured_mtf, one.predicted_mtf))

@@ -128,25 +128,27 @@ def draw_focus(found: list[Sharpness]) -> Figure:
             bottom = 0.55 + 3.3 * (len(found) - 1 - row)
             first = panel(figure, 0.65, bottom, 2.9, 2.2)
             at_um = [at.shift_um for at in one.focus]
+            seen = [at for at in one.focus if at.measured is not None]
             for colour, frequency in zip(colours, FOCUS_CY_PX, strict=False):
-                lines = [[np.interp(frequency, f, of) for of in (at.predicted, at.measured)]
-                         for at in one.focus]  # fmt: skip
-                predicted, measured = np.transpose(lines)
+                predicted = [np.interp(frequency, f, at.predicted) for at in one.focus]
+                measured = [np.interp(frequency, f, at.measured) for at in seen]
                 first.plot(at_um, predicted, color=colour, label=f"{frequency:g} cycles/px")
-                first.plot(at_um, measured, ".", markersize=6, color=colour)
+                places = [at.shift_um for at in seen]
+                first.plot(places, measured, ".", markersize=6, color=colour)
             first.set(title=one.reading.name, xlabel="shift [um]", ylabel="MTF", ylim=(0, 1))
             first.legend(loc="lower left")
-            loss, rest = panel(figure, 4.4, bottom, 3.0, 2.2), panel(figure, 8.1, bottom, 2.8, 2.2)
-            shown = slice(None, None, 8)
-            for colour, (shift, (measured, predicted)) in zip(
-                colours, one.losses().items(), strict=False
-            ):
-                loss.plot(f, predicted, color=colour, linewidth=1, label=f"{shift:+g} um")
-                loss.plot(f[shown], measured[shown], ".", markersize=4, color=colour)
-                rest.plot(f, measured - predicted, color=colour, linewidth=1)
-            _bar(rest, FOCUS_BAR)
+            loss = panel(figure, 4.4, bottom, 3.0, 2.2)
+            for colour, (shift, (_, lost)) in zip(colours, one.losses().items(), strict=False):
+                loss.plot(f, lost, color=colour, linewidth=1, label=f"{shift:+g} um")
             _cycles(loss, "Taken from the MTF")
             loss.legend(loc="upper right")
+            if not seen:
+                continue
+            rest, shown = panel(figure, 8.1, bottom, 2.8, 2.2), slice(None, None, 8)
+            for colour, (measured, lost) in zip(colours, one.losses().values(), strict=False):
+                loss.plot(f[shown], measured[shown], ".", markersize=4, color=colour)
+                rest.plot(f, measured - lost, color=colour, linewidth=1)
+            _bar(rest, FOCUS_BAR)
             _cycles(rest, "Measured less predicted")
     return figure
 

@@ -142,9 +142,9 @@ def _sharpness(sharp: list[Sharpness], charts: list[np.ndarray]) -> list[Section
         Section(
             "Through focus, as figure 14 of the paper.",
             "The image plane is moved and the lens prepared anew; predicted by rays to the moved "
-            "plane. At 1.061 mm alone.",
+            "plane. At 3 mm by rays alone.",
             "focus",
-            draw_focus([one for one in sharp if one.focus]),
+            draw_focus(sharp),
             losses(sharp),
         ),
         Section(
@@ -196,7 +196,8 @@ def _sharp_numbers(one: Sharpness) -> dict[str, Any]:
         ],
         "focus": [
             {
-                "shift_um": at.shift_um, "measured_mtf": at.measured.tolist(),
+                "shift_um": at.shift_um,
+                "measured_mtf": None if at.measured is None else at.measured.tolist(),
                 "predicted_mtf": at.predicted.tolist(),
             }
             for at in one.focus

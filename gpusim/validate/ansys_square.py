@@ -24,11 +24,14 @@ from gpusim.validate.ansys_noise import Noise, sfr_covariance
 from gpusim.validate.ansys_targets import chart, half_um
 from gpusim.validate.certified import certified
 from gpusim.validate.edges import (
+    ROI_PX,
     Found,
     Target,
     compare,
     normal_of,
+    predicted_lsf,
     region_of,
+    transfer,
 )
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
@@ -68,6 +71,17 @@ def edge_of(number: int, camera: Camera, predictor: Predictor) -> tuple[Place, T
     x, y = predictor.image_um(ideal, band) / sensor.pixel_pitch_um
     target = Target(axis, chart(frame, LAMP).source, {number: ideal}, band)
     return Place(number, float(x), float(y)), target
+
+
+def predicted_mtf(number: int, camera: Camera, predictor: Predictor) -> np.ndarray:
+    """Return the MTF (F,) of an edge by rays and the pixel alone."""
+    place, target = edge_of(number, camera, predictor)
+    sensor, reach_px = camera.sensor, ROI_PX[0] / 2
+    at = np.arange(-reach_px, reach_px, 1 / 32)
+    lsf, _ = predicted_lsf(
+        place, target, band_of(sensor), sensor=sensor, predictor=predictor, distance_px=at
+    )
+    return transfer(at, lsf, reach_px)
 
 
 def even_light(sensor: Sensor, predictor: Predictor, band: Band, region: tuple) -> np.ndarray:

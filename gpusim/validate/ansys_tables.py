@@ -58,10 +58,10 @@ def losses(sharp: list[Sharpness]) -> Rows:
     for one in sharp:
         for shift, (measured, predicted) in one.losses().items():
             at = np.searchsorted(FREQUENCIES_CY_PX, 0.25)
-            rows.append([
-                one.reading.name, f"{shift:+g}", f"{measured[at]:.4f}", f"{predicted[at]:.4f}",
-                f"{np.abs(measured - predicted).max():.4f}",
-            ])  # fmt: skip
+            seen, off = ("", "") if measured is None else (
+                f"{measured[at]:.4f}", f"{np.abs(measured - predicted).max():.4f}",
+            )  # fmt: skip
+            rows.append([one.reading.name, f"{shift:+g}", seen, f"{predicted[at]:.4f}", off])
     head = "reading", "shift [um]", "lost at 1/4 cycle/px", "by rays", "off by, to 1 cycle/px"
     return Rows(head, rows)
 

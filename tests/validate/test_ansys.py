@@ -107,9 +107,8 @@ def test_the_command_writes_its_pages_and_ends_with_1_where_a_bar_is_lost(
     lens, tmp_path, monkeypatch, share
 ):
     found = ansys.Read(READING, lens, *drawn(lens))
-    made = sharp(rms=share * ansys_square.TOLERANCE)
-    count = len(ansys.READINGS)
-    gave = [*[made] * count, *[found] * count, even()]
+    rms = share * ansys_square.TOLERANCE
+    gave = [sharp(rms=rms), sharp(rms=rms, by_rays=True), found, found, even()]
     monkeypatch.setattr(ansys_measured, "at_once", lambda parts, progress: gave)
     ended = gpusim("validate", "ansys", "--out", tmp_path)
     facts = json.loads((tmp_path / "ansys.json").read_text())
@@ -126,7 +125,7 @@ def test_rendered_distortion_and_waves_hold_their_bars(reading):
 
 @pytest.mark.slow
 def test_rendered_edges_hold_their_bars():
-    """One reading, without focus, whose lens is prepared for each position of the image plane."""
+    """The reading whose focus is by rays alone."""
     found = ansys_mtf.sharpness(ansys.READINGS[-1])
     assert [bar.name for bar in found.bars() if not bar.held] == []
 

@@ -126,6 +126,9 @@ def test_edges_as_predicted_are_found_so(camera, sensor, predictor, number):
     place, target, band, picture = drawn(camera, predictor, number)
     found = compare(place, target, band, picture, sensor=sensor, predictor=predictor)
     assert found.mtf_error < 0.002 and abs(found.error_px) < 0.002
+    alone = ansys_square.predicted_mtf(number, camera, predictor)
+    # Windows of 32 px here and of what the region holds there.
+    np.testing.assert_allclose(alone, found.predicted_mtf, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(("kind", "name", "planted"), PLANTED, ids=["derivative", "window"])
