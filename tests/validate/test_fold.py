@@ -53,7 +53,7 @@ class Pupil:
 
 @pytest.fixture(scope="module")
 def predictor():
-    nodes = np.linspace(400.0, 700.0, 4)
+    nodes = np.linspace(400.0, 700.0, 7)
     passed = np.interp(nodes, LENS.wavelengths_nm, LENS.transmission)
     widest = np.arctan(1e-3 * CIRCLE_UM / EFL_MM)
     return Predictor(Pupil(), widest, nodes, passed, pupils=5)
