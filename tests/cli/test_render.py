@@ -245,16 +245,20 @@ def test_a_dry_run_shows_the_plan_and_writes_nothing(
 
 
 @pytest.mark.parametrize(
-    "lens, tolerance", [(made.bank, "3e-2"), (made.plane_bank, "as good as 1 ms allows")]
+    ("sensor", "tolerance"),
+    [(made.sensor, "3e-2"), (made.monochrome, "as good as 1 ms allows")],
 )
 def test_a_dry_run_plans_as_the_render_does(
-    lens: Callable[[], object], tolerance: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    sensor: Callable[..., object],
+    tolerance: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ):
     """What the dry run puts into words, as JSON: that of the render's report, times and all."""
     monkeypatch.setattr(render, "adapter_costs", lambda device, **more: LAVAPIPE)
     monkeypatch.setattr(renderer, "adapter_costs", lambda device, **more: LAVAPIPE)
     alike = SimpleNamespace(title="Gaussians", model_dump=dict, history=())
-    camera = made.StubCamera(lens(), made.sensor(32, 48), lens=alike)
+    camera = made.StubCamera(made.bank(), sensor(32, 48), lens=alike)
     monkeypatch.setattr(render, "load_camera", lambda *named: camera)
     # No plan takes 1 ms: the loosest tolerance is what is left, and is told.
     given = ("render", "demo", "slanted-edge", "--tolerance", tolerance, "--certify", 0)
