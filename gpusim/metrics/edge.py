@@ -309,7 +309,7 @@ def _fitted(samples: Samples, y: np.ndarray, place: np.ndarray) -> Line:
     at = (y - middle) / reach
     best = None
     for degree in DEGREES:
-        if len(y) < 6 * (degree + 1):
+        if best is not None and len(y) < 6 * (degree + 1):  # a line wants no more than it has
             break
         design = legendre.legvander(at, degree)
         found, *_ = np.linalg.lstsq(design, place, rcond=None)

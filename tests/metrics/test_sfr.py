@@ -74,6 +74,15 @@ def test_a_filter_arrays_photosites_are_measured_where_they_lie():
     assert found.line.place_px == pytest.approx((39.84, 38.0), abs=0.02)  # x there: 2 tan(5 deg)
 
 
+def test_few_rows_of_one_colour_bear_a_line_and_nothing_more():
+    """Half of 20 rows are that colour's, fewer than bear a bend."""
+    sites = np.array([[False, True], [False, False]])
+    line = find_line(samples_of(edge(0.3, 5.0, side=20), (0, 0, 20, 20), sites))
+    assert line.x_of_y.degree() == 1
+    # A step of two pixels leaves out what a centroid needs of so sharp an edge: a tenth of a pixel.
+    assert line.x_of_y(10.0) == pytest.approx(10.0, abs=0.1)
+
+
 def test_a_curved_edge_is_as_sharp_as_a_straight_one():
     """An edge x = p(y) that bends by a pixel and a half, sampled along its own normal."""
     y, x = np.mgrid[:120, :80] + 0.5
