@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -12,9 +12,11 @@ from gpusim.cli.distortion import distortion
 from gpusim.cli.files import staging
 from gpusim.cli.glare import glare
 from gpusim.cli.measured import say
-from gpusim.cli.sfr import sfr
+from gpusim.cli.sfr import region_of, sfr
 from gpusim.cli.shading import shading
 from gpusim.cli.snr import snr
+from gpusim.cli.spectra import spectra
+from gpusim.cli.texture import texture
 from gpusim.errors import UserError
 from gpusim.metrics.picture import read_picture
 from gpusim.report.page import body_of, document
@@ -23,11 +25,14 @@ ILLUMINANT = "D65"
 Measure = Callable[[Path, Path], object]
 
 
-def everything(path: Path, out: Path, *, linear: bool) -> int:
+def everything(
+    path: Path, out: Path, *, waves: Sequence[str], leaves: str | None, linear: bool
+) -> int:
     """Measure a picture in every way that it allows; return the exit code: 1 where none does.
 
     Glare in black spots, or the shading of an even field, is measured of pictures that show nothing
-    else: a chart's black is no light trap.
+    else: a chart's black is no light trap. Sinusoids and dead leaves are measured where regions of
+    them are given: noise has the spectrum of either.
     """
     given = {"linear": linear, "as_json": False}
     on_charts: dict[str, Measure] = {
@@ -38,10 +43,28 @@ def everything(path: Path, out: Path, *, linear: bool) -> int:
         "colour": lambda file, to: colour(file, ILLUMINANT, None, to, **given),
         "snr": lambda file, to: snr(file, [], None, to, **given),
     }
+    if waves:
+        on_charts["spectra"] = lambda file, to: spectra(
+            file, waves, None, to, distortion=None, **given
+        )
+    if leaves is not None:
+        on_charts["texture"] = lambda file, to: texture(
+            file,
+            roi=leaves,
+            leaves=None,
+            second=None,
+            even=None,
+            channels=None,
+            out=to,
+            **given,
+        )
     on_fields: dict[str, Measure] = {
         "glare": lambda file, to: glare(file, None, to, **given),
         "shading": lambda file, to: shading(file, None, to, **given),
     }
+    for option, boxes in (("--wave", waves), ("--texture", [leaves] if leaves else [])):
+        for box in boxes:
+            region_of(box, option)
     read_picture(path, linear=linear)  # one that cannot be read is told once
     left_out = {name: _done(name, one, path, out) for name, one in on_charts.items()}
     for name, one in on_fields.items():

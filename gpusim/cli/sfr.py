@@ -135,14 +135,14 @@ def channels_of(planes: dict[str, Plane], channels: str | None, path: Path) -> l
     return names
 
 
-def region_of(text: str) -> tuple[int, int, int, int]:
+def region_of(text: str, option: str = "--roi") -> tuple[int, int, int, int]:
     """Return x, y, width, height of a text such as ``40,50,64,80``."""
     try:
         x, y, width, height = (int(part) for part in text.split(","))
     except ValueError:
         raise UserError(
             "The region cannot be read.",
-            field="--roi",
+            field=option,
             value=text,
             allowed="x,y,width,height in whole pixels, such as 40,50,64,80",
         ) from None

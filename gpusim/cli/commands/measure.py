@@ -26,12 +26,28 @@ measure = typer.Typer(
 def everything(
     path: Picture,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for all files.")],
+    wave: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="X,Y,W,H", help="A region with one sinusoid, pixels; may be given again."
+        ),
+    ] = None,
+    texture: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,W,H",
+            help="A region of dead leaves, pixels, their radii as those of the chart dead-leaves.",
+        ),
+    ] = None,
     linear: Linear = False,
 ) -> None:
-    """Measure all that a picture shows (edges, lattice, colours, greys, glare), on one page."""
+    """Measure all that a picture shows (edges, lattice, colours, greys, glare), on one page.
+
+    Sinusoids and dead leaves are not sought: name their regions.
+    """
     from gpusim.cli.everything import everything as run
 
-    if code := run(path, out, linear=linear):
+    if code := run(path, out, waves=wave or [], leaves=texture, linear=linear):
         raise typer.Exit(code)
 
 
