@@ -33,7 +33,7 @@ import tifffile
 COMPILE_S, DEMO_S, CORES = 10.0, 90.0, 2
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ("render", "demo", "demo", "--certify", "64", "--memory", "512MiB")
-TESTS = ("tests/gpu", "tests/optics", "tests/sensor", "tests/lens")
+TESTS = tuple(f"tests/{name}" for name in ("gpu", "optics", "sensor", "lens", "psf", "isp"))
 SLOWEST_SHOWN = 6
 
 

@@ -32,6 +32,7 @@ from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.render import renderer
 from gpusim.report.facts import _plan
 from gpusim.scene.exr import write_exr
+from gpusim.sensor.load import load_sensor
 
 FILES = ["raw.dng", "developed.png", "report.json", "report.html"]
 
@@ -570,3 +571,18 @@ def test_a_sensor_beyond_the_image_circle_is_flagged(tmp_path: Path):
 def test_an_unknown_adapter_is_refused(tmp_path: Path):
     ran = process("render", "demo", "demo", "--out", tmp_path, "--adapter", "abacus")
     assert_refused(ran, "adapter", "abacus")
+
+
+def test_a_sensor_of_one_pixel_is_rendered(tmp_path: Path):
+    camera = {"title": "one", "lens": {"mtf": "diffraction-limited"}}
+    camera["sensor"] = {"preset": "imx249-mono", "rows": 1, "cols": 1}
+    (tmp_path / "one.yaml").write_text(yaml.safe_dump(camera))
+    out = tmp_path / "out"
+    ran = gpusim(
+        "render", tmp_path / "one.yaml", "grey", "--out", out, "--certify", 1, "--no-noise"
+    )
+    assert ran.code == 0, ran.err
+    facts = json.loads((out / "report.json").read_text())
+    assert facts["certificate"]["met"] and facts["files"][0] == "raw.dng"
+    raw = tifffile.imread(out / "raw.dng")
+    assert raw.shape == (1, 1) and raw[0, 0] > load_sensor("imx249-mono").black_level_dn

@@ -18,6 +18,8 @@ from gpusim.isp.develop import develop
 from gpusim.isp.dng import BLACK_IS_ZERO, CFA, LINEAR_RAW, TAGS, has_dng, photometric, write_dng
 from gpusim.isp.levels import linearization_table, noise_profile, saturation_dn, span_dn
 from gpusim.isp.optics import Optics
+from gpusim.isp.quad import write_bayer
+from gpusim.isp.rawfile import read_raw
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.sensor.adc_model import DualGain, GainStep, Linearity
 from gpusim.sensor.cfa import PATTERNS as NAMED
@@ -485,6 +487,9 @@ def test_the_file_says_who_took_it_when_and_with_what(tmp_path):
     assert "FNumber" not in exif(write(tmp_path / "b.dng", frame(), camera))
 
 
+DUAL = DualGain(
+    system_gain_dn_per_e=0.047, temporal_dark_noise_e=120.0, black_level_dn=200, switch_dn=3800
+)
 EVERY_FILE = {
     "bayer": {},
     "a border": {"raw": "framed"},
@@ -493,6 +498,9 @@ EVERY_FILE = {
     "quad Bayer": {"pattern": "quad Bayer"},
     "clear and red": {"pattern": "RCCC"},
     "plain TIFF": {"pattern": "RGB/CMY"},
+    "X-Trans": {"pattern": "X-Trans"},
+    "dual gain": {"sensor": {"dual_gain": DUAL, "full_well_e": 80_000.0}},
+    "binned": {"pattern": "quad Bayer", "binned": True},
     "a nonlinear response": {"bent": True},
     "a short exposure": {"exposure_s": 1e-12},
 }
@@ -509,7 +517,10 @@ def test_exiftool_has_nothing_to_say(tmp_path, name):
     if case.pop("raw", None):
         raw, areas = framed_raw(), {"active_area": LIT, "masked_areas": MASKED}
     path = tmp_path / ("a.dng" if has_dng(camera) else "a.tif")
+    binned = case.pop("binned", False)
     write(path, raw, camera, white_e=white_of(camera), optics=LENS, **areas, **case)
+    if binned:
+        write_bayer(read_raw(path), path := tmp_path / "binned.dng", binned=True)
     command = ["exiftool", "-validate", "-warning", "-error", "-a", path]
     said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert said.split(":")[1].strip() == "OK", said
@@ -619,10 +630,7 @@ def test_a_noise_of_two_numbers_is_in_the_noise_profile():
 
 
 def test_two_merged_reads_have_the_noise_of_the_one_that_counts():
-    dual = DualGain(
-        system_gain_dn_per_e=0.047, temporal_dark_noise_e=120.0, black_level_dn=200, switch_dn=3800
-    )
-    camera = sensor(dual_gain=dual, full_well_e=80_000.0)
+    camera = sensor(dual_gain=DUAL, full_well_e=80_000.0)
     scale, offset = noise_profile(camera)
     span = saturation_dn(camera) - 256
     rng, n = np.random.default_rng(9), 400_000
