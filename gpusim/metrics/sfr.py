@@ -40,6 +40,7 @@ FLAT_SHARE = 0.75  # of the window
 # Weight of the penalty on the third derivative, against the data's own weight. It decides where no
 # pixel lies, and changes SFR at 0.5 cycles/px by less than 1e-5.
 PENALTY = 1e-7
+NYQUIST_CY_PX = 0.5
 MEASURED_CY_PX = np.linspace(0.0, 2.0, 401)
 FREQUENCIES_CY_PX = MEASURED_CY_PX[:201]  # to 1 cycle/px: those of comparisons
 CLIPPED_SHARE = 2e-3  # of the pixels at the largest or smallest code
@@ -102,15 +103,15 @@ class Sfr:
         ----------
         level : float
         of_peak : bool
-            Whether the level is a share of the largest response, not of that at 0. This gives
-            MTF50P, which sharpening does not move.
+            Whether the level is a share of the largest response up to Nyquist, not of that at 0.
+            This gives MTF50P, which sharpening does not move. Beyond, noise has peaks of its own.
 
         Returns
         -------
         Figure or None
             Cycles per pixel; None where it does not fall so far.
         """
-        first = int(np.argmax(self.sfr)) if of_peak else 0
+        first = int(np.argmax(self.sfr[self.frequency_cy_px <= NYQUIST_CY_PX])) if of_peak else 0
         level = level * self.sfr[first]
         below = np.flatnonzero(self.sfr[first:] < level)
         if below.size == 0:
@@ -126,7 +127,7 @@ class Sfr:
         at = float(real[np.argmin(np.abs(real - (f[right - 1] + f[right]) / 2))])
         return Figure(at, self.at(at).u / abs(float(curve.deriv()(at))))
 
-    def quality(self, cutoff_cy_px: float, upto_cy_px: float = 0.5) -> float:
+    def quality(self, cutoff_cy_px: float, upto_cy_px: float = NYQUIST_CY_PX) -> float:
         """Return the area under the response over that of a diffraction-limited lens.
 
         Parameters

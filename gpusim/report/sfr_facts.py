@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from gpusim.metrics.figure import Figure
-from gpusim.metrics.sfr import Edge
-
-NYQUIST_CY_PX = 0.5
+from gpusim.metrics.sfr import NYQUIST_CY_PX, Edge
 
 
 def sfr_facts(

@@ -205,6 +205,14 @@ def test_sharpening_raises_mtf50_and_leaves_mtf50p_of_the_peak():
     assert found.falls_to(0.5).value > found.falls_to(0.5, of_peak=True).value > 0.2
 
 
+def test_peaks_of_noise_beyond_nyquist_are_none_of_mtf50p():
+    found = measure_sfr(edge(0.25, 5.0), WHOLE)
+    noisy = module.Sfr(
+        **{**vars(found), "sfr": np.where(found.frequency_cy_px > 1.4, 1.3, found.sfr)}
+    )
+    assert noisy.falls_to(0.5, of_peak=True) == found.falls_to(0.5, of_peak=True)
+
+
 def test_the_examples_in_the_docstrings_run():
     assert doctest.testmod(module).failed == 0
 
