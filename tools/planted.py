@@ -22,7 +22,10 @@ TIMEOUT_S = 600
 
 @dataclass(frozen=True)
 class Planted:
-    """A defect: in a file a text becomes another, and a test (file, words of -k) should notice."""
+    """A defect: in a file a text becomes another, and a test (file, words of -k) should notice.
+
+    ``slow``: the test is one of those that are marked so.
+    """
 
     what: str
     file: str
@@ -30,6 +33,7 @@ class Planted:
     new: str
     test: str
     words: str = ""
+    slow: bool = False
 
 
 LIST = tuple(
@@ -62,6 +66,7 @@ def survivors(wanted: str = "") -> list[Planted]:
 
 def _is_red(copy: Path, one: Planted) -> bool:
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", one.test]
+    command += ["-m", "slow" if one.slow else "not slow"]
     command += ["-k", one.words] if one.words else []
     environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
