@@ -37,7 +37,7 @@ def test_colours_are_measured_and_written(picture):
     ("options", "words"),
     [
         (("--corners", "1,2,3"), ("--corners", "eight numbers")),
-        (("--illuminant", "D99"), ("D99",)),
+        (("--illuminant", "D5"), ("D5",)),
         (("--corners", "-9,0,9,0,9,9,0,9"), ("leave the picture",)),
     ],
 )
