@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -21,17 +22,18 @@ from gpusim.validate.bars import Bar
 from gpusim.validate.report import Rows, Section
 
 CERTIFICATE_BAR = 1.0  # error over what is allowed
-# Of each further rectangle of a renderer: a second of one core. Its bank's part is the first one's,
-# for tracing the lens anew takes twelve.
-FURTHER_PROBES = 8
 
 
 @dataclass(frozen=True)
 class Certified:
-    """The certificate of a render, and for which tolerance that was planned."""
+    """The certificate of a render, and for which tolerance that was planned.
+
+    Where rectangles of its frame were rendered, ``rectangles`` holds the total RMS of each.
+    """
 
     certificate: Certificate
     tolerance: float
+    rectangles: tuple[float, ...] = ()
 
     @property
     def share(self) -> float:
@@ -52,12 +54,26 @@ def certificates_of(made: Mapping[str, WithCertificate], tolerance: float) -> di
     return {name: Certified(one.certificate, tolerance) for name, one in made.items()}
 
 
+def pooled(made: Sequence[WithCertificate], tolerance: float) -> Certified:
+    """Return the certificate of rectangles of one frame: of all their probes together.
+
+    So it is for a whole frame, whose tolerance is about its RMS and its worst probe.
+    """
+    own = [one.certificate for one in made]
+    probes = sum(one.probes for one in own)
+    rms = math.sqrt(sum(one.probes * one.total_rms**2 for one in own) / probes)
+    worst = max(one.total_worst for one in own)
+    met = rms <= tolerance and worst <= WORST_TO_RMS * tolerance
+    whole = replace(own[0], probes=probes, total_rms=rms, total_worst=worst, met=met)
+    return Certified(whole, tolerance, tuple(one.total_rms for one in own))
+
+
 def certificate_numbers(certificates: Mapping[str, Certified]) -> dict[str, Any]:
     """Return what the certificates say."""
     names = ("total_rms", "total_worst", "met", "probes")
     return {
         render: {name: getattr(one.certificate, name) for name in names}
-        | {"tolerance": one.tolerance}
+        | {"tolerance": one.tolerance, "rms_of_rectangles": list(one.rectangles)}
         for render, one in certificates.items()
     }
 
@@ -76,16 +92,25 @@ def certificate_section(
     text = (
         "The error of the mean signal over the signal, of engine, bank, sensor and window together,"
         f" at probe pixels: RMS within the tolerance, the worst within {WORST_TO_RMS:g} times it. "
-        "Rectangles that share a renderer, its plan and its bank share the bank's part, for which "
-        "the lens is traced anew for the first of them."
+        "Where rectangles of one frame were rendered, probes lie in each, and count together; they "
+        "share the plan, the bank and the bank's part, for which the lens is traced anew in the "
+        "first one."
     )
     body = [
         [name, f"{one.tolerance:g}", f"{one.certificate.total_rms:.1e}",
-         f"{one.certificate.total_worst:.1e}", str(one.certificate.probes)]
+         f"{one.certificate.total_worst:.1e}", str(one.certificate.probes),
+         ", ".join(f"{rms:.1e}" for rms in one.rectangles)]
         for name, one in certificates.items()
     ]  # fmt: skip
-    body += [[name, f"none: {why}", "", "", ""] for name, why in (without or {}).items()]
-    head = ("render", "tolerance", "total, RMS", "total, worst probe", "probes")
+    body += [[name, f"none: {why}", "", "", "", ""] for name, why in (without or {}).items()]
+    head = (
+        "render",
+        "tolerance",
+        "total, RMS",
+        "total, worst probe",
+        "probes",
+        "RMS of rectangles",
+    )
     return Section("Certificates of the renders", text, rows=Rows(head, body))
 
 
@@ -116,7 +141,7 @@ def certified_tiles(
 
     first, *others = tiles
     renderer, capture = certified(accuracy, made, lambda renderer: taken(renderer, first))
-    _go_on(renderer, capture)
+    _go_on(renderer, capture, accuracy.probes)
     try:
         return [capture, *(taken(renderer, tile) for tile in others)]
     finally:
@@ -143,18 +168,21 @@ def certified_lights(
         lambda asked: Renderer(camera, scene, asked),
         lambda renderer: lit(renderer, first),
     )
-    _go_on(renderer, light)
+    _go_on(renderer, light, accuracy.probes)
     try:
         return [light, *(lit(renderer, one) for one in others)]
     finally:
         renderer.release()
 
 
-def _go_on(renderer: Renderer, first: WithCertificate) -> None:
-    """Let a renderer certify further rectangles, with the bank's part of the first one's."""
+def _go_on(renderer: Renderer, first: WithCertificate, probes: int | None) -> None:
+    """Let a renderer certify further rectangles, with the bank's part of the first one's.
+
+    Eight probes take a second of one core; tracing the lens anew would take twelve.
+    """
     one = first.certificate
     renderer.judged = Judged(Share(one.bank_rms, one.bank_worst, one.probes), one.window, ())
-    renderer.accuracy = replace(renderer.accuracy, probes=FURTHER_PROBES)
+    renderer.accuracy = replace(renderer.accuracy, probes=probes)
 
 
 Taken = TypeVar("Taken", bound=WithCertificate)

@@ -25,7 +25,7 @@ from gpusim.scene.spectra import QUADRATURE_NM, WAVELENGTHS_NM
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certificate_bar, certified_lights
+from gpusim.validate.certified import Certified, certificate_bar, certified_lights, pooled
 from gpusim.validate.edges import (
     AXES,
     TILT_RAD,
@@ -55,8 +55,8 @@ NODES_NM = np.arange(400.0, 701.0, 25.0)  # 12.5 nm move no edge 5 or 9 by 1e-4 
 # inter-band 0.05 but for one of 0.076.
 POSITION_BAR_PX, INTER_BAND_BAR_PX, MTF_BAR = 0.02, 0.005, 0.01
 MTF_EDGES = {1: "centre", 3: "mid-field", 5: "edge"}  # figures 10, 11 and 12
-# Places that share a chart, and of them those whose regions share a rectangle; the first rectangle
-# has the certificate. Edges near the axis ask for 16 samples a pixel, the others for fewer.
+# Places that share a chart and a plan, and of them those whose regions share a rectangle. Edges by
+# the axis ask for 16 samples a pixel, the others for fewer.
 SHEETS = {"near the axis": ((1, 2),), "farther out": ((7, 8, 9, 10), (3, 4, 5), (6,))}
 
 
@@ -181,10 +181,10 @@ def rectangle(sensor: Sensor, numbers: Collection[int]) -> tuple[int, int, int, 
 
 def band_lights(
     camera: Camera, chart: Chart, groups: Sequence[Collection[int]]
-) -> tuple[list[Certified], np.ndarray]:
+) -> tuple[Certified, np.ndarray]:
     """Return the light of a chart by band, electrons/s (bands, rows, cols), 0 off groups of places.
 
-    The certificates of all groups come too; the others go by the plan of the first.
+    The certificate of all groups comes too; the others go by the plan of the first.
     """
     sensor = camera.sensor
     rates = np.zeros((len(sensor.channels), sensor.rows, sensor.cols))
@@ -194,7 +194,7 @@ def band_lights(
         top, left = y - light.area[0], x - light.area[1]
         found = light.rates[:, top : top + height, left : left + width]
         rates[:, y : y + height, x : x + width] = found
-    return [Certified(one.certificate, TOLERANCE) for one in lights], rates
+    return pooled(lights, TOLERANCE), rates
 
 
 def even_light(sensor: Sensor, predictor: Predictor, band: Band) -> np.ndarray:
@@ -214,7 +214,7 @@ class Edges:
     found : dict of (str, str, int) to Found
         By band, axis and number of the place.
     certificates : dict of str to Certified
-        By what was rendered: edges that share a rectangle, in all bands.
+        By what was rendered: the edges of each sheet, in all bands.
     tracer : str
         The program that predicted.
     independent : bool
@@ -292,9 +292,8 @@ def measure_edges(
     what = f"edges {', '.join(sheets)}"
     for number, (where, target) in enumerate(charts):
         progress(what, number, len(charts))
-        own_certificates, rates = band_lights(camera, target.chart, SHEETS[where])
-        for group, one in zip(SHEETS[where], own_certificates, strict=True):
-            certificates[f"near-{target.axis} edges {', '.join(map(str, group))}"] = one
+        certified, rates = band_lights(camera, target.chart, SHEETS[where])
+        certificates[f"near-{target.axis} edges {where}"] = certified
         for place in (place for place in TABLE_1 if place.number in target.ideal_um):
             region = region_of(place, target.axis, sensor)
             for (name, band), rate in zip(own.items(), rates, strict=True):

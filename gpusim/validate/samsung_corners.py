@@ -28,7 +28,7 @@ from gpusim.plan import Accuracy
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certificates_of, certified_tiles
+from gpusim.validate.certified import Certified, certified_tiles, pooled
 from gpusim.validate.edges import BLACK, WHITE, lit
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.samsung_camera import (
@@ -128,17 +128,16 @@ def measure_corners(
         half = math.radians(optics.full_deg / 2)
         nodes = REFERENCE_NM + np.array([-10.0, 0.0, 10.0])  # splines ask for neighbours
         predictor = predictor_of(build(lens), REACH_OF_FIELD * half, nodes, own=own)
-        corners, made = corners_of(optics, lens, predictor)
+        corners, certificates[f"corners, {optics.name}"] = corners_of(optics, lens, predictor)
         found += corners
-        certificates |= made
     progress("corners", len(lenses), len(lenses))
     return Corners(found, certificates)
 
 
 def corners_of(
     optics: Optics, lens: Prescription, predictor: Predictor
-) -> tuple[list[Corner], dict[str, Certified]]:
-    """Return the corners of a lens, and the certificates of the renders."""
+) -> tuple[list[Corner], Certified]:
+    """Return the corners of a lens, and the certificate of the render."""
     sensor = lines_sensor([["G"]], {"G": REFERENCE_NM})
     places = places_of(optics, predictor, sensor)
     camera, scene = camera_of(optics, lens, sensor), lit(chart_of(places, predictor, sensor))
@@ -155,8 +154,7 @@ def corners_of(
             corner_in(picture, chief, sensor) for picture in (capture.rate, expected)
         )
         found.append(Corner(optics, where, measured, predicted, tuple(chief.tolist())))
-    names = (f"corners, {optics.name}, {where}" for where in places)
-    return found[::-1], certificates_of(dict(zip(names, captures, strict=True)), TOLERANCE)
+    return found[::-1], pooled(captures, TOLERANCE)
 
 
 def places_of(optics: Optics, predictor: Predictor, sensor: Sensor) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ from gpusim.plan import Accuracy
 from gpusim.scene.chart import Chart, Rect
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified, certificates_of, certified_tiles
+from gpusim.validate.certified import Certified, certified_tiles, pooled
 from gpusim.validate.edges import TILT_RAD, Target, lit, normal_of, predicted_lsf
 from gpusim.validate.kodak_table import Place
 from gpusim.validate.predict import Band, Predictor
@@ -128,17 +128,16 @@ def measure_edges(
         half = math.radians(optics.full_deg / 2)
         nodes = np.array(sorted(LINES_NM.values()))
         predictor = predictor_of(build(lens), REACH_OF_FIELD * half, nodes, own=own)
-        edges, made = edges_of(optics, lens, predictor)
+        edges, certificates[f"edges, {optics.name}"] = edges_of(optics, lens, predictor)
         found += edges
-        certificates |= made
     progress("edges", len(lenses), len(lenses))
     return Edges(found, certificates, predictor.tracer.name, predictor.tracer.independent)
 
 
 def edges_of(
     optics: Optics, lens: Prescription, predictor: Predictor
-) -> tuple[list[Edge], dict[str, Certified]]:
-    """Return the edges of a lens, and the certificates of the renders."""
+) -> tuple[list[Edge], Certified]:
+    """Return the edges of a lens, and the certificate of the render."""
     sensor = lines_sensor(PATTERN, LINES_NM)
     places, target = places_of(optics, predictor, sensor)
     camera, scene = camera_of(optics, lens, sensor), lit(target.chart)
@@ -151,8 +150,7 @@ def edges_of(
         for channel in LINES_NM:
             one = edge_of(place, target, channel, capture.rate, sensor=sensor, predictor=predictor)
             found.append(Edge(optics, name, channel, *one))
-    names = (f"edges, {optics.name}, {name}" for name in places)
-    return found, certificates_of(dict(zip(names, captures, strict=True)), TOLERANCE)
+    return found, pooled(captures, TOLERANCE)
 
 
 def places_of(

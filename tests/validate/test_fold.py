@@ -20,6 +20,7 @@ from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.validate import ansys_electrons
 from gpusim.validate import samsung_qe as qe
+from gpusim.validate.certified import Certified
 from gpusim.validate.predict import Band, Predictor
 from gpusim.validate.tracers import Bundle
 
@@ -77,6 +78,7 @@ def samsung(predictor, monkeypatch):
     monkeypatch.setattr(qe, "angular_sensor", lambda: sensor)
     monkeypatch.setattr(qe, "camera_of", lambda optics, lens, sensor: StubCamera(LENS, sensor))
     monkeypatch.setattr(qe, "certified_tiles", tiles_of)
+    monkeypatch.setattr(qe, "pooled", lambda captures, tolerance: Certified(MET, tolerance))
     monkeypatch.setattr(qe, "PLACES_MM", ((0.0, 0.0), (0.2, 0.0)))
     return qe.measure_qe(None, predictor)
 
