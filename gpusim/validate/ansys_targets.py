@@ -1,7 +1,8 @@
 """Targets of the Ansys and Meta validation: a checkerboard, waves, and the paper's eSFR chart.
 
 The eSFR chart is the library's, of 50.3 x 33.5 in. The paper measures the square in the middle of
-an older edition, where the library's has a star: here that square is in the star's place.
+an older edition, where the library's has a star: here that square is in the star's place. Grey
+steps and colours are left out.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ HEIGHT_MM = 850.9  # 33.5 in
 # Of the square in the middle, half-heights: at 1.061 mm its edges are 76 px long, and regions of
 # 64 px fit beside them.
 SIDE = 0.4
+# The star, and the patches: reflectances of colours are known to 730 nm, and would end the whole
+# scene there, whose edges are seen to 1100 nm.
+LEFT_OUT = ("disc", "star", "patches")
 # Steps of 2:1 in place of the chart's 4:1.
 FILLS = {"grey": DARK, "dark": DARK**2 / BRIGHT, "bright": BRIGHT}
 
@@ -62,7 +66,7 @@ def _chart() -> str:
     found = yaml.safe_load((FOLDER / "e-sfr.yaml").read_text(encoding="utf-8"))
     square = {"shape": "rectangle", "size": [SIDE, SIDE], "fill": "dark"}
     square["angle_deg"] = math.degrees(TILT_RAD)
-    others = [one for one in found["shapes"] if one["shape"] not in ("disc", "star")]
+    others = [one for one in found["shapes"] if one["shape"] not in LEFT_OUT]
     return yaml.safe_dump(found | {"shapes": [square, *others], "fills": FILLS})
 
 
