@@ -211,8 +211,10 @@ def _plan_text(
             exposure_s=exposure_s,
             progress=lambda done, total: progress("lens", done, total),
         )
+        progress("plan", 0, 1)
+        text = found.plan(method).text()
     told = [textwrap.fill(f"{found.afforded}.")] if found.afforded else []
-    return "\n".join([found.plan(method).text(), *told])
+    return "\n".join([text, *told])
 
 
 def exposure_seconds(text: str) -> float:

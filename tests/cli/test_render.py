@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from html import escape
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,6 +31,7 @@ from gpusim.isp.settings import Settings
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import LAVAPIPE, content_of
 from gpusim.render import renderer
+from gpusim.render.planning import Planning
 from gpusim.report.facts import _plan
 from gpusim.scene.exr import write_exr
 from gpusim.sensor.load import load_sensor
@@ -586,3 +588,18 @@ def test_a_sensor_of_one_pixel_is_rendered(tmp_path: Path):
     assert facts["certificate"]["met"] and facts["files"][0] == "raw.dng"
     raw = tifffile.imread(out / "raw.dng")
     assert raw.shape == (1, 1) and raw[0, 0] > load_sensor("imx249-mono").black_level_dn
+
+
+def test_a_dry_run_tells_that_it_plans(monkeypatch: pytest.MonkeyPatch):
+    told: list[str] = []
+
+    @contextlib.contextmanager
+    def bars(shown: bool = True) -> Iterator[Callable[[str, int, int], None]]:
+        yield lambda phase, done, total: told.append(phase)
+        told.append("no bar")
+
+    monkeypatch.setattr(render.screen, "progress_bar", bars)
+    planned = SimpleNamespace(text=lambda: told.append("planned") or "the plan")
+    monkeypatch.setattr(Planning, "plan", lambda self, method: planned)
+    assert gpusim("render", "mtf-only", "grey", "--dry-run").out == "the plan\n"
+    assert told[-3:] == ["plan", "planned", "no bar"]
