@@ -142,7 +142,10 @@ class Layout(_Drawn):
 
 
 class Views(Prescription):
-    """A lens that can be traced, with its PSF, MTF and layout."""
+    """A lens that can be traced, with its PSF, MTF and layout; a notebook shows the last."""
+
+    def _repr_png_(self) -> bytes:
+        return self.layout()._repr_png_()
 
     def psf(
         self,

@@ -41,6 +41,10 @@ def test_each_draws_itself():
         assert figure.axes and figure.axes[0].has_data()
 
 
+def test_a_notebook_shows_a_lens_as_its_layout():
+    assert LENS._repr_png_() == LENS.layout()._repr_png_()
+
+
 def test_each_says_what_it_is_in_a_line():
     psf, mtf, layout = LENS.psf(samples=32), LENS.mtf(frequency_cy_mm=[10.0, 40.0]), LENS.layout()
     assert repr(psf).startswith("Psf(32 x 32 samples of ")
