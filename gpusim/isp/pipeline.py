@@ -285,8 +285,6 @@ class _Chain:
             self.left_out["rectify"] = "the file's maps move nothing"
         if self.method is None:
             self.left_out |= dict.fromkeys(("balance", "demosaicing"), "there are no filters")
-        elif (self.neutral == 1).all():
-            self.left_out["balance"] = "white is the same in every colour"
         if self.ev == 0:
             self.left_out["roll_off"] = "no stops"
         if self.space.transfer is None:
@@ -370,10 +368,9 @@ class _Chain:
     def _planes(self, rec: Recording, light: Array, start: int) -> Array:
         if self.method is None:
             return light
-        if "balance" not in self.left_out:
-            shares = dict(zip(self.source.colours, self.neutral, strict=True))
-            gain = np.array([[1 / shares[letter] for letter in line] for line in self.pattern])
-            record_balance(rec, light, gain)
+        shares = dict(zip(self.source.colours, self.neutral, strict=True))
+        gain = np.array([[1 / shares[letter] for letter in line] for line in self.pattern])
+        record_balance(rec, light, gain)  # an even white too: light ends at 1 here
         if self.method == "malvar":
             return record_malvar(rec, light)
         if self.method == "directional":

@@ -335,7 +335,7 @@ def _time(
                 frames = [seconds(partial(frame, one)) for _ in range(FURTHER)]
                 run.times["frame"].append(float(np.median(frames)))
                 if run is runs[0]:
-                    planning_s = seconds(one.planned)
+                    planning_s = seconds(one.planning.plan)
             finally:
                 one.release()
         for run in runs:

@@ -100,9 +100,9 @@ def test_a_stop_may_lie_in_glass(read):
         ("40.0   3.0", "4O.0   3.0", ["line 4", "4O.0"]),
         ("40.0   3.0", "nan   3.0", ["line 4", "nan"]),
         ("40.0   3.0   1.6  16.0", "40.0   3.0   1.6  0", ["aperture of row 1", "> 0 mm"]),
-        ("40.0   3.0", "40.0   0", ["surfaces.1", "glass thickness must be greater than 0"]),
-        ("40.0   3.0", "40.0   -3", ["surfaces.1", "glass thickness must be greater"]),
-        ("-40.0  30.0  1.0", "-40.0  30.0  1.5", ["air behind it"]),
+        ("40.0   3.0", "40.0   0", ["surfaces.1.thickness", "greater than 0 (mm)"]),
+        ("40.0   3.0", "40.0   -3", ["surfaces.1.thickness", "-3.0", "greater than 0"]),
+        ("-40.0  30.0  1.0", "-40.0  30.0  1.5", ["surfaces.5.glass", "no glass behind the last"]),
         ("40.0   3.0   1.6", "40.0   3.0   7.6", ["surfaces.1.nd", "less than 5"]),
     ],
 )

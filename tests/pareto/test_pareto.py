@@ -46,7 +46,7 @@ def found() -> Sweep:
 
     some = [variant for variant in variants(ASKED, 1) if variant.name in KEPT]
     impossible = Variant("knob", "impossible", ASKED, refused)
-    again = Variant("knob", "again", ASKED, lambda renderer: (renderer.planned(), {}))
+    again = Variant("knob", "again", ASKED, lambda renderer: (renderer.planning.plan(), {}))
     patch = pytest.MonkeyPatch()
     # Rates that are measured in two processes at once may choose another plan the next time.
     patch.setattr(turns, "adapter_costs", lambda device: LAVAPIPE)
@@ -105,7 +105,7 @@ def test_the_runners_up_are_the_planners_next(found: Sweep):
     accuracy, given = replace(ASKED, probes=0), {"exposure_s": 0.01, "costs": LAVAPIPE}
     chosen = Renderer(CAMERA, EDGE, accuracy, default_device(), **given)
     try:
-        plans = chosen.plans(4)
+        plans = chosen.planning.plans(4)
         names = [chosen.plan.name, *(other.name for other in chosen.plan.runners_up)]
     finally:
         chosen.release()
@@ -116,7 +116,8 @@ def test_the_runners_up_are_the_planners_next(found: Sweep):
 
 
 def test_a_runner_up_that_is_not_there_is_an_obstacle():
-    renderer = SimpleNamespace(plans=lambda count: ["the chosen", "another"])
+    planning = SimpleNamespace(plans=lambda count: ["the chosen", "another"])
+    renderer = SimpleNamespace(planning=planning)
     with pytest.raises(UserError, match="no such plan") as caught:
         knobs._runner_up(3)(renderer)
     assert caught.value.allowed == "1 at most"
@@ -191,7 +192,7 @@ class Clock:
         spend(1.0)  # the scene
         return SimpleNamespace(
             capture=lambda exposure_s: spend(plan.frame_s),
-            planned=lambda: spend(10.0),
+            planning=SimpleNamespace(plan=lambda: spend(10.0)),
             drop_light=lambda: None,
             release=lambda: None,
         )

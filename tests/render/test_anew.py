@@ -15,7 +15,7 @@ from gpusim.errors import UserError
 from gpusim.library import session as session_module
 from gpusim.library.again import made_raw, recipe_of_frame
 from gpusim.plan import Accuracy
-from gpusim.render import capture, renderer
+from gpusim.render import capture, planning, renderer
 from gpusim.render.anew import SAFETY, TIMES, planned_anew, tighter
 
 
@@ -103,13 +103,13 @@ def test_the_worst_probe_counts_a_tenth():
 @pytest.fixture
 def by_a_wrong_model(monkeypatch):
     """Plans are made for 30 times what they should be; return a small camera."""
-    true = renderer.plans_optics
+    true = planning.plans_optics
 
     def wrong(bank, sensor, scene, accuracy, *rest, **more):
         asked = replace(accuracy, tolerance=min(30 * accuracy.tolerance, 0.1))
         return true(bank, sensor, scene, asked, *rest, **more)
 
-    monkeypatch.setattr(renderer, "plans_optics", wrong)
+    monkeypatch.setattr(planning, "plans_optics", wrong)
     given = gs.Camera.load("mtf-only")
     return gs.Camera(given.lens, given.sensor.roi(48, 64), "small")
 

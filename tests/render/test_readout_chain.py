@@ -230,7 +230,7 @@ def test_a_sensor_of_two_gains_sees_more_and_tiles_change_not_one_bit(tmp_path: 
         ({"top": -1}, "optical_black.top", "greater than or equal to 0"),
         ({"left": MAX_BORDER + 1}, "optical_black.left", f"less than or equal to {MAX_BORDER}"),
         ({"left": float("nan")}, "optical_black.left", "finite"),
-        ({"right": 2.5}, "optical_black.right", "integer"),
+        ({"right": 2.5}, "optical_black.right", "whole number"),
         ({"middle": 2}, "optical_black.middle", "top, bottom, left, right"),
         ({}, "optical_black", "above 0"),
         ({"top": 3}, "optical_black", "multiples of 2 and 2"),
