@@ -280,7 +280,7 @@ def test_the_middle_wavelength_is_the_reference_where_none_is_stated(read):
         (
             "S -50.0 48.0",
             "S -50.0 48.0 NBK7_SCHOTT",
-            ["surfaces.2.glass", "no glass behind the last"],
+            ["surfaces.2.glass", "no glass behind the"],
         ),
         ("SI 0 -0.25", "SI 0 0\nS 1 1", ["after the image"]),
         ("SO 0 1e13\n", "", ["before the object"]),
