@@ -39,13 +39,14 @@ def pixels(samples):
     return soft.reshape(READING.pixels, SUB, READING.pixels, SUB).mean(axis=(1, 3))
 
 
-def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4):
+def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4, noise=0.0):
     """Return what a reading would give whose renders follow a lens."""
     x, y = ideal_places(lens, stretch)
     side = ansys.square_mm(READING, lens)
     # Soft edges: hard ones between samples would move corners by hundredths of a pixel.
     soft = np.tanh(6 * np.sin(np.pi * x / side) * np.sin(np.pi * y / side))
     board = pixels((BRIGHT + DARK + (BRIGHT - DARK) * soft) / 2)
+    board = board + np.random.default_rng(4).normal(0, noise, board.shape)
     plane = Plane(board, None, (-math.inf, math.inf))
     peaks, (left, top, wide, high) = [], ansys.middle(READING)
     for period in ansys.PERIODS_PX:
@@ -98,7 +99,8 @@ def sharp(**planted):
     edge = SimpleNamespace(
         mtf_error=off, error_px=0.0, measured_mtf=curve + off * (F > 0.5), predicted_mtf=curve
     )
-    edges = {(name, n): edge for name in ("electrons", "irradiance") for n in ansys_square.ROIS}
+    maps = ("electrons",) if planted.get("by_rays") else ("electrons", "irradiance")
+    edges = {(name, n): edge for name in maps for n in ansys_square.ROIS}
     noise = dict.fromkeys(ansys_square.ROIS, noise_of(20, planted.get("noise", 1.0)))
     focus = []
     for shift in (-10.0, 0.0, 10.0, 20.0):

@@ -20,6 +20,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from gpusim.camera import Camera
 from gpusim.formats.lens_file import load_prescription
@@ -38,6 +39,8 @@ from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys_targets import LAMP, LUMINANCE_CD_M2, board, chart, drawn, sinusoid
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certificate_bar, certificates_of
+from gpusim.validate.predict import FIELDS
+from gpusim.validate.pupils import Pupils
 from gpusim.validate.spheres import SphereTracer
 
 LENS = Path(__file__).parents[1] / "data" / "validate" / "ansys-stand-in.yaml"
@@ -49,7 +52,7 @@ PERIODS_PX = (3, 4, 5)  # figure 10
 EXPOSURE_S = 1 / 60
 TOLERANCE, PROBES = 3e-3, 8
 LGD_BAR, PEAK_BAR = 0.05, 0.5  # percentage points, and percent
-SCATTER_BAR = 0.02  # px, RMS: what single corners of checkerboards are to be found to
+SCATTER_BAR = 0.02  # px, RMS of single corners about the curve through all
 MEAN_LGD, MEAN_BAR = -6.1, 0.2  # percent (section 3.2), and percentage points
 # About the board's squares, and how far its outermost corner lies from the picture's sides: nearer
 # ones than 11 px are not found, for they are sought under a weight.
@@ -124,7 +127,8 @@ class LensData:
     ----------
     lens : Prescription
     wavelengths_nm, weights : ndarray (K,)
-        Light by which chief rays are averaged: the polychromatic centroid.
+        Light by which the centroids of rays are averaged: the polychromatic centroid. Coma puts it
+        beside the chief ray, as it does corners: by 0.3 px at 1.061 mm.
     """
 
     def __init__(self, lens: Prescription, wavelengths_nm: np.ndarray, weights: np.ndarray) -> None:
@@ -139,8 +143,15 @@ class LensData:
         at = [np.bincount(below, weights * (below + 1 - share), self.nodes_nm.size)]
         at.append(np.bincount(below + 1, weights * (share - below), self.nodes_nm.size))
         self.weights = np.sum(at, axis=0) / weights.sum()
-        self.chief_mm = np.stack([self.tracer.chief_mm(fields, nm) for nm in self.nodes_nm])
-        self.real_mm = self.weights @ self.chief_mm
+        traced = np.linspace(0, fields[-1], FIELDS)
+        self.heights_mm = np.stack([self._centroids_mm(traced, fields, nm) for nm in self.nodes_nm])
+        self.real_mm = self.weights @ self.heights_mm
+
+    def _centroids_mm(self, traced: np.ndarray, fields: np.ndarray, nm: float) -> np.ndarray:
+        """Return where a wavelength's rays of fields land on the average, from those of a few."""
+        pupils = Pupils(self.tracer, traced, nm)
+        beside_um = [pupils.sent(float(field))[1] for field in traced]
+        return self.tracer.chief_mm(fields, nm) + 1e-3 * CubicSpline(traced, beside_um)(fields)
 
     def lgd(self, real_mm: np.ndarray) -> np.ndarray:
         """Return (r_d - r_u) / r_u at heights r_d; r_u is by the magnification of the middle."""
@@ -162,7 +173,7 @@ class LensData:
             On the ideal plane.
         """
         total = np.zeros(places_mm.size)
-        for weight, heights in zip(self.weights, self.chief_mm, strict=True):
+        for weight, heights in zip(self.weights, self.heights_mm, strict=True):
             ideal = np.sign(places_mm) * np.interp(np.abs(places_mm), heights, self.ideal_mm)
             total += weight * np.cos(2 * np.pi * ideal / period_mm)
         return total
@@ -238,13 +249,6 @@ class Read:
         return 100 * (own - self.lens.lgd(self.radii * self.corner_mm))
 
     @property
-    def scatter_px(self) -> np.ndarray:
-        """How far each corner (N,) lies outwards of where the lens's LGD puts it, px."""
-        found = self.distortion
-        ideal_px = np.hypot(*found.fits["chosen"].ideal.T) * found.corner_px
-        return ideal_px * (found.lgd - self.lens.lgd(found.radius * self.corner_mm))
-
-    @property
     def mean_lgd(self) -> float:
         """Mean LGD over the central part of the paper's whole sensor, by the corners: percent."""
         share = CENTRAL * WHOLE_PX / self.reading.pixels
@@ -254,14 +258,12 @@ class Read:
         """Return what has to hold."""
         name, unit = self.reading.name, "% points"
         errors = [peak.error for peak in self.peaks]
-        scatter = [float(np.sqrt(np.mean(self.scatter_px**2)))]
+        scatter = [self.distortion.fits["chosen"].rms_px]
         mean, off = f"mean LGD against the paper's, {name}", [self.mean_lgd - MEAN_LGD]
         certificates = certificates_of(self.captures, TOLERANCE)
         return [
             Bar.largest(f"LGD at every radius, {name}", self.lgd_errors, LGD_BAR, unit),
-            Bar.largest(
-                f"single corners against the lens, RMS, {name}", scatter, SCATTER_BAR, "px"
-            ),
+            Bar.largest(f"scatter of corners, RMS, {name}", scatter, SCATTER_BAR, "px"),
             *([Bar.largest(mean, off, MEAN_BAR, unit)] if self.reading.simulated else []),
             Bar.largest(f"peaks of 1/3, 1/4, 1/5 cycles/px, {name}", errors, PEAK_BAR, "%"),
             certificate_bar(certificates, f"certificates, total, {name}"),

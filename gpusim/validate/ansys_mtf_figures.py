@@ -56,6 +56,8 @@ def draw_curves(found: list[Sharpness], charts: Sequence[np.ndarray]) -> Figure:
             axes.plot(f, one.models["rays alone"], **plain, **own)
             sigma = one.noise[SHOWN].sigma
             for name, colour in MAPS.items():
+                if (name, SHOWN) not in one.found:
+                    continue
                 edge = one.found[name, SHOWN]
                 axes.plot(f, edge.predicted_mtf, color=colour, linewidth=0.8)
                 shown = slice(None, None, 8)

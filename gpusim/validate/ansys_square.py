@@ -101,6 +101,8 @@ class Square:
         sensor: Sensor,
         predictor: Predictor,
         numbers: Collection[int] = tuple(ROIS),
+        *,
+        tolerance: float = TOLERANCE,
     ) -> None:
         self.sensor, self.predictor = sensor, predictor
         camera = Camera(lens=lens, sensor=sensor, title="stand-in")
@@ -112,7 +114,7 @@ class Square:
         }
         self.rates: dict[int, np.ndarray] = {}
         self.renderer, self.capture = certified(
-            Accuracy(TOLERANCE, PROBES),
+            Accuracy(tolerance, PROBES // len(numbers)),
             lambda accuracy: Renderer(camera, scene, accuracy, noise=True),
             self._worst,
         )

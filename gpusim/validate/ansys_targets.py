@@ -1,8 +1,9 @@
 """Targets of the Ansys and Meta validation: a checkerboard, waves, and the paper's eSFR chart.
 
 The eSFR chart is the library's, of 50.3 x 33.5 in. The paper measures the square in the middle of
-an older edition, where the library's has a star: here that square is in the star's place. Grey
-steps and colours are left out.
+an older edition, where the library's has a star: here that square is in the star's place. Patches
+are left out: colours' reflectances are known to 730 nm, where the scene would end, and greys would
+lie beside ROI 1.
 """
 
 from __future__ import annotations
@@ -25,12 +26,9 @@ LUMINANCE_CD_M2, LAMP = 500.0, "D50"  # section 2.2
 # they are 2.6e-3.
 DARK, BRIGHT = 0.36, 0.72
 HEIGHT_MM = 850.9  # 33.5 in
-# Of the square in the middle, half-heights: at 1.061 mm its edges are 76 px long, and regions of
+# Of the square in the middle, half-heights: at 1.061 mm its edges are 85 px long, and regions of
 # 64 px fit beside them.
-SIDE = 0.4
-# The star, and the patches: reflectances of colours are known to 730 nm, and would end the whole
-# scene there, whose edges are seen to 1100 nm.
-LEFT_OUT = ("disc", "star", "patches")
+SIDE = 0.45
 # Steps of 2:1 in place of the chart's 4:1.
 FILLS = {"grey": DARK, "dark": DARK**2 / BRIGHT, "bright": BRIGHT}
 
@@ -66,7 +64,7 @@ def _chart() -> str:
     found = yaml.safe_load((FOLDER / "e-sfr.yaml").read_text(encoding="utf-8"))
     square = {"shape": "rectangle", "size": [SIDE, SIDE], "fill": "dark"}
     square["angle_deg"] = math.degrees(TILT_RAD)
-    others = [one for one in found["shapes"] if one["shape"] not in LEFT_OUT]
+    others = [one for one in found["shapes"] if one["shape"] == "rectangle"]
     return yaml.safe_dump(found | {"shapes": [square, *others], "fills": FILLS})
 
 

@@ -6,7 +6,6 @@ is tested without the engine; renders of its parts run behind the marker ``slow`
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,12 +70,8 @@ def test_a_mean_distortion_that_is_not_the_papers_is_seen(lens):
 
 
 def test_corners_that_scatter_are_seen(lens):
-    """By 0.03 px along each axis, where the curve through all of them still lies right."""
-    found, *others = drawn(lens)
-    draw = np.random.default_rng(4)
-    x, y = (at + draw.normal(0, 0.03, at.size) for at in (found.marks.x, found.marks.y))
-    moved = replace(found, marks=replace(found.marks, x=x, y=y))
-    assert lost(lens, (moved, *others)) == {"single corners against the lens"}
+    """By noise of a tenth of the step, where the curve through all of them still lies right."""
+    assert lost(lens, drawn(lens, noise=0.036)) == {"scatter of corners"}
 
 
 def test_corners_are_found_nearly_to_the_corner_of_the_picture(lens):

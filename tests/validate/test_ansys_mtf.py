@@ -99,9 +99,9 @@ def test_the_charts_square_is_where_it_is_predicted(camera):
     square = next(one for one in chart(camera.frame).source.primitives if one.cx == one.cy == 0)
     half_height_um = camera.sensor.rows / 2 * camera.sensor.pixel_pitch_um
     assert square.half_w * half_height_um == pytest.approx(half_um(camera.frame), rel=1e-9)
-    # 33.5 in at 0.6 m, of which the square has 0.2. The entrance pupil lies 1.6 mm within the
+    # 33.5 in at 0.6 m, of which the square has 0.225. The entrance pupil lies 1.6 mm within the
     # lens, and its focal length at the reference wavelength is 0.02 % more: 0.3 %.
-    expected = 1061 * 0.2 * 33.5 * 25.4 / 600
+    expected = 1061 * 0.225 * 33.5 * 25.4 / 600
     assert 2 * half_um(camera.frame) == pytest.approx(expected, rel=4e-3)
 
 
