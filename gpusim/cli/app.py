@@ -81,11 +81,15 @@ def common(
     """Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers."""
 
 
-def _show_warning(message: Warning | str, *_: object) -> None:
-    """Print a warning as the error screen is printed: without the line of code that gave it."""
+def _show_warning(message: Warning | str, category: type[Warning], *_: object) -> None:
+    """Print a warning as the error screen is printed: without the line of code that gave it.
+
+    What libraries tell their programmers, that a name of theirs will go, is not for the user.
+    """
     from gpusim.cli.screen import show_warning
 
-    show_warning(str(message))
+    if not issubclass(category, DeprecationWarning | PendingDeprecationWarning):
+        show_warning(str(message))
 
 
 # In the order of --help.

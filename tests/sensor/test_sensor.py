@@ -298,8 +298,9 @@ def test_a_mistake_in_a_sensor_file_is_one_screen(tmp_path: Path):
     assert_refused(ran, file, "reference_temperature_c", "-300", "absolute zero is -273.15")
 
 
-def test_a_warning_of_the_command_line_is_one_line(tmp_path: Path, capsys):
+def test_a_warning_of_the_command_line_is_one_line(capsys):
     app._show_warning(UserWarning("the quantum efficiency of G exceeds 1"), UserWarning, "x.py", 3)
+    app._show_warning(DeprecationWarning("a name will go"), DeprecationWarning, "library.py", 3)
     assert capsys.readouterr().err == "warning: the quantum efficiency of G exceeds 1\n"
 
 
