@@ -13,8 +13,9 @@ from gpusim.metrics.edge import samples_of
 from gpusim.metrics.picture import Plane
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
 from gpusim.validate import ansys, ansys_models, ansys_mtf, ansys_noise, ansys_square
-from gpusim.validate.ansys_electrons import Electrons, EvenScene
+from gpusim.validate.ansys_electrons import BAR, Electrons, EvenScene
 from gpusim.validate.ansys_targets import BRIGHT, DARK
+from gpusim.validate.certified import Certified
 from gpusim.validate.edges import TILT_RAD
 
 READING = ansys.READINGS[0]
@@ -39,6 +40,12 @@ def pixels(samples):
     return soft.reshape(READING.pixels, SUB, READING.pixels, SUB).mean(axis=(1, 3))
 
 
+def certified(rms, tolerance):
+    """Return a certificate of a render that was planned for a tolerance."""
+    own = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
+    return Certified(own, tolerance)
+
+
 def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4, noise=0.0):
     """Return what a reading would give whose renders follow a lens."""
     x, y = ideal_places(lens, stretch)
@@ -53,9 +60,8 @@ def drawn(lens, stretch=0.0, frequency=1.0, rms=1e-4, noise=0.0):
         wave = np.cos(2 * np.pi * frequency * x / (1e-3 * period * READING.pitch_um))
         seen = pixels(wave)[top : top + high, left : left + wide]
         peaks.append(ansys.peak_of(seen, READING, lens, period))
-    certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
-    captures = {"all": SimpleNamespace(certificate=certificate)}
-    return measure_distortion({"W": plane}), board, peaks, captures, board
+    distortion = measure_distortion({"W": plane})
+    return distortion, board, peaks, {"all": certified(rms, ansys.TOLERANCE)}, board
 
 
 def frames_of(count, factor=1.0):
@@ -107,19 +113,17 @@ def sharp(**planted):
         measured = None if planted.get("by_rays") else np.exp(-(2 + abs(shift) / 20) * F)
         predicted = np.exp(-(2 + planted.get("focus", 1.0) * abs(shift) / 20) * F)
         focus.append(ansys_mtf.Focus(shift, measured, predicted))
-    certificate = SimpleNamespace(
-        total_rms=planted.get("rms", 1e-4), total_worst=1e-3, met=True, probes=8
-    )
-    captures = {"all": SimpleNamespace(certificate=certificate)}
+    certificates = {"all": certified(planted.get("rms", 1e-4), ansys_square.TOLERANCE)}
     names = "diffraction limit", "rays alone", "lens", "lens and pixel", "Gaussian", "no colour"
     models = dict.fromkeys((*names, "Gaussian, no colour"), np.ones(F.size))
     ways = [ansys_models.Opened("f/2", 2.0, 5.0)]
     regions = {1: (0, 0, 5, 5), 3: (2, 2, 5, 5)}
-    return ansys_mtf.Sharpness(READING, 2.88, edges, noise, focus, models, ways, captures, regions)
+    return ansys_mtf.Sharpness(
+        READING, 2.88, edges, noise, focus, models, ways, certificates, regions
+    )
 
 
 def even(off=0.0, rms=1e-4):
     """Return an even scene whose electrons are off by a share."""
-    certificate = SimpleNamespace(total_rms=rms, total_worst=1e-3, met=True, probes=8)
-    places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0, 0.3, 0.0)]
-    return EvenScene(places, SimpleNamespace(certificate=certificate))
+    places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0, 0.3, 0.0, 0.0)]
+    return EvenScene(places, certified(rms, BAR))

@@ -40,14 +40,23 @@ class MeanQe:
             over = over * passed[:, None, None, None]
         # One theta stands for all, as far as the sensor's maker says.
         self.theta, self.phi = np.array(measured.theta_deg, float), phi
-        self.table = np.moveaxis(over, 0, -2)  # (thetas, phis, K, C)
+        self.table = np.ascontiguousarray(np.moveaxis(over, 0, -2))  # (thetas, phis, K, C)
         turns = len(phi) > 2 and np.ptp(cubes, axis=2).max() > 0
+        self.rays: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # by field
         self.turns = bool(turns) and not hasattr(bank, "field_x_deg")
 
     def mean(self, field: int, node: int) -> np.ndarray:
         """Return q (L, K, C) of a field at the azimuth 2 pi node / NODES."""
+        if field not in self.rays:
+            self.rays[field] = self._arriving(field)
+        theta, azimuth_deg, share = self.rays[field]
+        turned = azimuth_deg + 360.0 * node / NODES
+        phi = (turned - self.phi[0]) % 360.0 + self.phi[0]
+        return np.tensordot(self._on_map(theta, phi, share), self.table, axes=2)
+
+    def _arriving(self, field: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return angle and azimuth, degrees, and share of rays, each (L, R), of a field."""
         place, _, cone = self.bank.rays(field)
-        turn = 2 * np.pi * node / NODES
         inwards = np.zeros(2)
         height = np.hypot(*place)
         if self.micro_lens is not None and height > 0:
@@ -55,29 +64,24 @@ class MeanQe:
                 height / 1e3, self.micro_lens.heights_mm, self.micro_lens.chief_ray_deg
             )
             inwards = -np.sin(np.deg2rad(angle)) * place / height
-        found = []
-        for rays in cone.astype(np.float64):
-            rays = rays[rays[:, 2] > 0]
-            direction = (rays[:, 0] + inwards[0]) + 1j * (rays[:, 1] + inwards[1])
-            direction = direction * np.exp(1j * turn)
-            # Farther out than the map only beyond the sensor: there it goes on as it ends.
-            theta = np.rad2deg(np.arcsin(np.minimum(np.abs(direction), 1)))
-            theta = np.minimum(theta, self.theta[-1])
-            phi = (np.rad2deg(np.angle(direction)) - self.phi[0]) % 360.0 + self.phi[0]
-            found.append(self._on_map(theta, phi, rays[:, 2]))
-        return np.tensordot(np.stack(found), self.table, axes=2)
+        x, y, share = np.moveaxis(cone.astype(np.float64), -1, 0)
+        direction = x + inwards[0] + 1j * (y + inwards[1])
+        # Farther out than the map only beyond the sensor: there it goes on as it ends.
+        theta = np.rad2deg(np.arcsin(np.minimum(np.abs(direction), 1)))
+        return np.minimum(theta, self.theta[-1]), np.rad2deg(np.angle(direction)), share
 
     def _on_map(self, theta: np.ndarray, phi: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Return shares of rays (R,) laid on the map's angles (thetas, phis), bilinearly.
+        """Return shares of rays (L, R) laid on the map's angles (L, thetas, phis), bilinearly.
 
         The mean over rays is then one sum over the map, however many rays and wavelengths.
         """
-        shape = len(self.theta), len(self.phi)
-        laid = np.zeros(math.prod(shape))
+        shape = len(share), len(self.theta), len(self.phi)
+        line, laid = np.arange(len(share))[:, None], np.zeros(math.prod(shape))
         for i, of_theta in _around(self.theta, theta):
             for j, of_phi in _around(self.phi, phi):
-                at = np.ravel_multi_index((i, j), shape)
-                laid += np.bincount(at, share * of_theta * of_phi, laid.size)
+                at = np.ravel_multi_index((line, i, j), shape)
+                weight = share * of_theta * of_phi
+                laid += np.bincount(at.ravel(), weight.ravel(), laid.size)
         return laid.reshape(shape)
 
 

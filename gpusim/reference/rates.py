@@ -75,7 +75,7 @@ class Rates:
         found = self.weights_there.get(key)
         if found is None:
             per_photon = self._qe_at(field, node) * self.even[..., None]
-            found = np.einsum("lkc,mk->cml", per_photon, self.spectra)
+            found = np.tensordot(per_photon, self.spectra, (1, 1)).transpose(1, 2, 0)
             self.weights_there[key] = found
         return found
 

@@ -38,7 +38,7 @@ from gpusim.sensor.load import load_sensor
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys_targets import LAMP, LUMINANCE_CD_M2, board, chart, drawn, sinusoid
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certificate_bar, certificates_of
+from gpusim.validate.certified import Certified, certificate_bar, certificates_of
 from gpusim.validate.predict import FIELDS
 from gpusim.validate.pupils import Pupils
 from gpusim.validate.spheres import SphereTracer
@@ -218,7 +218,8 @@ class Read:
     board : ndarray (rows, cols)
         The checkerboard, electrons/s.
     peaks : list of Peak
-    captures : dict of str to Capture
+    certificates : dict of str to Certified
+        By target.
     chart : ndarray (rows, cols)
         The eSFR chart, electrons/s: a picture, of which nothing is measured.
     """
@@ -228,7 +229,7 @@ class Read:
     distortion: Distortion
     board: np.ndarray
     peaks: list[Peak]
-    captures: dict[str, Capture]
+    certificates: dict[str, Certified]
     chart: np.ndarray
 
     @property
@@ -260,13 +261,12 @@ class Read:
         errors = [peak.error for peak in self.peaks]
         scatter = [self.distortion.fits["chosen"].rms_px]
         mean, off = f"mean LGD against the paper's, {name}", [self.mean_lgd - MEAN_LGD]
-        certificates = certificates_of(self.captures, TOLERANCE)
         return [
             Bar.largest(f"LGD at every radius, {name}", self.lgd_errors, LGD_BAR, unit),
             Bar.largest(f"scatter of corners, RMS, {name}", scatter, SCATTER_BAR, "px"),
             *([Bar.largest(mean, off, MEAN_BAR, unit)] if self.reading.simulated else []),
             Bar.largest(f"peaks of 1/3, 1/4, 1/5 cycles/px, {name}", errors, PEAK_BAR, "%"),
-            certificate_bar(certificates, f"certificates, total, {name}"),
+            certificate_bar(self.certificates, f"certificates, total, {name}"),
         ]
 
 
@@ -342,7 +342,8 @@ def read(
     progress(reading.name, len(captures), total)
     captures["eSFR chart"], picture = rate_of(reading.camera, chart(reading.camera.frame))
     progress(reading.name, total, total)
-    return Read(reading, lens, distortion, rate, peaks, captures, picture)
+    certificates = certificates_of(captures, TOLERANCE)
+    return Read(reading, lens, distortion, rate, peaks, certificates, picture)
 
 
 def bars(found: list[Read]) -> list[Bar]:

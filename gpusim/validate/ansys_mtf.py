@@ -22,7 +22,6 @@ import numpy as np
 
 from gpusim.camera import Camera
 from gpusim.lens.system import first_order
-from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys import Reading
@@ -41,12 +40,11 @@ from gpusim.validate.ansys_square import (
 )
 from gpusim.validate.ansys_targets import LUMINANCE_CD_M2, half_um
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import certificate_bar, certificates_of
+from gpusim.validate.certified import Certified, certificate_bar
 from gpusim.validate.edges import ROI_PX, Found
 from gpusim.validate.predict import CHIEF_FIELDS, FIELDS
 
 SPARE_PX = 24  # of the field, beyond the regions: PSFs and the slopes about the edges
-EVEN_PX = 160  # of the even scene's picture
 SHIFTS_UM = (-10.0, 10.0, 20.0)  # of the image plane: figure 14
 REALISATIONS = 20  # figures 12 and 13
 WIDER = 1.15  # of a field: barrel distortion puts more of it on the sensor than a plain image has
@@ -81,7 +79,8 @@ class Sharpness:
         MTFs of ROI 3 by limits and simpler models.
     opened : list of Opened
         The stand-in as it is, and opened to the paper's f/2.
-    captures : dict of str to Capture
+    certificates : dict of str to Certified
+        By map, and by shift.
     regions : dict of int to (x, y, width, height)
         In the picture of the whole reading.
     """
@@ -93,7 +92,7 @@ class Sharpness:
     focus: list[Focus]
     models: dict[str, np.ndarray]
     opened: list[Opened]
-    captures: dict[str, Capture]
+    certificates: dict[str, Certified]
     regions: dict[int, tuple[int, int, int, int]]
 
     @property
@@ -125,12 +124,11 @@ class Sharpness:
         sfr = [one.mtf_error for one in self.found.values()]
         lost = [np.abs(a - b).max() for a, b in self.losses().values() if a is not None]
         focus = f"loss by focus to 1 cycle/px, {name}"
-        certificates = certificates_of(self.captures, TOLERANCE)
         return [
             Bar.largest(f"SFR of ROI 1 and 3 to 1 cycle/px, {name}", sfr, SFR_BAR, "1"),
             *([Bar.largest(focus, lost, FOCUS_BAR, "1")] if lost else []),
             *bars_of(name, list(self.noise.values())),
-            certificate_bar(certificates, f"certificates of edges, total, {name}"),
+            certificate_bar(self.certificates, f"certificates of edges, total, {name}"),
         ]
 
 
@@ -148,13 +146,15 @@ def cropped(reading: Reading) -> Sensor:
 
 def even_scene(reading: Reading) -> EvenScene:
     """Render an even scene, and predict its electrons by equation 1."""
-    sensor = angular(reading.sensor.model_copy(update={"rows": EVEN_PX, "cols": EVEN_PX}))
+    sensor = angular(reading.sensor)
     field = math.radians(reading.field_deg - BESIDE_DEG)
     reach = 1e3 * reading.efl_mm * math.tan(field) / reading.pitch_um
     predictor = predictor_of(reading.lens, sensor, reach, pupils=FIELDS, chiefs=CHIEF_FIELDS)
     scene = make_scene("grey", LUMINANCE_CD_M2, LAMP)
     camera = Camera(lens=reading.lens, sensor=sensor, title="stand-in")
-    return electrons_of(camera, scene, predictor, band_of(sensor))
+    end_rad = np.radians([reading.lens.max_field_deg])
+    rim_mm = float(predictor.tracer.chief_mm(end_rad, CENTRE_NM)[0])
+    return electrons_of(camera, scene, predictor, band_of(sensor), rim_mm=rim_mm)
 
 
 def sharpness(
@@ -177,13 +177,13 @@ def sharpness(
     corner_mm = 1e-3 * math.hypot(far_px, ROI_PX[1] / 2) * base.pixel_pitch_um
     lens = reading.lens.limited(math.degrees(math.atan(WIDER * corner_mm / reading.efl_mm)))
     predictor = predictor_of(lens, base, far_px)
-    found, captures, noise, focus = {}, {}, {}, []
+    found, certificates, noise, focus = {}, {}, {}, []
 
     progress(what, next(steps), total)
     with closing(Square(lens, angular(base), predictor)) as square:
-        captures["electrons"] = square.capture
+        certificates["electrons"] = square.certificate
         found |= {("electrons", number): square.found(number) for number in ROIS}
-        for number in ROIS:
+        for number in reversed(ROIS):  # the light of the last one is still held
             frames = [square.frame(number, seed) for seed in range(REALISATIONS)]
             noise[number] = square.noise(number, frames)
         models = models_of(square, lens)
@@ -192,7 +192,7 @@ def sharpness(
     progress(what, next(steps), total)
     if reading.simulated:  # at 3 mm it shares no PSFs with the electron map: 30 s of two cores
         with closing(Square(lens, radiometric(base), predictor)) as square:
-            captures["irradiance"] = square.capture
+            certificates["irradiance"] = square.certificate
             found |= {("irradiance", number): square.found(number) for number in ROIS}
     for shift in positions:
         progress(what, next(steps), total)
@@ -204,10 +204,10 @@ def sharpness(
             continue
         half = TOLERANCE / 2  # a loss is the difference of two renders
         with closing(Square(moved, base, predictor, (SHOWN,), tolerance=half)) as square:
-            captures[f"image plane {shift:+g} um"] = square.capture
+            certificates[f"image plane {shift:+g} um"] = square.certificate
             one = square.found(SHOWN)
         focus.append(Focus(shift, one.measured_mtf, one.predicted_mtf))
     progress(what, total, total)
     number = first_order(lens).f_number
     spots = opened(reading.lens)
-    return Sharpness(reading, number, found, noise, focus, models, spots, captures, regions)
+    return Sharpness(reading, number, found, noise, focus, models, spots, certificates, regions)

@@ -96,10 +96,19 @@ def electrons(even: EvenScene) -> Rows:
     rows = [
         [
             f"{place.x_mm:+.3f}, {place.y_mm:+.3f}", f"{place.lean_deg:.2f}",
-            f"{place.efficiency:.4f}", f"{place.measured:.1f}", f"{place.predicted:.1f}",
+            f"{place.efficiency:.4f}", f"{100 * place.past_rim:.3f}",
+            f"{place.measured:.1f}", f"{place.predicted:.1f}",
             f"{100 * (place.measured / place.predicted - 1):+.3f}",
         ]
         for place in even.places
     ]  # fmt: skip
-    head = "x, y [mm]", "cone leans [deg]", "efficiency", "rendered", "by rays", "off by [%]"
+    head = (
+        "x, y [mm]",
+        "cone leans [deg]",
+        "efficiency",
+        "bent over the rim [%]",
+        "rendered",
+        "predicted",
+        "off by [%]",
+    )
     return Rows(head, rows)

@@ -141,7 +141,7 @@ def certified_tiles(
 
     first, *others = tiles
     renderer, capture = certified(accuracy, made, lambda renderer: taken(renderer, first))
-    _go_on(renderer, capture, accuracy.probes)
+    go_on(renderer, capture, accuracy.probes)
     try:
         return [capture, *(taken(renderer, tile) for tile in others)]
     finally:
@@ -168,15 +168,15 @@ def certified_lights(
         lambda asked: Renderer(camera, scene, asked),
         lambda renderer: lit(renderer, first),
     )
-    _go_on(renderer, light, accuracy.probes)
+    go_on(renderer, light, accuracy.probes)
     try:
         return [light, *(lit(renderer, one) for one in others)]
     finally:
         renderer.release()
 
 
-def _go_on(renderer: Renderer, first: WithCertificate, probes: int | None) -> None:
-    """Let a renderer certify further rectangles, with the bank's part of the first one's.
+def go_on(renderer: Renderer, first: WithCertificate, probes: int | None) -> None:
+    """Let a renderer certify further rectangles, at so many probes, with the bank's part of one.
 
     Eight probes take a second of one core; tracing the lens anew would take twelve.
     """

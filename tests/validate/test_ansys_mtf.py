@@ -11,12 +11,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ansys_findings import READING, F, even, measured_of, noise_of, sharp
+from scipy.special import j0, j1
 from wrong_sfr import PLANTED
 
 from gpusim.camera import Camera
 from gpusim.validate import ansys_models, ansys_mtf, ansys_noise, ansys_pixel, ansys_square
+from gpusim.validate.ansys_electrons import past_rim
 from gpusim.validate.ansys_targets import chart, half_um
 from gpusim.validate.edges import compare, predicted_lsf, region_of
+
+RIM_UM, WAVE_UM = 940.0, 1.0
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +185,22 @@ def test_electrons_that_equation_1_does_not_have_are_seen():
     assert all(bar.held for bar in even().bars())
     assert [bar.held for bar in even(off=-1.1e-3).bars()] == [False, True]
     assert [bar.held for bar in even(rms=1.1e-3).bars()] == [True, False]
+
+
+@pytest.mark.parametrize("half", [(0.17, 0.17), (0.1, 0.17), (0.15, 0.12)])
+@pytest.mark.parametrize("away_um", [0.0, 500.0, 800.0])
+def test_light_is_bent_over_the_rim_as_an_elliptic_pupil_does(half, away_um):
+    """Airy's encircled energy along each direction, scaled to the ellipse: exact, with fringes."""
+    a, b = half
+    phi = 2 * math.pi * (np.arange(4000) + 0.5) / 4000
+    along, across = np.cos(phi) / a, np.sin(phi) / b  # um of the image for each of the circle's
+    square = along**2 + across**2
+    middle = away_um * along / square
+    to_rim = np.sqrt((RIM_UM**2 - away_um**2) / square + middle**2) - middle
+    argument = 2 * math.pi / WAVE_UM * to_rim
+    exact = float(np.mean(j0(argument) ** 2 + j1(argument) ** 2))
+    # The fringes that the mean leaves out: half of the argument's inverse at the nearest rim, 88.
+    assert past_rim(half, away_um, RIM_UM, WAVE_UM) == pytest.approx(exact, rel=6e-3)
 
 
 def test_at_f_2_the_stand_in_is_stopped_by_its_glass_or_has_large_spots():
