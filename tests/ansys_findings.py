@@ -13,7 +13,7 @@ from gpusim.metrics.edge import samples_of
 from gpusim.metrics.picture import Plane
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
 from gpusim.validate import ansys, ansys_models, ansys_mtf, ansys_noise, ansys_square
-from gpusim.validate.ansys_electrons import BAR, Electrons, EvenScene
+from gpusim.validate.ansys_electrons import TOLERANCE, Electrons, EvenScene
 from gpusim.validate.ansys_targets import BRIGHT, DARK
 from gpusim.validate.certified import Certified
 from gpusim.validate.edges import TILT_RAD
@@ -126,4 +126,4 @@ def sharp(**planted):
 def even(off=0.0, rms=1e-4):
     """Return an even scene whose electrons are off by a share."""
     places = [Electrons(0.0, 0.0, 1000.0 * (1 + off), 1000.0, 0.3, 0.0, 0.0)]
-    return EvenScene(places, certified(rms, BAR))
+    return EvenScene(places, certified(rms, TOLERANCE))

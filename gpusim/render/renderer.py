@@ -107,6 +107,7 @@ class Renderer:
         self.prepare_s: dict[str, float] = {}
         self.on_device = OnDevice(self.device, camera.sensor, self.memory_bytes)
         self.kept: dict[Rect, np.ndarray] = {}  # electrons/s of the planes, by tile
+        self.coarse_plans: dict[float, Plan] = {}  # of the halo's levels, by pitch
         self.resident_glare: Resident | None = None
         self.judged: Judged | None = None  # the bank's part of certificates, where it is known
         report = progress or (lambda what, done, total: None)
@@ -170,6 +171,7 @@ class Renderer:
         the same wavelengths.
         """
         self.bank, self.core = bank, bank.levels[0]
+        self.coarse_plans.clear()
         self.drop_light()
         self.plan = refocused(self.plan, self.core, self.camera.sensor)
         self.on_device.convolve(self.plan)
@@ -326,10 +328,12 @@ class Renderer:
             accuracy,
             self.device,
             memory_bytes=self.memory_bytes,
+            plan=self.coarse_plans.get(camera.level.pitch_um),
             costs=self.costs,
             noise=False,
             method="fft",
         )
+        self.coarse_plans[camera.level.pitch_um] = renderer.plan  # rectangles share it
         try:
             return planes_on(renderer, rect)
         finally:

@@ -50,7 +50,8 @@ WHOLE_PX = 640  # along each side of the paper's whole sensor
 CENTRAL = 0.4  # of the way to the corner, and of the width of the picture (section 3.2)
 PERIODS_PX = (3, 4, 5)  # figure 10
 EXPOSURE_S = 1 / 60
-TOLERANCE, PROBES = 3e-3, 8
+# Planned for 3e-3, board and chart missed it by a fifth and were rendered twice.
+TOLERANCE, PROBES = 1.5e-3, 8
 LGD_BAR, PEAK_BAR = 0.05, 0.5  # percentage points, and percent
 SCATTER_BAR = 0.02  # px, RMS of single corners about the curve through all
 MEAN_LGD, MEAN_BAR = -6.1, 0.2  # percent (section 3.2), and percentage points

@@ -36,6 +36,7 @@ from gpusim.validate.predict import Band, Predictor
 EVEN_AT = ((0, 0), (0.5, 0), (0, 0.9), (0.9, 0.9))  # of the way to the sides, right and down
 EVEN = 8  # pixels of the tiles over which electrons are averaged
 BAR = 1e-3
+TOLERANCE = BAR / 2  # of the renders: rays and closed form have the rest
 LEAN_NM = 550.0
 TURN = 720  # directions about a place towards the rim of the field
 
@@ -97,7 +98,7 @@ def electrons_of(
         (round(side / 2 * (1 + x) - EVEN / 2), round(side / 2 * (1 + y) - EVEN / 2), EVEN, EVEN)
         for x, y in EVEN_AT
     ]
-    captures = certified_tiles(camera, scene, Accuracy(BAR, PROBES), EXPOSURE_S, tiles)
+    captures = certified_tiles(camera, scene, Accuracy(TOLERANCE, PROBES), EXPOSURE_S, tiles)
     for (left, top, _, _), capture in zip(tiles, captures, strict=True):
         x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
         away_mm = math.hypot(x_mm, y_mm)
@@ -111,7 +112,7 @@ def electrons_of(
         lean_deg = math.degrees(math.asin(float(share @ radial)))
         predicted = float(reached) * (1 - lost) * EXPOSURE_S
         found.append(Electrons(x_mm, y_mm, measured, predicted, float(efficiency), lean_deg, lost))
-    return EvenScene(found, pooled(captures, BAR))
+    return EvenScene(found, pooled(captures, TOLERANCE))
 
 
 def _bent(
