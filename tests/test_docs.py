@@ -98,3 +98,35 @@ def test_the_python_of_the_readme_is_that_of_the_library():
     for kind, name in re.findall(r"\b(light|frame|lens|burst)\.(\w+)", code):
         if name != "npz":
             assert hasattr(kinds[kind], name) or name in kinds[kind].__dataclass_fields__
+
+
+OURS = [
+    ("kodak", r"by up to ([\d.]+) and ([\d.]+) px", ["R to G", "B to G"]),
+    (
+        "ansys",
+        r"LGD within ([\d.]+) % points, sinusoids within ([\d.]+) %, SFR within ([\d.]+) of",
+        ["LGD at every radius", "peaks of", "SFR of ROI"],
+    ),
+    (
+        "samsung",
+        r"edges within ([\d.]+) of the step, corners within ([\d.]+) px RMS, "
+        r"QE within ([\d.e-]+), colour within ([\d.]+) xy",
+        ["ESF of", "corners of", "QE by field", "chromaticity"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("report", "words", "bars"), OURS)
+def test_readme_has_the_figures_of_the_validations_pages(report: str, words: str, bars: list[str]):
+    page = (PROJECT / f"docs/validation-{report}.md").read_text()
+    rows = re.findall(r"^\| (.+?) \| ([\d.e+-]+) \| [\d.e+-]+ \| .+ \| (yes|no) \|$", page, re.M)
+    (line,) = [
+        one for one in (PROJECT / "README.md").read_text().splitlines()
+        if f"(docs/validation-{report}.md)" in one
+    ]  # fmt: skip
+    assert "all of our bars held" in line and {held for _, _, held in rows} == {"yes"}
+    (figures,) = re.findall(words, line)
+    for figure, bar in zip(figures, bars, strict=True):
+        worst = max(float(value) for name, value, _ in rows if name.startswith(bar))
+        # Two digits, or one that is the next above.
+        assert worst <= 1.02 * float(figure) and float(figure) <= 1.1 * worst, (bar, worst, figure)
