@@ -1,9 +1,9 @@
 """Targets of the Ansys and Meta validation: a checkerboard, waves, and the paper's eSFR chart.
 
 The eSFR chart is the library's, of 50.3 x 33.5 in. The paper measures the square in the middle of
-an older edition, where the library's has a star: here that square is in the star's place. Patches
-are left out: colours' reflectances are known to 730 nm, where the scene would end, and greys would
-lie beside ROI 1.
+an older edition, where the library's has a star: here that square is in the star's place. The other
+stars are left out; patches too, for colours' reflectances are known to 730 nm, where the scene
+would end, and greys would lie beside ROI 1.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def sinusoid(period_px: int) -> str:
 
 @cache
 def _chart() -> str:
-    """Return the YAML of the library's eSFR chart with a square in the place of its star."""
+    """Return the YAML of the library's eSFR chart with a square in the middle, without stars."""
     found = yaml.safe_load((FOLDER / "e-sfr.yaml").read_text(encoding="utf-8"))
     square = {"shape": "rectangle", "size": [SIDE, SIDE], "fill": "dark"}
     square["angle_deg"] = math.degrees(TILT_RAD)

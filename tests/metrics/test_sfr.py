@@ -13,7 +13,11 @@ from scipy.stats import binom, chi2
 from gpusim.errors import UserError
 from gpusim.metrics import sfr as module
 from gpusim.metrics.edge import Line, find_line, samples_of
+from gpusim.metrics.picture import Plane
+from gpusim.metrics.regions import find_regions
 from gpusim.metrics.sfr import measure_sfr
+from gpusim.scene import make_scene
+from gpusim.scene.preview import chart_rgb
 
 WHOLE = (0, 0, 80, 80)
 # From a slight slant to nearly 45 degrees, and tangents of 1/4, 1/2, 2/3 and 3/4, at which all
@@ -235,3 +239,15 @@ def test_a_bent_blurred_edge_is_followed_on_one_colour_of_a_filter_array():
     off = found.distance_px[near]
     missed = [np.abs(found.esf[near] - esf(off - shift)).max() for shift in np.linspace(-2, 2, 801)]
     assert min(missed) < 2e-3
+
+
+def test_the_eight_edges_of_a_slanted_star_are_found():
+    drawn = chart_rgb(make_scene("e-sfr"), 1080)[..., 1]
+    rows, cols = drawn.shape
+    star = drawn[rows // 2 - 180 : rows // 2 + 180, cols // 2 - 180 : cols // 2 + 180]
+    found = find_regions(Plane(star, None, (-np.inf, np.inf)))
+    # Means of 4 x 4 samples put an edge to within 1/8 px, evenly: 0.07 px a row, and so the slope
+    # of 125 rows, the shortest, to 0.07 sqrt(12 / 125**3) = 1.7e-4 rad. Three are 0.03 degrees.
+    angles = sorted(abs(one.found.line.angle_deg) for one in found)
+    assert angles == pytest.approx([5.0] * 4 + [40.0] * 4, abs=0.03)
+    assert len({one.box for one in found}) == 8
