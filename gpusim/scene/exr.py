@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -354,6 +354,7 @@ def write_exr(
     channels: dict[str, np.ndarray],
     white_luminance_cd_m2: float | None = None,
     units: str | None = None,
+    more: Mapping[str, str] | None = None,
 ) -> None:
     """Write planes to an EXR file, which appears whole or not at all.
 
@@ -367,6 +368,8 @@ def write_exr(
         Luminance of RGB (1, 1, 1), kept as the attribute ``whiteLuminance`` that `read_exr` obeys.
     units : str, optional
         Kept as the attribute ``units``.
+    more : mapping, optional
+        Attributes besides.
 
     Raises
     ------
@@ -385,6 +388,7 @@ def write_exr(
         header["whiteLuminance"] = float(white_luminance_cd_m2)
     if units is not None:
         header["units"] = units
+    header |= more or {}
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
     partial = path.with_name(f".{path.name}.part")
     try:

@@ -1,4 +1,4 @@
-"""A scene as the eye would see it: linear Rec.709 and PNG, for previews and for other programs."""
+"""A scene as the eye would see it, in linear Rec.709, and its spectral radiance in bands."""
 
 from __future__ import annotations
 
@@ -75,6 +75,24 @@ def chart_radiance(scene: Scene, rows: int, wavelengths_nm: np.ndarray) -> np.nd
         W m^-2 sr^-1 nm^-1.
     """
     return _drawn(scene, rows, scene.on(wavelengths_nm).spectra)
+
+
+def picture_radiance(scene: Scene, wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return a picture's spectral radiance at its own samples.
+
+    Parameters
+    ----------
+    scene : Scene
+        A scene whose source is a picture.
+    wavelengths_nm : ndarray (bands,)
+
+    Returns
+    -------
+    ndarray (rows, cols, bands), float32
+        W m^-2 sr^-1 nm^-1.
+    """
+    spectra = scene.on(wavelengths_nm).spectra.astype(np.float32)
+    return np.tensordot(scene.source.planes, spectra, axes=(0, 0))
 
 
 def _drawn(scene: Scene, rows: int, values: np.ndarray) -> np.ndarray:

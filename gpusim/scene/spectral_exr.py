@@ -107,7 +107,7 @@ def write_spectral_exr(
     wavelengths_nm : ndarray (bands,)
         Kept to the last bit in the names of the channels.
     units : str
-        Unit of the values, for the header.
+        Unit of the values, for the header; it ends in "nm^-1".
 
     Raises
     ------
@@ -118,4 +118,6 @@ def write_spectral_exr(
         np.format_float_positional(nm, min_digits=3) for nm in np.asarray(wavelengths_nm, float)
     ]
     planes = {f"S0.{name.replace('.', ',')}nm": values[..., n] for n, name in enumerate(names)}
-    write_exr(path, planes, units=units)
+    # The layout's own name of a unit leaves out that it is one for each nm.
+    layout = {"emissiveUnits": units.removesuffix(" nm^-1").replace(" ", ".")}
+    write_exr(path, planes, units=units, more=layout | {"spectralLayoutVersion": "1.0"})

@@ -18,7 +18,8 @@ from gpusim.cli import files
 from gpusim.errors import UserError
 from gpusim.scene import make_scene
 from gpusim.scene.colorimetry import encode_srgb
-from gpusim.scene.exr import read_exr, units_of
+from gpusim.scene.exr import read_exr, units_of, write_exr
+from gpusim.scene.spectral_exr import write_spectral_exr
 
 COMMANDS = (
     "render",
@@ -157,6 +158,43 @@ def test_a_chart_as_a_spectral_exr_is_read_again_as_the_same_radiance(tmp_path: 
         assert np.abs(found / spectrum - 1).max(axis=1).min() < 17 * 2**-24
     assert units_of(file) == "W m^-2 sr^-1 nm^-1"
     assert_refused(gpusim("chart", "grey", "--out", "c.png", "--bands", "400,500"), ".exr")
+
+
+@pytest.mark.parametrize("name", ["photograph.exr", "photograph.png", "cube.exr"])
+def test_a_picture_as_a_spectral_exr_is_read_again_as_the_same_radiance(tmp_path: Path, name: str):
+    rng = np.random.default_rng(3)
+    picture, given = tmp_path / name, []
+    if name == "cube.exr":
+        nm = np.array([430.0, 555.5, 690.0])
+        write_spectral_exr(picture, rng.uniform(0, 2, (5, 7, 3)), nm, "W m^-2 sr^-1 nm^-1")
+    elif name == "photograph.exr":
+        nm = np.arange(400.0, 701.0, 20.0)
+        write_exr(picture, {"RGB": rng.uniform(0, 2, (5, 7, 3))}, 120.0)
+    else:
+        nm = np.arange(400.0, 701.0, 20.0)
+        Image.fromarray(rng.integers(0, 255, (5, 7, 3), np.uint8)).save(picture)
+        given = ["--transfer", "srgb", "--upsampling", "jakob-2019", "--luminance", "80"]
+    options = {"transfer": "srgb", "upsampling": "jakob-2019", "luminance_cd_m2": 80.0}
+    scene = make_scene(picture, **(options if given else {}))
+    file = tmp_path / "again.exr"
+    ran = gpusim("chart", picture, "--out", file, "--bands", ",".join(map(str, nm)), *given)
+    assert ran.code == 0, ran.err
+    again = make_scene(file)
+    before, after = (
+        np.einsum("mrc,mk->rck", one.source.planes.astype(float), one.on(nm).spectra)
+        for one in (scene, again)
+    )
+    # A sum of up to 8 coefficients times spectra, each rounded to float32: 9 roundings of 2^-24.
+    np.testing.assert_allclose(after, before, rtol=9 * 2**-24)
+    assert units_of(file) == "W m^-2 sr^-1 nm^-1"
+    assert_refused(gpusim("chart", picture, "--out", tmp_path / "c.png"), "NAME", "--bands")
+
+
+def test_bands_beyond_what_is_known_of_a_scene_are_refused(tmp_path: Path):
+    given = "--out", tmp_path / "c.exr", "--bands", "400:1000:100"
+    ran = gpusim("chart", "colorchecker", *given)
+    assert_refused(ran, "--bands", "400 to 1000 nm", "730 nm")
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_chart_is_refused(tmp_path: Path):

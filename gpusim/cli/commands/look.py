@@ -83,7 +83,12 @@ def preview(
 
 
 def chart(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A chart name, or a chart's .yaml.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A chart name, a chart's .yaml; with --bands a picture too."
+        ),
+    ],
     out: Annotated[Path, typer.Option(metavar="FILE", help="A .png (look) or .exr (radiance).")],
     bands: Annotated[
         str | None,
@@ -93,11 +98,30 @@ def chart(
             "450,550,650.",
         ),
     ] = None,
+    luminance: Annotated[
+        float | None,
+        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+    ] = None,
+    illuminant: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Light on a chart or on reflectances: as of gpusim render."
+        ),
+    ] = None,
+    transfer: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="What a TIFF's or PNG's values are: as of render."),
+    ] = None,
+    upsampling: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Spectra of an RGB picture: as of gpusim render."),
+    ] = None,
 ) -> None:
-    """Draw a test chart."""
+    """Draw a test chart, or write the spectral radiance of a chart or picture."""
     from gpusim.cli.chart import run
 
-    run(name, out, bands)
+    light = {"luminance_cd_m2": luminance, "illuminant": illuminant}
+    run(name, out, bands, **light, transfer=transfer, upsampling=upsampling)
 
 
 def charts() -> None:
