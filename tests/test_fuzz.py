@@ -46,10 +46,11 @@ from gpusim.isp.dng import write_dng
 from gpusim.isp.files import write_picture
 from gpusim.isp.optics import Optics
 from gpusim.isp.settings import read_settings
-from gpusim.library.again import read_recipe, recipe_of_frame
+from gpusim.library.again import read_recipe
 from gpusim.library.expose import expose
 from gpusim.library.irradiance import Irradiance
 from gpusim.library.light import Light
+from gpusim.library.recipe import recipe_of_frame
 from gpusim.metrics.frames import find_frames, measure
 from gpusim.metrics.picture import read_picture
 from gpusim.preview.script import read_script

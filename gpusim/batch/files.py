@@ -18,7 +18,7 @@ from gpusim.batch.disk import beside, put
 from gpusim.batch.kept import DEVICE, SIDECAR, kept_labels, recipe_name
 from gpusim.batch.labels import in_frame
 from gpusim.errors import UserError
-from gpusim.library.again import recipe_of_frame
+from gpusim.library.recipe import recipe_of_frame
 from gpusim.metrics.picture import read_picture
 from gpusim.metrics.summary import summary
 from gpusim.scene.exr import write_exr
@@ -108,8 +108,10 @@ class FrameFiles:
             _save_arrays(part, labels)
         elif kind == "crops":
             _save_arrays(part, crops_of(self.frame, self.taken, labels))
+        elif kind == "raw":
+            self.taken.write_raw(part, 0.0, self.taken_at)
         else:
-            self.taken.save(part, taken=self.taken_at)
+            self.taken.save(part)
 
     def _facts(self) -> dict[str, Any]:
         """Return what the sidecar says of the frame itself."""

@@ -11,7 +11,8 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.isp.develop import develop
 from gpusim.isp.files import write_picture
-from gpusim.library.again import made_raw, recipe_of_frame
+from gpusim.library.again import made_raw
+from gpusim.library.recipe import recipe_of_frame
 
 
 def run(recipe: Path, out: Path, show: str) -> int:

@@ -19,8 +19,8 @@ from gpusim.cli import screen
 from gpusim.cli.files import staging
 from gpusim.cli.render import exposure_seconds, rectangle_of
 from gpusim.errors import UserError
-from gpusim.library.again import recipe_of_frame
 from gpusim.library.expose import expose
+from gpusim.library.recipe import recipe_of_frame
 from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
@@ -142,9 +142,11 @@ def _write(burst: Burst, form: str, folder: Path, progress: Any) -> list[str]:
     for number, frame in enumerate(burst):
         name = f"frame-{number:04d}.{form}"
         taken = datetime.now(UTC)
-        frame.save(folder / name, taken=taken)
         names.append(name)
-        if form == "dng":
+        if form != "dng":
+            frame.save(folder / name)
+        else:
+            frame.write_raw(folder / name, 0.0, taken)
             said = {"recipe": recipe_of_frame(frame, folder / name, taken, light=LIGHT)}
             sidecar = f"frame-{number:04d}.json"
             (folder / sidecar).write_text(json.dumps(said, indent=1) + "\n")

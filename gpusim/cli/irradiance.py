@@ -19,6 +19,7 @@ from gpusim.isp.dng import has_dng
 from gpusim.isp.files import write_picture
 from gpusim.isp.settings import Settings, check_ev
 from gpusim.library.irradiance import Irradiance, band_images
+from gpusim.library.recipe import recipe_of_frame
 from gpusim.scene import make_scene
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, encode_srgb, rgb_to_xyz
 from gpusim.scene.exr import write_exr
@@ -146,7 +147,8 @@ def capture(
     )
     with staging(out) as folder:
         raw = folder / ("raw.dng" if has_dng(taken.light.sensor) else "raw.tif")
-        taken.save(raw, ev, taken=datetime.now(UTC))
+        now = datetime.now(UTC)
+        taken.write_raw(raw, ev, now)
         write_picture(folder / "developed.png", develop(raw, Settings()).picture)
         facts = {
             "irradiance": str(file),
@@ -157,6 +159,7 @@ def capture(
             "saturated": float(taken.saturated.mean()),
             "mean_dn": float(taken.raw.mean()),
             "files": [raw.name, "developed.png", "capture.json"],
+            "recipe": recipe_of_frame(taken, raw, now, ev=ev),
         }
         (folder / "capture.json").write_text(json.dumps(facts, indent=1) + "\n")
     if show == "json":

@@ -26,7 +26,7 @@ from gpusim.isp.files import write_picture
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.isp.settings import check_ev
-from gpusim.library.again import recipe_of_raw
+from gpusim.library.recipe import recipe_of_raw
 from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy
 from gpusim.render import capture as take

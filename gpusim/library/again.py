@@ -1,13 +1,8 @@
-"""Recipes of raws: what stands in the JSON file beside a raw, and the same raw made of it again.
-
-A recipe is that of a light (`gpusim.render.recipe`), or the name of a JSON file beside it that has
-one, and with it how the light was read and what the file says.
-"""
+"""The same raw again, of the recipe in the JSON file beside it: see `gpusim.library.recipe`."""
 
 from __future__ import annotations
 
 import hashlib
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,40 +20,32 @@ from gpusim.formats.ready import load_ready
 from gpusim.isp.settings import check_ev
 from gpusim.lens.prescription import Prescription
 from gpusim.library.expose import lit
+from gpusim.library.irradiance import Irradiance
+from gpusim.library.recipe import FORMAT
 from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import Costs, costs_of
 from gpusim.render.checks import check_shot, rectangle
-from gpusim.render.recipe import exact, given
+from gpusim.render.recipe import given
 from gpusim.render.renderer import Renderer
 from gpusim.scene.make import made_again
 from gpusim.scene.scene import Scene
-from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor
 from gpusim.sensor.strict import Positive
 
 if TYPE_CHECKING:
     from gpusim.library.frame import Frame
+    from gpusim.library.light import Light
     from gpusim.plan.tiles import Rect
 
-FORMAT = "gpusim recipe 1"
-ALLOWED = "the JSON file beside a raw that gpusim render, burst or batch wrote"
+ALLOWED = "the JSON file beside a raw that gpusim or Frame.save wrote"
+RAWS = (".dng", ".tif", ".tiff")
 DIGESTS = {
     "shaders": "the shaders are not those of then",
     "plan": "the plan is not that of then",
     "scene": "the scene is not that of then",
+    "irradiance": "the irradiance is not that of then",
 }
-_FIGURES: deque[tuple[Sensor, dict[str, Any]]] = deque(maxlen=8)  # of the last sensors
-
-
-def _figures(sensor: Sensor) -> dict[str, Any]:
-    """Return a sensor in JSON types; frames one after the other mostly share theirs."""
-    for known, figures in tuple(_FIGURES):
-        if known is sensor:
-            return figures
-    figures = exact(sensor.model_dump(mode="json"))
-    _FIGURES.append((sensor, figures))
-    return figures
 
 
 class CameraRecipe(Strict):
@@ -85,8 +72,16 @@ class LightRecipe(Strict):
     made_by: dict[str, str]
 
 
+class IrradianceRecipe(Strict):
+    """What makes the light of an irradiance again; ``irradiance``: its file."""
+
+    camera: CameraRecipe
+    irradiance: str | None
+    made_by: dict[str, str]
+
+
 class RawRecipe(Strict):
-    """What makes a raw again: see `recipe_of_raw`."""
+    """What makes a raw again: see `gpusim.library.recipe.recipe_of_raw`."""
 
     format: str
     light: dict[str, Any] | str
@@ -106,8 +101,8 @@ class RawRecipe(Strict):
     @classmethod
     def _name(cls, value: str) -> str:
         """Refuse what names no file of the folder that the raw is written into."""
-        if Path(value).name != value or Path(value).suffix not in (".dng", ".tif"):
-            raise wrong("no name of a raw", "NAME.dng or NAME.tif, without a folder")
+        if Path(value).name != value or Path(value).suffix.lower() not in RAWS:
+            raise wrong("no name of a raw", "NAME.dng, .tif or .tiff, without a folder")
         return value
 
 
@@ -138,65 +133,46 @@ class Recipe:
     rect: Rect
     sensor: Sensor | None
 
+    def lit(self, progress: Callable[[str, int, int], None] | None) -> Light:
+        """Return the light, made again by the optics."""
+        light = self.light
+        renderer = Renderer(
+            self.camera,
+            self.scene,
+            self.accuracy,
+            progress=progress,
+            exposure_s=light.longest_exposure_s,
+            costs=self.costs,
+            noise=light.noise,
+            method=light.method,
+        )
+        try:
+            return lit(renderer, self.rect, progress)
+        finally:
+            renderer.release()
 
-def recipe_of_raw(
-    light: Mapping[str, Any] | str,
-    sensor: Sensor,
-    planned: Mapping[str, Any],
-    rect: Rect,
-    shot: Shot,
-    *,
-    raw: Path,
-    noise: bool,
-    ev: float,
-    taken: datetime,
-) -> dict[str, Any]:
-    """Return what makes a raw again, in JSON types.
 
-    Parameters
+@dataclass(frozen=True, eq=False)
+class OfIrradiance:
+    """A recipe of a raw whose light is an irradiance.
+
+    Attributes
     ----------
-    light : mapping or str
-        The recipe of its light, or the name of a file beside it that has it.
-    sensor : Sensor
-        What read the light.
-    planned : mapping
-        The recipe of the light: its sensor is left out here where it is the same.
-    rect : (row, col, rows, cols)
-        What was read.
-    shot : Shot
-    raw : Path
-        The file, which is there.
-    noise : bool
-        Whether noise was drawn.
-    ev, taken
-        As of `gpusim.isp.dng.write_dng`.
+    raw : RawRecipe
+    light : IrradianceRecipe
+    own, sensor
+        Sensor of the light; what reads it, where that is another.
     """
-    row, col, rows, cols = rect
-    own = _figures(sensor)
-    return {
-        "format": FORMAT,
-        "light": light,
-        "tile": None if rect == sensor.frame.read else [col, row, cols, rows],
-        "sensor": None if own == planned["camera"]["sensor"] else own,
-        "exposure_s": float(shot.exposure_s),
-        "seed": int(shot.seed),
-        "frame": int(shot.frame),
-        "temperature_c": None if shot.temperature_c is None else float(shot.temperature_c),
-        "noise": noise,
-        "ev": float(ev),
-        "taken": taken.isoformat(),
-        "raw": raw.name,
-        "sha256": hashlib.sha256(raw.read_bytes()).hexdigest(),
-    }
 
+    raw: RawRecipe
+    light: IrradianceRecipe
+    own: Sensor
+    sensor: Sensor | None
 
-def recipe_of_frame(
-    frame: Frame, raw: Path, taken: datetime, *, light: str | None = None, ev: float = 0.0
-) -> dict[str, Any]:
-    """Return the recipe of a frame whose raw is there; `light`: name of the file with its light."""
-    made = frame.light.recipe
-    given = light or made, frame.light.sensor, made, frame.light.rect, frame.shot
-    return recipe_of_raw(*given, raw=raw, noise=frame.noise, ev=ev, taken=taken)
+    def lit(self, progress: Callable[[str, int, int], None] | None) -> Light:
+        """Return the light of the irradiance's file."""
+        given = Irradiance.load(self.light.irradiance or "")
+        return given.light(self.own, self.light.camera.title)
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,25 +218,11 @@ def made_raw(path: Path, progress: Callable[[str, int, int], None] | None = None
     Raises
     ------
     UserError
-        It has none, or its scene or lens is gone or cannot be made again.
+        It has none, or its scene, lens or irradiance is gone or cannot be made again.
     """
     recipe = read_recipe(path)
-    light, raw = recipe.light, recipe.raw
-    renderer = Renderer(
-        recipe.camera,
-        recipe.scene,
-        recipe.accuracy,
-        progress=progress,
-        exposure_s=light.longest_exposure_s,
-        costs=recipe.costs,
-        noise=light.noise,
-        method=light.method,
-    )
-    try:
-        changed = tuple(_changes(light.made_by, renderer.recipe["made_by"]))
-        found = lit(renderer, recipe.rect, progress)
-    finally:
-        renderer.release()
+    raw, found = recipe.raw, recipe.lit(progress)
+    changed = tuple(_changes(recipe.light.made_by, found.recipe["made_by"]))
     if recipe.sensor is not None:
         found = found.at(sensor=recipe.sensor)
     shot = {name: getattr(raw, name) for name in ("seed", "frame", "temperature_c", "noise")}
@@ -268,7 +230,7 @@ def made_raw(path: Path, progress: Callable[[str, int, int], None] | None = None
     return Again(frame, raw.raw, raw.ev, raw.taken, raw.sha256, changed)
 
 
-def read_recipe(path: Path) -> Recipe:
+def read_recipe(path: Path) -> Recipe | OfIrradiance:
     """Read a recipe, with its lens and scene; nothing is rendered.
 
     Raises
@@ -284,17 +246,10 @@ def read_recipe(path: Path) -> Recipe:
     made = raw.light
     if isinstance(made, str):
         made = given(read_json(path.parent / Path(made).name, "the recipe of the light"))
-    light = checked(LightRecipe, made, path)
-    for name, part in (("scene", light.scene), ("camera.lens", light.camera.lens)):
-        if part is None:
-            raise UserError(
-                f"the {name.rpartition('.')[2]} was made in Python: it cannot be made again",
-                file=path,
-                field=f"recipe.light.{name}",
-                allowed="the raw of a chart, a picture and a lens that have names or files",
-            )
     try:
-        return _whole(raw, light, path)
+        if isinstance(made, dict) and "irradiance" in made:
+            return _of_irradiance(raw, checked(IrradianceRecipe, made, path), path)
+        return _whole(raw, checked(LightRecipe, made, path), path)
     except UserError as error:
         error.file = error.file or path
         raise
@@ -302,19 +257,44 @@ def read_recipe(path: Path) -> Recipe:
         raise UserError(f"no whole recipe: {error!r}", file=path, allowed=ALLOWED) from None
 
 
+def _there(part: object, name: str, path: Path) -> None:
+    """Refuse a part of a light that has neither name nor file."""
+    if part is None:
+        raise UserError(
+            f"the {name.rpartition('.')[2]} was made in Python: it cannot be made again",
+            file=path,
+            field=f"recipe.light.{name}",
+            allowed="the raw of a chart, a picture, an irradiance and a lens of names or files",
+        )
+
+
+def _of_irradiance(raw: RawRecipe, light: IrradianceRecipe, path: Path) -> OfIrradiance:
+    """Return a recipe with what its sensors stand for."""
+    _there(light.irradiance, "irradiance", path)
+    return OfIrradiance(raw, light, *_sensors(raw, light.camera, path))
+
+
+def _sensors(raw: RawRecipe, camera: CameraRecipe, path: Path) -> tuple[Sensor, Sensor | None]:
+    """Return the sensor of a light, and the other that read it; both checked with the shot."""
+    sensor = checked(Sensor, camera.sensor, path)
+    own = None if raw.sensor is None else checked(Sensor, raw.sensor, path)
+    check_shot(raw.exposure_s, raw.seed, raw.frame)
+    (own or sensor).dark_current_at(raw.temperature_c)  # refuses what is no temperature
+    check_ev(raw.ev)
+    return sensor, own
+
+
 def _whole(raw: RawRecipe, light: LightRecipe, path: Path) -> Recipe:
     """Return a recipe with what its parts stand for, each checked as where it comes from."""
+    _there(light.scene, "scene", path)
+    _there(light.camera.lens, "camera.lens", path)
     said = light.camera.lens or {}
     if "file" in said:
         lens = load_ready(said["file"])
     else:
         lens = checked(Prescription, said["prescription"], path)
-    sensor = checked(Sensor, light.camera.sensor, path)
-    own = None if raw.sensor is None else checked(Sensor, raw.sensor, path)
+    sensor, own = _sensors(raw, light.camera, path)
     check_method(light.method)
-    check_shot(raw.exposure_s, raw.seed, raw.frame)
-    (own or sensor).dark_current_at(raw.temperature_c)  # refuses what is no temperature
-    check_ev(raw.ev)
     unit, best = light.tolerance_unit, light.best_effort
     return Recipe(
         raw=raw,

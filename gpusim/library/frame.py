@@ -7,6 +7,7 @@ import io
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property
 from html import escape
 from itertools import cycle, islice
@@ -24,14 +25,13 @@ from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
+from gpusim.library.recipe import write_sidecar
 from gpusim.library.together import read_raws
 from gpusim.scene.exr import write_exr
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
 
 if TYPE_CHECKING:
-    from datetime import datetime
-
     from gpusim.certify import Certificate
     from gpusim.library.light import Light
     from gpusim.sensor.sensor import Sensor
@@ -141,7 +141,8 @@ class Frame:
     def save(self, path: str | Path, ev: float = 0.0, *, taken: datetime | None = None) -> None:
         """Write the frame to a file, whose suffix says as what.
 
-        ``.dng``, or ``.tif`` where DNG has no way: the raw. ``.png``, ``.jpg``: the developed
+        ``.dng``, or ``.tif`` where DNG has no way: the raw, and beside it in a ``.json`` what makes
+        it again (`gpusim render --from`). ``.png``, ``.jpg``: the developed
         picture, `ev` stops brighter. ``.exr``: electrons. ``.npz``: raw, electrons, truth_dn,
         saturated, and with what they were taken. `taken`: the time in a raw, by default now.
 
@@ -163,7 +164,9 @@ class Frame:
     def _save(self, path: Path, ev: float, taken: datetime | None) -> None:
         suffix = path.suffix.lower()
         if suffix in (".dng", ".tif", ".tiff"):
+            taken = taken or datetime.now(UTC)
             self.write_raw(path, ev, taken)
+            write_sidecar(self, path, taken, ev=ev)
         elif suffix in (".png", ".jpg", ".jpeg"):
             write_picture(path, np.asarray(self.develop(ev)))
         elif suffix == ".exr":

@@ -8,23 +8,26 @@ linear between bands, which is the same tents.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.config.arrays import MOST_BYTES, read_npz
 from gpusim.errors import UserError
+from gpusim.gpu import default_device
 from gpusim.isp.optics import Optics
 from gpusim.library.expose import expose
 from gpusim.library.light import Light
 from gpusim.plan.stages import sensor_runs
 from gpusim.plan.tiles import aligned
 from gpusim.render.reading import lit_for, taken_for
+from gpusim.render.recipe import exact, made_by
 from gpusim.scene.bands import RADIANCE
 from gpusim.scene.chart import Chart
 from gpusim.scene.exr import units_of
@@ -89,6 +92,8 @@ class Irradiance:
         W m^-2 nm^-1, the mean over each pixel's aperture, behind all filters but the sensor's own.
     wavelengths_nm : ndarray (bands,)
         Rising.
+    path : Path or None
+        The file that it was read from.
 
     Raises
     ------
@@ -98,6 +103,7 @@ class Irradiance:
 
     values: np.ndarray
     wavelengths_nm: np.ndarray
+    path: Path | None = None
 
     def __post_init__(self) -> None:
         """Check shapes and numbers."""
@@ -231,7 +237,21 @@ class Irradiance:
             transmission=np.ones(61),
             optics=Optics(title, 0.0, 0.0, *(np.zeros(0) for _ in range(3))),
             tolerance="none: an irradiance that was given",
-            recipe={},
+            recipe=self._recipe(sensor, title),
+        )
+
+    def _recipe(self, sensor: Sensor, title: str) -> dict[str, Any]:
+        """Return what makes its light again: see `gpusim.render.recipe`."""
+        found = hashlib.blake2b(digest_size=16)
+        for values in (self.values, self.wavelengths_nm):
+            found.update(np.ascontiguousarray(values).data)
+        camera = {"title": title, "lens": None, "sensor": sensor.model_dump(mode="json")}
+        return exact(
+            {
+                "camera": camera,
+                "irradiance": None if self.path is None else str(self.path.resolve()),
+                "made_by": made_by(default_device().report(), irradiance=found.hexdigest()),
+            }
         )
 
     def _counted(self, sensor: Sensor) -> np.ndarray:
@@ -283,9 +303,9 @@ class Irradiance:
             raise UserError("no such irradiance", file=path, allowed=ALLOWED)
         try:
             if path.suffix.lower() == ".exr":
-                return cls(*_of_exr(path))
+                return cls(*_of_exr(path), path)
             arrays = read_npz(path)
-            return cls(arrays["irradiance_w_m2_nm"], arrays["wavelengths_nm"])
+            return cls(arrays["irradiance_w_m2_nm"], arrays["wavelengths_nm"], path)
         except UserError as error:
             error.file = path
             raise

@@ -46,7 +46,7 @@ class Developer:
         ):
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "raw.dng"
-                frame.save(path)
+                frame.write_raw(path, 0.0)
                 self._source = read_source(path)
             self._sensor, self._shape = frame.light.sensor, frame.raw.shape
         row, col, rows, cols = frame.areas.active

@@ -54,7 +54,7 @@ def save(shown: Shown, folder: Path) -> list[Path]:
     names = [raw, "picture.png", "camera.yaml", "command.txt"]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        shown.frame.save(folder / raw, shown.knobs.ev)
+        shown.frame.write_raw(folder / raw, shown.knobs.ev)
         Image.fromarray(shown.rgb).save(folder / "picture.png")
         (folder / "camera.yaml").write_text(camera_file(shown.knobs), "utf-8")
         if shown.knobs.off:

@@ -87,17 +87,21 @@ def recipe_of(
             "noise": noise,
             "method": method,
             "costs": content_of(costs),
-            "made_by": {
-                "gpusim": gpusim.__version__,
-                **{name: metadata.version(name) for name in PACKAGES},
-                "adapter": device["adapter"],
-                "driver": device["driver"],
-                "shaders": shaders_sha256(),
-                "plan": _plan_digest(plan),
-                "scene": _scene_digest(scene),
-            },
+            "made_by": made_by(device, plan=_plan_digest(plan), scene=_scene_digest(scene)),
         }
     )
+
+
+def made_by(device: Mapping[str, Any], **digests: str) -> dict[str, Any]:
+    """Return by what a light is made: versions, adapter, and digests of shaders and of these."""
+    return {
+        "gpusim": gpusim.__version__,
+        **{name: metadata.version(name) for name in PACKAGES},
+        "adapter": device["adapter"],
+        "driver": device["driver"],
+        "shaders": shaders_sha256(),
+        **digests,
+    }
 
 
 def exact(value: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from command_line import Ran, assert_refused, gpusim
 
 import gpusim as gs
 from gpusim.errors import UserError
-from gpusim.library.again import made_raw, recipe_of_frame
+from gpusim.library.again import made_raw
 from gpusim.render.recipe import exact, given
 from gpusim.scene.exr import write_exr
 
@@ -138,15 +137,54 @@ def test_frames_of_bursts_and_batches_are_made_again(tmp_path: Path):
         assert (tmp_path / "b" / f"{name}.dng").read_bytes() == expected
 
 
-def test_a_scene_that_was_an_array_is_refused(tmp_path: Path):
+def test_a_frame_that_is_saved_is_made_again(tmp_path: Path):
+    small = gs.Camera.load(camera(tmp_path, "table"))
+    light = gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
+    light.capture(1 / 50, iso=200, seed=3, frame=2).save(tmp_path / "a.dng", ev=1.5)
+    ran = again(tmp_path / "a.json", tmp_path / "b")
+    assert ran.code == 0, ran
+    first = (tmp_path / "a.dng").read_bytes()
+    assert (tmp_path / "b" / "a.dng").read_bytes() == first
+    # The light's file holds its recipe: a frame of it, read again, has the same.
+    light.save(tmp_path / "light.npz")
+    gs.Light.load(tmp_path / "light.npz").capture(1 / 60).save(tmp_path / "c.TIFF")
+    assert again(tmp_path / "c.json", tmp_path / "d").code == 0
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".exr"])
+def test_a_render_of_an_irradiance_is_made_again(tmp_path: Path, suffix: str):
+    made, file = camera(tmp_path, "table"), tmp_path / f"e{suffix}"
+    lines = np.arange(400.0, 701.0, 100.0)
+    values = np.random.default_rng(2).uniform(0, 1e-3, (30, 44, 4)).astype(np.float32)
+    gs.Irradiance(values, lines).save(file)
+    options = "--exposure", "1/200", "--iso", 200, "--seed", 4, "--ev", 0.5
+    ran = gpusim("render", made, file, "--out", tmp_path / "a", *options)
+    assert ran.code == 0, ran.err
+    made.unlink()
+    ran = again(tmp_path / "a" / "capture.json", tmp_path / "b")
+    assert ran.code == 0, ran
+    first = (tmp_path / "a" / "raw.dng").read_bytes()
+    assert (tmp_path / "b" / "raw.dng").read_bytes() == first
+    assert again(tmp_path / "b" / "raw.json", tmp_path / "c", "-q").code == 0
+    # Another irradiance in the same file is told.
+    gs.Irradiance(values / 2, lines).save(file)
+    ran = again(tmp_path / "a" / "capture.json", tmp_path / "b")
+    assert ran.code == 1
+    assert "the irradiance is not that of then" in ran.out
+    file.unlink()
+    assert_refused(again(tmp_path / "a" / "capture.json", tmp_path / "b"), "no such irradiance")
+
+
+def test_what_was_an_array_is_refused(tmp_path: Path):
     small = gs.Camera.load(camera(tmp_path, "table"))
     light = gs.expose(small, gs.Scene.from_rgb(np.full((30, 44, 3), 0.2)), 1e-2, probes=0)
-    frame, raw = light.capture(), tmp_path / "a.dng"
-    frame.save(raw)
-    recipe = recipe_of_frame(frame, raw, datetime.now(UTC))
-    (tmp_path / "a.json").write_text(json.dumps({"recipe": recipe}, allow_nan=False))
+    light.capture().save(tmp_path / "a.dng")
     with pytest.raises(UserError, match="scene was made in Python"):
         made_raw(tmp_path / "a.json")
+    given = gs.Irradiance(np.full((30, 44, 2), 1e-4), np.array([450.0, 650.0]))
+    given.light(small.sensor).capture(0.01).save(tmp_path / "b.dng")
+    with pytest.raises(UserError, match="irradiance was made in Python"):
+        made_raw(tmp_path / "b.json")
 
 
 # All fields of a raw's recipe but those of its light.

@@ -13,7 +13,8 @@ import pytest
 import gpusim as gs
 from gpusim.errors import UserError
 from gpusim.library import session as session_module
-from gpusim.library.again import made_raw, recipe_of_frame
+from gpusim.library.again import made_raw
+from gpusim.library.recipe import recipe_of_frame
 from gpusim.plan import Accuracy
 from gpusim.render import capture, planning, renderer
 from gpusim.render.anew import SAFETY, TIMES, planned_anew, tighter
