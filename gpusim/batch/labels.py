@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from gpusim.errors import UserError
 from gpusim.formats.label_map import read_labels
-from gpusim.library.labels import labels_on_sensor
+from gpusim.library.labels import in_raw, labels_on_sensor
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from gpusim.batch.frame import Frame
     from gpusim.library import frame as library
 
@@ -50,12 +50,4 @@ def labels_of(frame: Frame) -> dict[str, np.ndarray]:
 
 def in_frame(labels: dict[str, np.ndarray], taken: library.Frame) -> dict[str, np.ndarray]:
     """Return labels on the pixels of a raw; shielded pixels, which see nothing, have 0."""
-    areas = taken.areas
-    (row, col, rows, cols), (first_row, first_col, *_) = areas.lit, areas.active
-    found = {}
-    for name, plane in labels.items():
-        whole = np.zeros((*taken.raw.shape, *plane.shape[2:]), plane.dtype)
-        seen = plane[row : row + rows, col : col + cols]
-        whole[first_row : first_row + rows, first_col : first_col + cols] = seen
-        found[name] = whole
-    return found
+    return {name: in_raw(seen, taken.areas, taken.raw.shape) for name, seen in labels.items()}

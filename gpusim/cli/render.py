@@ -18,6 +18,8 @@ from gpusim.calibrate.rates import adapter_costs, planned_costs
 from gpusim.camera import load_camera
 from gpusim.cli import screen
 from gpusim.cli.files import staging
+from gpusim.cli.labels import seen_maps
+from gpusim.cli.labels import write as write_labels
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
 from gpusim.isp.develop import develop
@@ -26,6 +28,7 @@ from gpusim.isp.files import write_picture
 from gpusim.isp.quad import PERIOD, quad_phase, write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.isp.settings import check_ev
+from gpusim.library.labels import in_raw
 from gpusim.library.recipe import recipe_of_raw
 from gpusim.optics.methods import check_method
 from gpusim.plan import Accuracy
@@ -38,6 +41,8 @@ from gpusim.sensor.readout import Shot
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    import numpy as np
 
     from gpusim.camera import Camera
     from gpusim.gpu import Device
@@ -71,6 +76,7 @@ class RenderOptions:
     upsampling: str | None
     chart_height: str | None
     projection: str
+    labels: tuple[Path, ...]
     tolerance: str
     probes: int | None
     gain: float | None
@@ -113,6 +119,7 @@ def run(
     check_method(asked.method)  # before the lens is traced
     camera.sensor.dark_current_at(asked.temperature_c)  # refuses what is no temperature
     scene = _scene(scene_name, camera, asked)
+    labels = {} if dry_run else seen_maps(asked.labels, camera, asked.projection)
     costs = None if asked.plan is None else planned_costs(asked.plan)
     device = default_device()
     planned = {"noise": asked.noise, "method": asked.method, "exposure_s": exposure_s}
@@ -141,7 +148,7 @@ def run(
                 progress=progress,
             )
             progress("files", 0, 1)
-            facts = write(capture, folder, asked.ev)
+            facts = write(capture, folder, asked.ev, labels)
             del capture  # its arrays are files of `work`
             progress("files", 1, 1)
     if show == "json":
@@ -278,12 +285,17 @@ def kept_planes(text: str) -> tuple[str, ...]:
     return planes
 
 
-def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
+def write(
+    capture: Capture,
+    folder: Path,
+    ev: float = 0.0,
+    labels: Mapping[str, np.ndarray] | None = None,
+) -> dict[str, Any]:
     """Write all files of a capture into `folder`; return the facts of the report.
 
     The picture is shown brighter by `ev` stops, and the raw's BaselineExposure says so. A quad
     Bayer sensor gives a Bayer raw of all pixels and one of all cells besides, and a picture of
-    each.
+    each. `labels`: maps on the lit pixels of the sensor, by the names of their files.
     """
     planes = {name: getattr(capture, name) for name in KEPT_PLANES}
     kept = {f"{name}.exr": plane for name, plane in planes.items() if plane is not None}
@@ -318,6 +330,9 @@ def write(capture: Capture, folder: Path, ev: float = 0.0) -> dict[str, Any]:
     for name, plane in kept.items():
         write_exr(folder / name, {"Y": plane}, units=KEPT_PLANES[Path(name).stem])
     names += kept
+    for name, seen in (labels or {}).items():
+        write_labels(folder / name, in_raw(seen, areas, capture.raw.shape), "--labels")
+        names.append(name)
     facts = report.facts(capture, files=names, command=["gpusim", *sys.argv[1:]])
     facts["recipe"] = recipe_of_raw(
         capture.recipe,

@@ -16,6 +16,7 @@ from gpusim.scene.raster import Raster
 
 if TYPE_CHECKING:
     from gpusim.camera import Camera
+    from gpusim.sensor.frame import Areas
 
 
 def labels_on_sensor(
@@ -86,3 +87,22 @@ def labels_on_sensor(
     found = np.full((sensor.rows, sensor.cols, *labels.shape[2:]), fill, labels.dtype)
     found[seen] = labels[row[seen], col[seen]]
     return found
+
+
+def in_raw(seen: np.ndarray, areas: Areas, shape: tuple[int, ...]) -> np.ndarray:
+    """Return labels on the pixels of a raw; shielded pixels, which see nothing, have 0.
+
+    Parameters
+    ----------
+    seen : ndarray (sensor rows, sensor cols) or (sensor rows, sensor cols, n)
+        As of `labels_on_sensor`.
+    areas : Areas
+        Of the raw.
+    shape : (int, int)
+        Rows and columns of the raw.
+    """
+    (row, col, rows, cols), (first_row, first_col, *_) = areas.lit, areas.active
+    whole = np.zeros((*shape, *seen.shape[2:]), seen.dtype)
+    lit = seen[row : row + rows, col : col + cols]
+    whole[first_row : first_row + rows, first_col : first_col + cols] = lit
+    return whole

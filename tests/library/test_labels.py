@@ -202,3 +202,33 @@ def test_the_command_takes_arrays_and_pictures(tmp_path: Path):
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "b.png")), found)
     assert_refused(gpusim("labels", camera, "none.npy", "--out", tmp_path / "c.npy"), "none.npy")
     assert_refused(gpusim("labels", camera, tmp_path / "a.npy", "--out", "c.txt"), ".npy")
+
+
+def test_a_render_has_the_labels_of_its_scene_beside_its_raw(tmp_path: Path):
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(
+        "title: a camera\nlens: {mtf: diffraction-limited}\n"
+        "sensor: {preset: imx477, rows: 30, cols: 44}\n"
+    )
+    depth = np.random.default_rng(5).uniform(0.5, 9, (60, 88))
+    kinds = np.random.default_rng(6).integers(1, 9, (60, 88)).astype(np.uint8)
+    np.save(tmp_path / "depth.npy", depth)
+    (tmp_path / "kinds.png").write_bytes(png(kinds))
+    maps = "--labels", tmp_path / "depth.npy", "--labels", tmp_path / "kinds.png"
+    plain = "render", camera, "grey", "--tolerance", "1e-2", "--certify", 0, "-q"
+    ran = gpusim(*plain, "--out", tmp_path / "a", *maps)
+    assert ran.code == 0, ran.err
+    loaded = gs.Camera.load(camera)
+    whole = np.load(tmp_path / "a" / "labels-depth.npy")
+    np.testing.assert_array_equal(whole, labels_on_sensor(loaded, depth))
+    seen = np.asarray(Image.open(tmp_path / "a" / "labels-kinds.png"))
+    np.testing.assert_array_equal(seen, labels_on_sensor(loaded, kinds))
+    # Of a rectangle, that rectangle.
+    ran = gpusim(*plain, "--out", tmp_path / "b", *maps, "--tile", "8,6,20,10")
+    assert ran.code == 0, ran.err
+    np.testing.assert_array_equal(np.load(tmp_path / "b" / "labels-depth.npy"), whole[6:16, 8:28])
+    assert_refused(gpusim(*plain, "--out", tmp_path / "c", *maps[:2] * 2), "--labels", "depth.npy")
+    np.save(tmp_path / "line.npy", np.zeros(3))
+    assert_refused(
+        gpusim(*plain, "--out", tmp_path / "c", "--labels", tmp_path / "line.npy"), "line"
+    )

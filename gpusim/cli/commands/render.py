@@ -105,6 +105,14 @@ def render(
             "equirectangular, for a photograph that is a panorama.",
         ),
     ] = "rectilinear",
+    labels: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="MAP",
+            help="Depth, albedo, classes of the scene, a .npy or .png laid as a photograph: on the "
+            "raw's pixels as labels-MAP beside it, 0 where it does not reach. May be repeated.",
+        ),
+    ] = None,
     tolerance: Annotated[
         str,
         typer.Option(
@@ -244,6 +252,7 @@ def render(
         upsampling=upsampling,
         chart_height=chart_height,
         projection=projection,
+        labels=tuple(labels or ()),
         tolerance=tolerance,
         probes=certify,
         gain=gain,
