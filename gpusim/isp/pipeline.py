@@ -15,6 +15,7 @@ from gpusim.isp.balance import record_balance
 from gpusim.isp.bilinear import record_bilinear
 from gpusim.isp.curve import record_curve
 from gpusim.isp.directional import record_directional
+from gpusim.isp.guided import record_guided
 from gpusim.isp.linear import record_linear
 from gpusim.isp.malvar import record_malvar
 from gpusim.isp.matrix import record_matrix
@@ -30,8 +31,8 @@ from gpusim.isp.transfer import SPACES, record_transfer
 from gpusim.isp.white import LEAST_NEUTRAL, neutral_of, to_picture
 from gpusim.scene.spectra import white_radiance, xyz
 
-# Rows and columns around a band that its stages reach into: repair 2, directional 8. A multiple of
-# 4, as columns are.
+# Rows and columns around a band that its stages reach into: repair 2, directional 8, guided 10
+# at most (two tents of up to 5, and 3 of the guide). A multiple of 4, as columns are.
 RIM = 12
 MOST_PIXELS = 24 << 20  # samples of all planes of a band: 96 MiB of the 128 that a binding has
 BAND_PIXELS = 1 << 20  # of a band, its rim not counted: 60 MB on the device
@@ -73,9 +74,9 @@ def demosaicing(source: Source, settings: Settings) -> str | None:
             "this method is for Bayer arrays",
             field="demosaic",
             value=settings.demosaic,
-            allowed="bilinear",
+            allowed="guided, bilinear",
         )
-    return settings.demosaic or ("directional" if bayer else "bilinear")
+    return settings.demosaic or ("directional" if bayer else "guided")
 
 
 def neutral_for(source: Source, settings: Settings) -> np.ndarray:
@@ -380,7 +381,8 @@ class _Chain:
         top = max(self.top - start, 0)
         last = min(rows + self.top - start, light.shape[0])
         frame = (top, self.left, last - top, cols)
-        return record_bilinear(rec, light, self.pattern, self.source.colours, frame)
+        record = record_guided if self.method == "guided" else record_bilinear
+        return record(rec, light, self.pattern, self.source.colours, frame)
 
     def _step(self) -> int:
         """Return the pixels between sites of one colour, for the stage that mends defects."""

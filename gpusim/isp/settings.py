@@ -30,8 +30,8 @@ class Settings(Strict):
     Attributes
     ----------
     demosaic : str, optional
-        ``bilinear``, ``malvar`` or ``directional``; None: directional for Bayer arrays, bilinear
-        for all others.
+        ``bilinear``, ``malvar``, ``directional`` or ``guided``; None: directional for Bayer arrays,
+        guided by the most frequent colour for all others.
     white_balance : str
         ``as-shot``, ``grey-world``, ``patch:ROW,COLUMN,ROWS,COLUMNS`` for what is white in the
         picture, or the name of an illuminant or a temperature.
@@ -58,7 +58,7 @@ class Settings(Strict):
         Whether its distortion and lateral colour are.
     """
 
-    demosaic: Literal["bilinear", "malvar", "directional"] | None = None
+    demosaic: Literal["bilinear", "malvar", "directional", "guided"] | None = None
     white_balance: str = "as-shot"
     space: Literal["srgb", "p3", "rec2020", "linear"] = "srgb"
     matrix_fit: Literal["xyz", "lab"] = "xyz"

@@ -28,6 +28,7 @@ from gpusim.isp.settings import Settings
 from gpusim.isp.shading import Shading
 from gpusim.isp.source import Source, _of_libraw, like, read_source
 from gpusim.reference.bilinear import bilinear
+from gpusim.reference.guide import guide
 from gpusim.reference.malvar import malvar
 from gpusim.scene.colorimetry import D50, REC709_CHROMATICITIES, adaptation, rgb_to_xyz
 from gpusim.scene.spectra import colorchecker, white_radiance, xyz
@@ -186,7 +187,7 @@ def test_every_bayer_array_and_size(device: Device, monkeypatch, name: str, shap
     assert_close(whole / 65535, expected, atol=0.5 / 65535 + 4e-6)
 
 
-@pytest.mark.parametrize("method", ["directional", "bilinear"])
+@pytest.mark.parametrize("method", ["directional", "bilinear", "guided"])
 def test_bands_do_not_show(device: Device, monkeypatch, method: str):
     given = source(np.random.default_rng(5).uniform(0, 1, (150, 77)))
     settings = Settings(demosaic=method, defects=True)
@@ -226,8 +227,9 @@ def test_every_filter_array_shows_what_is_there(device: Device, tmp_path, shoot,
     assert_close(picture / 65535, np.full((40, 52, 3), 0.25), atol=1e-5)
 
 
+@pytest.mark.parametrize("method", ["bilinear", "guided"])
 @pytest.mark.parametrize("pattern", [("RG", "BW"), ("RWGW", "WRWG", "GWBW", "WGWB")])
-def test_edges_through_clear_filters_are_those_of_the_reference(device: Device, pattern):
+def test_edges_through_clear_filters_are_those_of_the_reference(device: Device, pattern, method):
     """Coloured fields with an edge across and one down, through RGBW: Bayer with clear, Kodak's."""
     curves = sixteen_bits().qe
     camera = response(curves | {"W": 0.4 * sum(curves.values())})
@@ -243,15 +245,22 @@ def test_edges_through_clear_filters_are_those_of_the_reference(device: Device, 
     site = sites[row % len(pattern), col % len(pattern)]
     light = np.take_along_axis(seen, site[..., None], axis=2)[..., 0]
     given = source(light, pattern, neutral=neutral, matrices={6504.0: matrix})
-    picture = develop_source(given, Settings(space="linear"), device, 16).picture / 65535
+    settings = Settings(space="linear", demosaic=method)
+    picture = develop_source(given, settings, device, 16).picture / 65535
     balanced = np.round(60000 * light) / 60000 / neutral[site]
-    planes = bilinear(balanced, pattern, colours, reach_of(pattern), far_of(pattern))
+    reach = reach_of(pattern), far_of(pattern)
+    planes = bilinear(balanced, pattern, colours, *reach)
+    if method == "guided":
+        guiding, differences = guide(balanced, planes[colours.index("W")], pattern, "W")
+        planes = bilinear(differences, pattern, colours, *reach) + guiding
     own = np.linalg.pinv(matrix) * neutral
     back = np.linalg.solve(SPACE, own)
     expected = np.clip(planes.transpose(1, 2, 0) @ back.T, 0, 1)
-    # Rounding to 16 bits, and f32 through a matrix whose rows have absolute sums of some 5.
-    assert_close(picture, expected, atol=0.5 / 65535 + 5 * 12 * 2**-24)
-    # Fields are what they were, 4 pixels from any edge.
+    # Rounding to 16 bits, and f32 (tests/isp/test_guide.py) through a matrix whose rows have
+    # absolute sums of some 5.
+    ulps = {"bilinear": 12, "guided": 80}[method]
+    assert_close(picture, expected, atol=0.5 / 65535 + 5 * ulps * 2**-24)
+    # Fields are what they were, 6 pixels from any edge.
     for at in ((10, 10), (10, 32), (32, 20)):
         assert_close(picture[at], rgb[at], atol=2e-4)
 

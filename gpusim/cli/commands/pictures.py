@@ -29,7 +29,7 @@ def develop(
         typer.Option(metavar="NAME", help="gpusim, or to compare: libraw, by --ev and --binned."),
     ] = "gpusim",
     demosaic: Annotated[
-        str | None, typer.Option(metavar="NAME", help="bilinear, malvar or directional.")
+        str | None, typer.Option(metavar="NAME", help="bilinear, malvar, directional or guided.")
     ] = None,
     white_balance: Annotated[
         str | None,
