@@ -100,11 +100,13 @@ class Tables:
         by which the PSF's own become coefficients, and that of the cubic one's, by which what is
         tabulated does. A sharp PSF has detail that cubics miss; aperture and square blur it.
         """
-        n, side = field.psf.shape[-1], self.side
-        coarse = side // self.fine
-        before = coarse // 2 - n // 2
-        psf = field.psf.astype(np.float64) / self.bank.pitch_um**2
-        padded = np.pad(psf, ((0, 0), *[(before, coarse - n - before)] * 2))
+        side, middle = self.side, field.psf.shape[-1] // 2
+        half = side // (2 * self.fine)
+        # A window may be much wider than what is lit in it, which a table always holds.
+        lit = slice(max(middle - half, 0), middle + half)
+        psf = field.psf[:, lit, lit].astype(np.float64) / self.bank.pitch_um**2
+        before = half - (middle - lit.start)
+        padded = np.pad(psf, ((0, 0), *[(before, 2 * half - psf.shape[-1] - before)] * 2))
         turn = 2 * np.pi * scipy.fft.fftfreq(side)
         cubic = (2 + np.cos(turn)) / 3
         quintic = (33 + 26 * np.cos(turn) + np.cos(2 * turn)) / 60

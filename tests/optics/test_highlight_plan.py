@@ -1,5 +1,7 @@
 """The plan of highlights: angles and squares as the tolerance and the memory ask for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from optics.lamps import LENS, PITCH, PLACES, SPECTRA
@@ -8,7 +10,7 @@ from optics.made import bank, monochrome, plane_bank, sensor
 from gpusim.optics import highlight_plan
 from gpusim.optics.highlight_plan import CHANGE, FEWEST, plan_highlights
 from gpusim.optics.highlight_squares import squares_on_sensor
-from gpusim.optics.highlight_tables import TRIED, mixing_errors
+from gpusim.optics.highlight_tables import TRIED, Tables, mixing_errors
 from gpusim.scene.highlights import Highlights
 
 WIDE = Highlights(PLACES[:1], 4 * PITCH, np.ones((1, 1)))  # of a lens that does not change
@@ -75,3 +77,17 @@ def test_highlights_that_no_pixel_sees_are_left_out():
     far = Highlights(np.array([[300.0, 0.0], [1e6, 1e6]]), PITCH, np.ones((2, 3)))
     assert plan_highlights(LENS, camera, far, SPECTRA, 1e-3) is None
     assert len(squares_on_sensor(LENS, camera, far, 20.0).light) == 0
+
+
+@pytest.mark.parametrize("size", [257, 400])
+def test_a_window_much_wider_than_its_light_changes_nothing(size: int):
+    """A table is as wide as the light, and may be narrower than the window."""
+    before = size // 2 - STILL.psf.shape[-1] // 2
+    after = size - STILL.psf.shape[-1] - before
+    wide = replace(STILL, psf=np.pad(STILL.psf, ((0, 0), (0, 0), *[(before, after)] * 2)))
+    one, other = (Tables(of, monochrome(), SPECTRA[:1], 2 * PITCH) for of in (STILL, wide))
+    assert one.side == other.side < size
+    for number in range(len(STILL.psf)):
+        assert np.array_equal(*(of.spectra(of.bank.field(number)) for of in (one, other)))
+    planned = plan_highlights(wide, monochrome(), WIDE, SPECTRA[:1], 1e-3)
+    assert planned.kernels.side < size
