@@ -41,10 +41,10 @@ with stopping():
 """
 
 
-def started(folder: Path, work: str) -> subprocess.Popen:
+def started(folder: Path, script: str, *arguments: str) -> subprocess.Popen:
     run = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT.format(work=work), str(folder)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-c", script, str(folder), *arguments],
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -53,22 +53,77 @@ def started(folder: Path, work: str) -> subprocess.Popen:
     return run
 
 
+def ended_within_a_second(run: subprocess.Popen, number: int) -> None:
+    sent = time.monotonic()
+    run.send_signal(number)
+    try:
+        _, err = run.communicate(timeout=30)
+    finally:
+        run.kill()  # one that does not end
+    assert time.monotonic() - sent < 1.0
+    assert run.returncode == 128 + number
+    assert err.strip() == f"stopped by {signal.Signals(number).name}"
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("work", WORK)
 def test_a_signal_ends_a_run_within_a_second(tmp_path: Path, work: str, number: int):
     (tmp_path / "raw.dng").write_text("of before")
-    run = started(tmp_path, WORK[work])
-    sent = time.monotonic()
-    run.send_signal(number)
-    _, err = run.communicate(timeout=30)
-    assert time.monotonic() - sent < 1.0
-    assert run.returncode == 128 + number
-    assert err.strip() == f"stopped by {number.name}"
+    ended_within_a_second(started(tmp_path, SCRIPT.format(work=WORK[work])), number)
     assert [file.name for file in tmp_path.iterdir()] == ["raw.dng"]
 
 
+# Tables of a photograph's highlights, as many of these as a scene may have: planned, and made.
+LAMPS = """
+import sys
+from pathlib import Path
+import numpy as np
+from optics.lamps import PITCH, SPECTRA
+from optics.made import bank, sensor
+from gpusim.cli.files import staging
+from gpusim.cli.stop import stopping
+from gpusim.gpu import default_device
+from gpusim.optics.highlight_plan import plan_highlights
+from gpusim.optics.highlight_tables import Tables
+from gpusim.optics.point_sources import PointSources
+from gpusim.scene.highlights import MOST, Highlights
+rng = np.random.default_rng(1)
+lens = bank(fields=6, size=256, circle_um=3000.0, sigma_um=(1.0,) * 7, lateral=(0.0,) * 7)
+lamps = Highlights(rng.uniform(-1500, 1500, (MOST, 2)), 2 * PITCH, rng.random((MOST, 3)))
+given = lens, sensor(2000, 2000), lamps, SPECTRA, 1e-3
+device, planned = default_device(), plan_highlights(*given) if sys.argv[2] == "make" else None
+table = Tables.table
+
+def told(*given):
+    Tables.table = table
+    print("at work", flush=True)
+    return table(*given)
+
+with stopping(), staging(Path(sys.argv[1])) as folder:
+    (folder / "half").write_text("a")
+    Tables.table = told
+    while True:
+        if planned is None:
+            plan_highlights(*given)
+        else:
+            PointSources(device, planned).light([(0, 0, 2000, 2000)])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("work", ["plan", "make"])
+@pytest.mark.parametrize("after_s", [0.1, 1.0])
+def test_an_interrupt_ends_a_run_within_tables_of_highlights(
+    tmp_path: Path, work: str, after_s: float
+):
+    run = started(tmp_path, LAMPS, work)
+    time.sleep(after_s)
+    ended_within_a_second(run, signal.SIGINT)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path):
-    killed, alive = (started(tmp_path, WORK["pool"]) for _ in range(2))
+    killed, alive = (started(tmp_path, SCRIPT.format(work=WORK["pool"])) for _ in range(2))
     killed.kill()
     killed.wait()
     assert len(list(tmp_path.glob(f"{PREFIX}*"))) == 2
