@@ -18,10 +18,12 @@ from gpusim.cli.commands.pictures import develop
 from gpusim.cli.commands.render import render
 from gpusim.cli.commands.validate import validate
 from gpusim.cli.files import DISK
+from gpusim.cli.names import Commands
 from gpusim.cli.stop import stopping
 from gpusim.errors import UserError
 
 app = typer.Typer(
+    cls=Commands,
     name="gpusim",
     help="Simulate a camera: spectral radiance, a real lens, a real sensor, raw digital numbers.",
     no_args_is_help=True,

@@ -84,7 +84,6 @@ def test_each_command_has_help(command: str):
         ("render", "demo", "demo", "--out", "x", "--tile-size", "0"),
         ("render", "demo", "demo", "--out", "x", "--colour"),
         ("chart", "demo"),
-        ("paint", "demo"),
     ],
 )
 def test_wrong_usage_exits_with_2_and_without_a_traceback(arguments: tuple[str, ...]):

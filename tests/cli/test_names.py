@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import assert_refused, gpusim, process
 from fake_capture import fake_capture
+from typer.main import get_command
 
 from gpusim import __version__
 from gpusim.camera import load_camera, presets
 from gpusim.cli import render
+from gpusim.cli.app import app
 from gpusim.errors import UserError
 from gpusim.scene.charts import CHARTS
 from gpusim.sensor.load import load_sensor
@@ -76,6 +79,36 @@ def test_other_commands_tell_it_too(tmp_path: Path):
     assert_refused(gpusim("sensor", "IMX363x"), "perhaps imx363 is meant")
     assert_refused(gpusim("lens", "tesar"), "perhaps tessar is meant")
     assert_refused(gpusim("chart", "gray", "--out", tmp_path / "a.png"), "perhaps grey is meant")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("rendr", "demo", "demo"), ["perhaps render is meant", "value:   rendr"]),
+        (("validate", "kodack"), ["perhaps kodak is meant", "gpusim validate\n", "samsung"]),
+        (("measure", "sfrr", "a.png"), ["perhaps sfr is meant", "gpusim measure\n", "distortion"]),
+        (("measure", "paint"), ["no such command\n", "noise"]),
+    ],
+)
+def test_a_wrong_command_is_told_the_nearest_one(arguments, words):
+    assert_refused(gpusim(*arguments), "error: no such command", "allowed:", *words)
+
+
+def commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield every command's words, and what typer made of it."""
+    for name, one in group.commands.items():
+        if hasattr(one, "commands"):
+            yield from commands(one, (*path, name))
+        else:
+            yield (*path, name), one
+
+
+@pytest.mark.parametrize(("words", "command"), list(commands(get_command(app))))
+def test_a_mistyped_option_is_told_the_nearest_one(words: tuple[str, ...], command: Any):
+    """The longest one, without its last letter but one."""
+    options = [name for one in command.params for name in one.opts if name.startswith("--")]
+    right = max(options, key=len, default="--help")
+    assert_refused(gpusim(*words, right[:-2] + right[-1]), "No such option", right)
 
 
 def test_a_camera_takes_another_stop_focus_and_sensor():

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from gpusim.cli.names import Commands
 from gpusim.cli.options import (
     Adapter,
     AsJson,
@@ -18,7 +19,10 @@ from gpusim.cli.options import (
 )
 
 measure = typer.Typer(
-    name="measure", help="Measure what a camera does, from its images.", no_args_is_help=True
+    cls=Commands,
+    name="measure",
+    help="Measure what a camera does, from its images.",
+    no_args_is_help=True,
 )
 
 

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from gpusim.cli.names import Commands
 from gpusim.cli.options import (
     Adapter,
     choose_adapter,
 )
 
 validate = typer.Typer(
+    cls=Commands,
     name="validate",
     help="Reproduce published validations of camera simulators with this engine.",
     no_args_is_help=True,
