@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import gpusim
-from gpusim.batch.disk import beside, put
 from gpusim.batch.kept import DEVICE, SIDECAR, kept_labels, recipe_name
 from gpusim.batch.labels import in_frame
+from gpusim.disk import beside, put
 from gpusim.errors import UserError
 from gpusim.library.recipe import recipe_of_frame
 from gpusim.metrics.picture import read_picture

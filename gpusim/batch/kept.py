@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gpusim.batch.disk import alone, whole
 from gpusim.batch.labels import labels_of
 from gpusim.config.text import read_record
+from gpusim.disk import alone, whole
 from gpusim.library.expose import expose
 from gpusim.library.light import Light
 from gpusim.scene import make_scene

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.batch.cluster import connected
-from gpusim.batch.disk import whole
 from gpusim.batch.kept import LIGHT_TOPIC, LIGHTS, SIDECAR, read_sidecar
 from gpusim.batch.work import Task, work
 from gpusim.config.text import read_record
+from gpusim.disk import whole
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -96,9 +96,8 @@ def prepared(sweep: Sweep, out: Path, resume: bool) -> float:
                     field="--out",
                     allowed="--resume to go on with them, or a new folder",
                 )
-            # Workers that were killed while writing left these: see `gpusim.batch.disk.whole`. The
-            # writer of EXR pictures puts another dot before the name.
-            for left in out.glob(".[.0-9]*-*"):
+            # Workers that were killed while writing left these: see `gpusim.disk.whole`.
+            for left in out.glob(".[0-9]*-*"):
                 left.unlink(missing_ok=True)
             return found["taken"]
         taken = _now()

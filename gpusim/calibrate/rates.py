@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +18,7 @@ from gpusim.calibrate.optics import (
 )
 from gpusim.calibrate.sensor import ccd_rates, dispatch_rates, sensor_rates
 from gpusim.config.text import read_json
+from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.gpu.wgsl import shaders_sha256
@@ -64,9 +64,8 @@ def adapter_costs(
         found = measure(device, progress)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            part = path.with_suffix(f".{os.getpid()}.part")
-            part.write_text(json.dumps(content_of(found), indent=1))
-            part.replace(path)
+            with whole(path) as part:
+                part.write_text(json.dumps(content_of(found), indent=1))
         except OSError:
             pass  # the next process measures again
     return found

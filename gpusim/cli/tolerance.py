@@ -8,10 +8,10 @@ from typing import Any
 
 from rich.console import Console
 
-from gpusim.batch.disk import whole
 from gpusim.batch.table import write_rows
 from gpusim.camera import load_camera
 from gpusim.cli import screen
+from gpusim.disk import whole
 from gpusim.report.drawing import png
 from gpusim.tolerance.budget import Budget
 from gpusim.tolerance.found import run

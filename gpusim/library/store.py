@@ -14,6 +14,7 @@ from gpusim.certify import Certificate, Probe
 from gpusim.config.arrays import read_npz
 from gpusim.config.mistakes import checked
 from gpusim.config.text import json_of
+from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.isp.optics import Optics
 from gpusim.sensor.sensor import Sensor
@@ -46,9 +47,8 @@ def save_light(light: Light, path: str | Path) -> None:
         "notes": light.notes,
         "certificate": None if light.certificate is None else asdict(light.certificate),
     }
-    part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("wb") as file:
+        with whole(path) as part, part.open("wb") as file:
             np.savez(
                 file,
                 facts=np.frombuffer(json.dumps(facts).encode(), np.uint8),
@@ -61,9 +61,7 @@ def save_light(light: Light, path: str | Path) -> None:
                 lines_nm=optics.lines_nm,
                 shift_um=optics.shift_um,
             )
-        os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise UserError(f"the light cannot be written: {error.strerror}", file=path) from error
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 
@@ -390,11 +391,8 @@ def write_exr(
         header["units"] = units
     header |= more or {}
     planes = {name: np.ascontiguousarray(plane, np.float32) for name, plane in channels.items()}
-    partial = path.with_name(f".{path.name}.part")
     try:
-        with library_messages():
-            OpenEXR.File(header, planes).write(str(partial))
-        partial.replace(path)
+        with library_messages(), whole(path) as part:
+            OpenEXR.File(header, planes).write(str(part))
     except (OSError, RuntimeError) as error:
-        partial.unlink(missing_ok=True)
         raise UserError("cannot write the EXR", file=path, value=str(error)) from None

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from yaml import safe_dump
 
-from gpusim.batch.disk import whole
 from gpusim.camera import Camera
+from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import conjugates

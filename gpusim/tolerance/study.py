@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.batch.disk import whole
 from gpusim.camera import Camera
 from gpusim.config.text import read_record
+from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.lens.perturb import perturbed
 from gpusim.lens.prescription import Prescription

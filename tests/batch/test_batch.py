@@ -233,7 +233,7 @@ def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folde
     sweep, out = Sweep.load(written(folder)), folder / "out"
     prepared(sweep, out, resume=False)
     kept = {"sweep.json", ".lights", "frame-000001.dng", ".scheduler-17.json"}
-    half = {".3246-frame-000023.dng", "..3246-frame-000023.truth.exr.part", ".9-light-e0.json"}
+    half = {".3246-frame-000023.dng", ".3246-.3246-frame-000023.truth.exr", ".9-light-e0.json"}
     for name in (kept | half) - {"sweep.json"}:
         (out / name).touch()
     prepared(sweep, out, resume=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,16 @@ def test_a_rate_that_is_none_is_refused(device: Device, cache: Path, measured, r
     before, name, after = file.read_text().partition(f'"{where}"')
     file.write_text(before + name + after.replace("1.0", rate, 1))
     assert rates.cached_costs(device) is None
+
+
+def test_a_disk_that_takes_no_more_keeps_nothing_half(device: Device, cache: Path, measured):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # bytes; the rates have some 1000
+    try:
+        assert rates.adapter_costs(device) == measured[0]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(cache.iterdir()) == []
 
 
 def test_rates_survive_a_report(tmp_path: Path):
