@@ -4,7 +4,7 @@ from .adapters import devices
 from .arrays import Array, Resident
 from .compiling import Compiled, compiling
 from .device import Device, DeviceLostError, default_device
-from .exact import need_double_float
+from .exact import double_float
 from .kernel import Kernel
 from .layout import ShaderError
 from .pool import OutOfMemoryError, Use
@@ -26,6 +26,6 @@ __all__ = [
     "compiling",
     "default_device",
     "devices",
+    "double_float",
     "held",
-    "need_double_float",
 ]

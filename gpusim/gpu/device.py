@@ -86,7 +86,7 @@ class Device:
         self.lost = False
         self.tick_s = native().wgpuQueueGetTimestampPeriod(self.gpu.queue._internal) * 1e-9
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
-        self.double_float: bool | None = None  # not tested yet: see exact.py
+        self.double_float: dict[str, bool] | None = None  # not tested yet: see exact.py
         self.compiled: dict[object, Compiled] = {}  # by run.py, in order of time
         self._on_the_way = 0  # bytes of uploads
         self._fence = self.gpu.create_buffer(label="fence", size=16, usage=Use.READBACK.value)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.gpu import Array, Device, Kernel, Recording, need_double_float
+from gpusim.gpu import Array, Device, Kernel, Recording, double_float
 from gpusim.lens.launch import Launch
 from gpusim.lens.samples import field_launch, no_chief_ray
 from gpusim.lens.system import System
@@ -253,8 +253,7 @@ class Beams:
             "across": ACROSS,
             "inverse_stop2": self.system.stop_radius_mm**-2.0,
         }
-        need_double_float(self.device)
-        Kernel("lens/trace").record(
+        Kernel("lens/trace", **double_float(self.device)).record(
             rec,
             (min(groups, ACROSS), -(-groups // ACROSS), 1),
             params,

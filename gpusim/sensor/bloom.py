@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusim.gpu import Array, Kernel, Recording, need_double_float
+from gpusim.gpu import Array, Kernel, Recording, double_float
 
 
 def record_bloom(
@@ -38,8 +38,7 @@ def record_bloom(
     first, last = photosites or (0, rows)
     kept = rec.buffer(label, charge.shape, "f4")
     spilled = rec.buffer(f"{label} spilled", (2, cols, 2), "f4")
-    need_double_float(rec.device)
-    kernel = Kernel("sensor/bloom")
+    kernel = Kernel("sensor/bloom", **double_float(rec.device))
     params = {
         "rows": rows,
         "cols": cols,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusim.gpu import Array, Kernel, Recording, need_double_float
+from gpusim.gpu import Array, Kernel, Recording, double_float
 from gpusim.sensor.smear_model import Smear
 
 PIECE_ROWS = 32  # as in the shader
@@ -42,7 +42,7 @@ def record_smear(
     pieces = -(-rows // PIECE_ROWS)
     sums = rec.buffer(f"{label} sums", (pieces + 1, cols, 2), "f4")
     rec.clear(sums)
-    need_double_float(rec.device)
+    exact = double_float(rec.device)
     passed = 0 if smear.kind == "interline" else 1 + smear.cleared_by_shift
     params = {
         "rows": rows,
@@ -53,6 +53,6 @@ def record_smear(
     }
     buffers = {"rate": rate, "mean": mean, "sums": sums, "smeared": smeared}
     for step, height in enumerate((pieces, 1, pieces)):
-        kernel = Kernel("sensor/smear", PASSED=passed, STEP=step)
+        kernel = Kernel("sensor/smear", PASSED=passed, STEP=step, **exact)
         kernel.record(rec, kernel.cover(cols, height), params, **buffers)
     return smeared

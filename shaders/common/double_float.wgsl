@@ -3,7 +3,11 @@
 // multiplication is needed and nothing depends on fma being fused or not).
 //
 // Depends on the globals: params.zero, u32, always 0. A compiler may take (a + b) - a for b, and lavapipe does;
-// an exclusive or with a number that it cannot know hides the sum from it.
+// an exclusive or with a number that it cannot know hides the sum from it. Where one finds out even so, INTEGERS has the
+// same sums and products made by integers (gpusim/gpu/exact.py tries both on each adapter).
+#include "integer_float"
+
+override INTEGERS: bool = false;
 
 fn pin(x: f32) -> f32 {
     return bitcast<f32>(bitcast<u32>(x) ^ params.zero);
@@ -16,6 +20,9 @@ fn upper_half(x: f32) -> f32 {
 
 // a + b exactly.
 fn two_sum(a: f32, b: f32) -> vec2f {
+    if (INTEGERS) {
+        return integer_sum(a, b);
+    }
     let s = pin(a + b);
     let v = pin(s - a);
     return vec2f(s, (a - (s - v)) + (b - v));
@@ -23,12 +30,18 @@ fn two_sum(a: f32, b: f32) -> vec2f {
 
 // a + b exactly where |a| >= |b|.
 fn quick_two_sum(a: f32, b: f32) -> vec2f {
+    if (INTEGERS) {
+        return integer_sum(a, b);
+    }
     let s = pin(a + b);
     return vec2f(s, b - (s - a));
 }
 
 // a b exactly.
 fn two_product(a: f32, b: f32) -> vec2f {
+    if (INTEGERS) {
+        return integer_product(a, b);
+    }
     let p = pin(a * b);
     let c = upper_half(a);
     let d = a - c;

@@ -80,7 +80,7 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             passed = sum.x + sum.y;
             sum = plus(sum, rate[at]);
         } else if (PASSED == 2u) {
-            passed = pin(total.x - rate[at]) + total.y;   // the low part last: not lost beside the sun
+            passed = two_sum(total.x, -rate[at]).x + total.y;   // the low part last: not lost beside the sun
         }
         smeared[at] = min(mean[at] + weight * passed, limit_e);
     }

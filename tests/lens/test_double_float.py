@@ -52,16 +52,17 @@ def check(found: np.ndarray, wanted: list[Fraction], scale: list[Fraction] | Non
     assert (np.abs(found[:, 1]) <= 2 * U * np.abs(found[:, 0])).all()
 
 
+@pytest.mark.parametrize("function", ["two_sum", "integer_sum"])
 @pytest.mark.parametrize("exponents", [0, 12, 30])
-def test_two_sum_is_exact(exponents: int):
+def test_two_sum_is_exact(exponents: int, function: str):
     a, b = singles(1, exponents), singles(2, exponents)
-    found = evaluate("two_sum(a, b)", a, b, "f32").astype(float)
+    found = evaluate(f"{function}(a, b)", a, b, "f32").astype(float)
     assert exact(found) == exact(np.stack([a, b], axis=1))
     assert_close(found[:, 0], (a + b).astype(np.float32).astype(float), atol=0)
     # Numbers of the same size that cancel to nothing but their last bits, and to zero.
     near = np.nextafter(a.astype(np.float32), np.float32(0)).astype(float)
     for other in (-near, -a):
-        found = evaluate("two_sum(a, b)", a, other, "f32")
+        found = evaluate(f"{function}(a, b)", a, other, "f32")
         assert exact(found) == exact(np.stack([a, other], axis=1))
 
 
@@ -73,13 +74,38 @@ def test_quick_two_sum_is_exact_where_the_first_is_the_larger():
     assert_close(found[:, 0], (a + b).astype(np.float32).astype(float), atol=0)
 
 
+@pytest.mark.parametrize("function", ["two_product", "integer_product"])
 @pytest.mark.parametrize("exponents", [0, 12, 30])
-def test_two_product_is_exact(exponents: int):
+def test_two_product_is_exact(exponents: int, function: str):
     a, b = singles(5, exponents), singles(6, exponents)
-    found = evaluate("two_product(a, b)", a, b, "f32").astype(float)
+    found = evaluate(f"{function}(a, b)", a, b, "f32").astype(float)
     wanted = [Fraction(float(p)) * Fraction(float(q)) for p, q in zip(a, b, strict=True)]
     assert exact(found) == wanted
     assert_close(found[:, 0], (a * b).astype(np.float32).astype(float), atol=0)
+
+
+@pytest.mark.parametrize("apart", range(22, 29))
+def test_integers_round_ties_to_even_and_below_powers_of_two(apart: int):
+    """The smaller number lies about half a last bit of the larger, which may be a power of two."""
+    a = np.repeat([1.0, 1 + 2 * U, 1 + 4 * U, 2 - 2 * U], 10)
+    b = np.array([1.0, 1 + 2 * U, 1.5, 2 - 2 * U, 0.0]) * 2.0**-apart
+    b = np.tile([*b, *-b], 4)
+    for one, other in ((a, b), (b, a), (-a, b)):
+        found = evaluate("integer_sum(a, b)", one, other, "f32")
+        assert exact(found) == exact(np.stack([one, other], axis=1))
+        expected = one.astype(np.float32) + other.astype(np.float32)
+        assert_close(found[:, 0].astype(float), expected.astype(float), atol=0)
+
+
+def test_integers_keep_zeros_infinities_and_nan():
+    a = np.array([0.0, 0.0, 3.0, np.inf, -np.inf, np.nan, 2e38, 1e-30])
+    b = np.array([0.0, -2.0, 0.0, 1.0, 1e30, 1.0, 3e38, 1e-30])
+    with np.errstate(over="ignore", under="ignore"):
+        a32, b32 = a.astype(np.float32), b.astype(np.float32)
+        wanted = a32 + b32, a32 * b32
+    for name, expected in zip(("integer_sum", "integer_product"), wanted, strict=True):
+        found = evaluate(f"{name}(a, b)", a, b, "f32")[:, 0]
+        assert np.array_equal(found, expected, equal_nan=True)
 
 
 def test_the_halves_of_a_number_have_twelve_bits():
