@@ -34,6 +34,9 @@ app = typer.Typer(
 def main() -> None:
     """Run the command line; a user's mistake is one screen on stderr and exit code 2."""
     warnings.showwarning = _show_warning
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # the shell closed it: else a file of ours takes its number
+            setattr(sys, name, open(os.devnull, "w"))
     for stream in (sys.stdout, sys.stderr):  # a terminal without the letters of a lens's name
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import subprocess
 import sys
 import time
@@ -242,6 +243,16 @@ def test_a_full_disk_is_one_screen(tmp_path: Path):
     with pytest.raises(UserError, match="No space left"), files.staging(tmp_path):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("arguments", "code"), [(("charts",), 0), (("sensor", "imx47"), 2)])
+def test_a_command_whose_output_is_closed_ends_as_ever(arguments: tuple[str, ...], code: int):
+    words = [sys.executable, "-m", "gpusim", *arguments]
+    ran = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&- 2>&-', "sh", *words],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert ran.returncode == code
 
 
 def test_other_failures_of_the_system_are_not_hidden(tmp_path: Path):
