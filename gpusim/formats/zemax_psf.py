@@ -207,7 +207,7 @@ def _values(body: str, size: int, file: Path) -> np.ndarray:
 def turned(
     export: PsfExport, pitch_um: float, size: int, first_row: FirstRow, outwards_um: float = 0.0
 ) -> np.ndarray:
-    """Return a PSF on the bank's grid: [tangential, radial], centred on the chief ray.
+    """Return a PSF on the bank's grid: [sagittal, tangential], centred on the chief ray.
 
     Parameters
     ----------
@@ -229,12 +229,12 @@ def turned(
     from scipy.ndimage import map_coordinates
 
     at = (np.arange(size) - size // 2) * pitch_um
-    radial, tangential = at[None, :] - outwards_um, at[:, None]
-    # Seen with x to the right and y down, tangential is radial turned from x towards y: for a field
-    # above the axis radial points up and tangential to the right, for one below down and left.
+    tangential, sagittal = at[None, :] - outwards_um, at[:, None]
+    # Seen with x to the right and y down, sagittal is tangential turned from x towards y: for a
+    # field above the axis tangential points up and sagittal to the right; below, down and left.
     upwards = -1 if first_row == "+y" else 1
-    row = export.centre[0] + upwards * export.side * radial / export.spacing_um
-    col = export.centre[1] + export.side * tangential / export.spacing_um
+    row = export.centre[0] + upwards * export.side * tangential / export.spacing_um
+    col = export.centre[1] + export.side * sagittal / export.spacing_um
     where = np.broadcast_arrays(row, col)
     return map_coordinates(export.values, where, order=5, mode="grid-constant")
 

@@ -49,7 +49,8 @@ BLOCK_PX = 150.0  # half sides of the chart's rectangles
 WINDOW_PX = 12.0  # about an edge: there its ESF is held against the prediction
 STEP_PX = 1 / 32
 ESF_BAR = 0.01
-PLACES = {"axis": (0.0, 0.0), "radial": (1.0, 0.0), "tangential": (0.0, 1.0)}
+# By the direction across the upright edge, as MTFs are named; the field lies along x and along y.
+PLACES = {"axis": (0.0, 0.0), "tangential": (1.0, 0.0), "sagittal": (0.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)

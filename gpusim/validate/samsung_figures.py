@@ -21,8 +21,8 @@ ARROWS, CHIEF_ARROWS = 5e4, 200.0  # how much longer than the errors of corners
 SHOWN_PX = 6.0  # of the edges, on either side
 TITLES = {
     "axis": "axis",
-    "radial": "0.5 field, along the radius",
-    "tangential": "0.5 field, across it",
+    "tangential": "0.5 field, along the radius",
+    "sagittal": "0.5 field, across it",
 }
 
 

@@ -196,7 +196,7 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
             true = predictor_of(other, widest, nodes, own=True, pupils=5)
     sensor = lines_sensor(edges.PATTERN, edges.LINES_NM)
     places, target = edges.places_of(STANDARD, predictor, sensor)
-    place = places["radial"]
+    place = places["tangential"]
     left, top, width, height = edges.region_of(place, sensor)
     far = np.arange(-80, 80, 1 / 32)
     band = edges.band_of("G")
@@ -208,7 +208,7 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
     step = 0.05 + 0.75 * np.interp(away - 1 / 64, far, np.cumsum(lsf) / 32)
     rate = step * predictor.flat_field(radius, band)
     one = edges.edge_of(place, target, "G", rate, sensor=sensor, predictor=predictor)
-    found = edges.Edges([edges.Edge(STANDARD, "radial", "G", *one)], {}, "ours", False)
+    found = edges.Edges([edges.Edge(STANDARD, "tangential", "G", *one)], {}, "ours", False)
     (bar,) = found.bars()
     assert bar.held is not planted, bar
 
