@@ -36,8 +36,8 @@ class Axis(Strict):
         Drawn from a normal law.
     """
 
-    values: list[float | int | str | bool | None] | None = Field(default=None, min_length=1)
-    range: list[int] | None = Field(default=None, min_length=2, max_length=3)
+    values: tuple[float | int | str | bool | None, ...] | None = Field(default=None, min_length=1)
+    range: tuple[int, ...] | None = Field(default=None, min_length=2, max_length=3)
     linspace: tuple[Number, Number, Annotated[int, Field(ge=1)]] | None = None
     geomspace: tuple[Number, Number, Annotated[int, Field(ge=1)]] | None = None
     uniform: tuple[Number, Number] | None = None

@@ -29,11 +29,17 @@ class Crops(Strict):
     step : int
         Drawn places are multiples of it both ways, from the first lit pixel on: with the period of
         the filter array (2 for Bayer) all crops begin with the same colour.
+
+    Examples
+    --------
+    >>> from gpusim.batch.crops import Crops
+    >>> Crops(rows=16, cols=16, at=[(0, 0), (8, 16)]).a_frame
+    2
     """
 
     rows: Side
     cols: Side
-    at: list[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]] | None = Field(
+    at: tuple[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], ...] | None = Field(
         default=None, min_length=1
     )
     count: Side | None = None
@@ -73,6 +79,13 @@ class Crops(Strict):
         ------
         UserError
             A crop does not lie in the frame.
+
+        Examples
+        --------
+        >>> from gpusim.batch.crops import Crops
+        >>> crops = Crops(rows=16, cols=16, count=3)
+        >>> crops.places((0, 0, 48, 64), (48, 64), seed=1, number=0).shape
+        (3, 2)
         """
         if self.at is not None:
             rows, cols = shape

@@ -18,7 +18,7 @@ from gpusim.batch.labels import label_file
 from gpusim.batch.values import check_value
 from gpusim.camera import Camera, load_camera
 from gpusim.config.mistakes import checked, user_error
-from gpusim.config.model import Strict
+from gpusim.config.model import Fixed, Strict, Table
 from gpusim.config.names import perhaps
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
@@ -45,7 +45,7 @@ class Sweep(Strict):
     ----------
     camera : str
         Name or file.
-    scenes : list of str
+    scenes : tuple of str
         Names of charts, files, or patterns of files (``photos/*.exr``).
     axes : dict of str to Axis
         By setting: of the read-out (exposure_s, iso, gain, seed, frame, temperature_c, noise), the
@@ -66,20 +66,31 @@ class Sweep(Strict):
         Probe pixels of each light's certificate; 0: none.
     best_effort : bool
         Whether to go on where the tolerance cannot be met.
-    outputs : list of str
+    outputs : tuple of str
         Any of raw (DNG), npz (raw, electrons, truth), exr (electrons), developed (PNG), truth
         (EXR), labels (npz), crops (npz: raw, truth, labels).
     labels : dict of str to str
         Files of each scene's labels, by name: ``depth: depth/{scene}.npy``.
     crops : Crops, optional
         Where pieces of each frame lie.
-    metrics : list of str
+    metrics : tuple of str
         What is measured of each raw: any of `gpusim.metrics.summary.MEASURES`.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> sweep = gs.Sweep(
+    ...     camera="mtf-only", scenes=["colorchecker"], rows=48, cols=64, tolerance=1e-2, probes=0,
+    ...     axes={"exposure_s": [1/240, 1/60], "seed": [1, 2]},
+    ... )
+    >>> sweep.check()
+    >>> len(sweep.frames)
+    4
     """
 
     camera: str
-    scenes: list[str] = Field(min_length=1)
-    axes: dict[str, Axis] = Field(default_factory=dict)
+    scenes: tuple[str, ...] = Field(min_length=1)
+    axes: Table[Axis] = Field(default=Fixed())
     combine: Literal["product", "zip", "sample"] = "product"
     samples: int | None = Field(default=None, ge=1)
     sampler: Literal["random", "sobol"] = "random"
@@ -90,10 +101,10 @@ class Sweep(Strict):
     tolerance: str | float = "1e-3"
     probes: int = Field(default=16, ge=0)
     best_effort: bool = False
-    outputs: list[str] = Field(default=["raw"], min_length=1)
-    labels: dict[str, str] = Field(default_factory=dict)
+    outputs: tuple[str, ...] = Field(default=("raw",), min_length=1)
+    labels: Table[str] = Field(default=Fixed())
     crops: Crops | None = None
-    metrics: list[str] = Field(default_factory=list)
+    metrics: tuple[str, ...] = Field(default=())
 
     _folder: Path = PrivateAttr(default_factory=Path)
 
@@ -109,7 +120,8 @@ class Sweep(Strict):
         if not isinstance(given, dict):
             return given
         return {
-            name: {"values": one} if isinstance(one, list) else one for name, one in given.items()
+            name: {"values": one} if isinstance(one, list | tuple) else one
+            for name, one in given.items()
         }
 
     @classmethod
@@ -120,6 +132,14 @@ class Sweep(Strict):
         ------
         UserError
             No such file, or a field is wrong.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> from pathlib import Path
+        >>> _ = Path("sweep.yaml").write_text("{camera: mtf-only, scenes: [colorchecker]}")
+        >>> gs.Sweep.load("sweep.yaml").outputs
+        ('raw',)
         """
         path = Path(path)
         sweep = checked(cls, read_yaml(path, "the sweep file"), path)
@@ -250,7 +270,18 @@ class Sweep(Strict):
         ]
 
     def run(self, out: str | Path, **options: Any) -> Outcome:
-        """Render the frames into a folder, on Dask: see `gpusim.batch.run.run`."""
+        """Render the frames into a folder, on Dask: see `gpusim.batch.run.run`.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> sweep = gs.Sweep(
+        ...     camera="mtf-only", scenes=["colorchecker"], rows=48, cols=64,
+        ...     tolerance=1e-2, probes=0,
+        ... )
+        >>> sweep.run("frames").new  # starts a process, which takes seconds  # doctest: +SKIP
+        1
+        """
         from gpusim.batch.run import run
 
         self.check()

@@ -51,7 +51,13 @@ def sensor_rates(device: Device) -> dict[str | int, float]:
     dn = record_adc(rec, record_noise(rec, mean, sensor, seed=1), sensor)
     low = {"temporal_dark_noise_e": 12, "black_level_dn": 256, "switch_dn": 3800}
     dual = DualGain(system_gain_dn_per_e=sensor.system_gain_dn_per_e / 8, **low)
-    record_merge(rec, dn, dn, sensor.model_copy(update={"dual_gain": dual}), label="merged")
+    record_merge(
+        rec,
+        dn,
+        dn,
+        sensor.model_copy(update={"dual_gain": dual, "analogue_gains": ()}),
+        label="merged",
+    )
     found = {stage: 1e9 * seconds / SIDE**2 for stage, seconds in timing.fastest(rec).items()}
     return found | {"crosstalk": found["crosstalk"] / 9}
 

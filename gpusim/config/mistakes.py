@@ -29,6 +29,7 @@ UNITS = {
 KINDS = {
     **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size"), "a whole number"),
     "int_from_float": "a whole number",
+    "tuple_type": "a list",
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
 }
 LONGEST_VALUE = 60  # characters that a screen shows
@@ -146,7 +147,12 @@ def _wrong(finding: dict, model: type[BaseModel], path: Path | None) -> UserErro
             value="nothing" if value is None else f"{_shown(value) or type(value).__name__}",
             allowed=f"lines `field: value` of {', '.join(_fields(model, where))}",
         )
-    told = finding["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    told = (
+        finding["msg"]
+        .removeprefix("Input should be ")
+        .removeprefix("Value error, ")
+        .replace("Tuple", "List")
+    )
     allowed = KINDS.get(finding["type"], told)
     names = [part for part in where if isinstance(part, str)]
     unit = next((unit for end, unit in UNITS.items() if names and names[-1].endswith(end)), None)

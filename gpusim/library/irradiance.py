@@ -99,6 +99,15 @@ class Irradiance:
     ------
     UserError
         Shapes that do not fit, wavelengths that do not rise, or what is no light.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import gpusim as gs
+    >>> even = gs.Irradiance(np.full((24, 32, 2), 1e-4, np.float32), np.array([400.0, 700.0]))
+    >>> even.save("even.npz")
+    >>> gs.Irradiance.load("even.npz")
+    Irradiance(32 x 24 pixels, 2 bands, 400 to 700 nm)
     """
 
     values: np.ndarray
@@ -194,6 +203,14 @@ class Irradiance:
         UserError
             It has another size than the lit pixels of the sensor, or the sensor's quantum
             efficiency goes with the angle of light.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import gpusim as gs
+        >>> even = gs.Irradiance(np.full((24, 32, 2), 1e-4, np.float32), np.array([400.0, 700.0]))
+        >>> even.light(gs.Sensor.load("imx477").roi(24, 32)).capture(1/100).raw.shape
+        (24, 32)
         """
         if self.values.shape[:2] != (sensor.rows, sensor.cols):
             raise UserError(
@@ -360,10 +377,10 @@ def band_images(
         names = [f"W{number:02d}" for number in range(len(part))]
         # A period that no grid has: each channel is a plane of all pixels: see `planes_of`.
         length = next(n for n in count(len(part)) if n not in PERIODS)
-        pattern = [names + names[:1] * (length - len(names))]
+        pattern = ((*names, *names[:1] * (length - len(names))),)
         efficiency = QuantumEfficiency(
-            wavelengths_nm=[float(one) for one in wavelengths_nm],
-            channels={name: list(map(float, one)) for name, one in zip(names, part, strict=True)},
+            wavelengths_nm=tuple(map(float, wavelengths_nm)),
+            channels={name: tuple(map(float, one)) for name, one in zip(names, part, strict=True)},
         )
         fields = {name: getattr(sensor, name) for name in OF_LIGHT}
         bare = Sensor(

@@ -103,26 +103,24 @@ def coarse_grid(level: Bank, sensor: Sensor, edges: bool = True, first: bool = T
     if len(names) in PERIODS[1:]:
         names.append(names[0])
     ratio = sensor.pixel_pitch_um / pitch
-    coarse = sensor.model_copy(
-        update={
-            "rows": rows,
-            "cols": cols,
-            "pixel_pitch_um": pitch,
-            "fill_factor": sensor.fill_factor * ratio**2,
-            "aperture": None,
-            "scan_motion_px": None,
-            "cfa": ColourFilterArray(pattern=[names]),
-            "veiling_glare": 0.0,
-            "optical_black": None,
-            "overscan": None,
-            "smear": None,
-            "bloom": False,
-            "parallel_cti": None,
-            "serial_cti": None,
-            "crosstalk": None,
-            "defects": None,
-            "masks": None,
-        }
+    coarse = sensor.unchecked(
+        rows=rows,
+        cols=cols,
+        pixel_pitch_um=pitch,
+        fill_factor=sensor.fill_factor * ratio**2,
+        aperture=None,
+        scan_motion_px=None,
+        cfa=ColourFilterArray(pattern=[names]),
+        veiling_glare=0.0,
+        optical_black=None,
+        overscan=None,
+        smear=None,
+        bloom=False,
+        parallel_cti=None,
+        serial_cti=None,
+        crosstalk=None,
+        defects=None,
+        masks=None,
     )
     offset = tuple(
         (few - 1) / 2 - ratio * (count - 1) / 2

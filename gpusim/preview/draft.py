@@ -84,7 +84,7 @@ def binned(sensor: Sensor, step: int) -> Sensor:
         update[name] = max(getattr(sensor, name) // (step * period), 1) * period
     update["pixel_pitch_um"] = sensor.pixel_pitch_um * step
     update["prnu_percent"] = sensor.prnu_percent / step
-    return sensor.model_copy(update=update)
+    return sensor.unchecked(**update)  # a full well that no single photosite has
 
 
 class DraftLens:

@@ -36,6 +36,7 @@ OFF = {
     "dark_current_e_per_s": 0.0,
     "dsnu_e": 0.0,
     "prnu_percent": 0.0,
+    "veiling_glare": 0.0,
 }
 
 

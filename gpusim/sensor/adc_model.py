@@ -54,9 +54,9 @@ class Linearity(Strict):
         In place of that: by how much more is read, per cent.
     """
 
-    electrons: list[NotNegative] = Field(min_length=2, max_length=MAX_POINTS)
-    read_e: list[float] | None = None
-    deviation_percent: list[float] | None = None
+    electrons: tuple[NotNegative, ...] = Field(min_length=2, max_length=MAX_POINTS)
+    read_e: tuple[float, ...] | None = None
+    deviation_percent: tuple[float, ...] | None = None
 
     @model_validator(mode="after")
     def _monotone(self) -> Linearity:
@@ -132,7 +132,7 @@ class ColumnOffset(Strict):
     """
 
     sigma_dn: Positive | None = None
-    offsets_dn: list[float] | None = None
+    offsets_dn: tuple[float, ...] | None = None
 
     @model_validator(mode="before")
     @classmethod

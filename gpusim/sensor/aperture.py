@@ -19,6 +19,9 @@ MAX_CELLS = 32  # along a side of a map
 AREA_ROUNDING = 2e-3  # between an aperture's area and the fill factor of a data sheet
 
 
+Cells = tuple[tuple[float, ...], ...]
+
+
 class Part(Strict):
     """A rectangle within the pixel, from its upper left corner, in pixels."""
 
@@ -39,19 +42,19 @@ class Aperture(Strict):
 
     Attributes
     ----------
-    rectangles : list of Part, optional
+    rectangles : tuple of Part, optional
         Side by side: one, two for an L, or more.
-    map : list of list of float, optional
+    map : tuple of tuple of float, optional
         Response of cells of equal size, row by row, from 0 to 1: what a scan with a spot of light
         has measured.
     """
 
-    rectangles: list[Part] | None = None
-    map: list[list[float]] | None = None
+    rectangles: tuple[Part, ...] | None = None
+    map: Cells | None = None
 
     @field_validator("rectangles")
     @classmethod
-    def _apart(cls, parts: list[Part] | None) -> list[Part] | None:
+    def _apart(cls, parts: tuple[Part, ...] | None) -> tuple[Part, ...] | None:
         for one, other in combinations(parts or (), 2):
             across = min(one.x + one.width, other.x + other.width) - max(one.x, other.x)
             down = min(one.y + one.height, other.y + other.height) - max(one.y, other.y)
@@ -61,7 +64,7 @@ class Aperture(Strict):
 
     @field_validator("map")
     @classmethod
-    def _cells(cls, cells: list[list[float]] | None) -> list[list[float]] | None:
+    def _cells(cls, cells: Cells | None) -> Cells | None:
         if cells is None:
             return None
         if not cells or not cells[0] or any(len(row) != len(cells[0]) for row in cells):

@@ -160,7 +160,7 @@ def record_columns(
         charge = record_noise(
             rec,
             mean,
-            sensor.model_copy(update={"full_well_e": BOUNDLESS_E}) if runs("bloom") else sensor,
+            sensor.unchecked(full_well_e=BOUNDLESS_E) if runs("bloom") else sensor,
             seed=shot.seed,
             frame=shot.frame,
             origin=frame.on_chip(read),

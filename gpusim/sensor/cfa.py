@@ -27,6 +27,9 @@ PATTERNS = {
 }
 
 
+Pattern = tuple[tuple[str, ...], ...]
+
+
 class ColourFilterArray(Strict):
     """The filter pattern, from the upper left pixel: a channel for each photosite, row by row.
 
@@ -37,20 +40,20 @@ class ColourFilterArray(Strict):
 
     Attributes
     ----------
-    pattern : list of list of str
+    pattern : tuple of tuple of str
     shift_px : (float, float)
         x, y by which the filters lie to the right of their pixels, and below, pixels. What is
         loaded from a file has the mixtures that its pixels then see: see
         :func:`gpusim.sensor.misregistration.mixed`.
     """
 
-    pattern: list[list[str]]
+    pattern: Pattern
     shift_px: tuple[float, float] = (0.0, 0.0)
 
     @model_validator(mode="before")
     @classmethod
     def _pattern_alone(cls, data: object) -> object:
-        return {"pattern": data} if isinstance(data, str | list) else data
+        return {"pattern": data} if isinstance(data, str | list | tuple) else data
 
     @field_validator("pattern", mode="before")
     @classmethod
@@ -78,7 +81,7 @@ class ColourFilterArray(Strict):
 
     @field_validator("pattern")
     @classmethod
-    def _rectangle_of_letters(cls, pattern: list[list[str]]) -> list[list[str]]:
+    def _rectangle_of_letters(cls, pattern: Pattern) -> Pattern:
         if not pattern or not pattern[0] or any(len(row) != len(pattern[0]) for row in pattern):
             raise wrong("the pattern is no rectangle", "rows of equal length: [[R, G], [G, B]]")
         for name in chain(*pattern):

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydantic import RootModel, field_validator, model_validator
 
-from gpusim.config.model import Strict, wrong
+from gpusim.config.model import Fixed, Strict, wrong
 
 MAX_SIDE = 7  # of a kernel, pixels
 ANY = "*"  # stands for every channel
 ROUNDING = 1e-9  # by which shares given as decimal fractions may exceed 1
 
-Kernel = list[list[float]]
+Kernel = tuple[tuple[float, ...], ...]
 Pattern = Sequence[Sequence[str]]
 
 
@@ -31,7 +31,7 @@ class Kernels(RootModel[dict[str, Kernel]]):
 
     @field_validator("root")
     @classmethod
-    def _kernels(cls, kernels: dict[str, Kernel]) -> dict[str, Kernel]:
+    def _kernels(cls, kernels: Mapping[str, Kernel]) -> dict[str, Kernel]:
         if not kernels:
             raise wrong("there is no kernel", 'kernels by pair of channels: {"*": [[...]]}')
         for pair, kernel in kernels.items():
@@ -54,7 +54,7 @@ class Kernels(RootModel[dict[str, Kernel]]):
                     f"the kernel {pair} has a share in its middle, where the pixel itself is",
                     "0 there between unlike channels",
                 )
-        return kernels
+        return Fixed(kernels)
 
     @property
     def side(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from gpusim.config.model import Strict
+from gpusim.config.model import Fixed, Strict, Table
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.aperture import Aperture
 from gpusim.sensor.cfa import ColourFilterArray
@@ -66,7 +66,7 @@ class DataSheet(Strict):
         Uniform light in the image over its mean, 0..1.
     analogue_gain : float
         Gain at which the figures hold.
-    analogue_gains : list of GainStep
+    analogue_gains : tuple of GainStep
         The steps that there are: see `Sensor.at_gain`.
     linearity : Linearity, optional
         Measured response of the read-out.
@@ -112,7 +112,7 @@ class DataSheet(Strict):
         ``{file: NAME.json}``, see ``gpusim.sensor.eqe_model``.
     micro_lens : MicroLens, optional
         Their shift over the field, with ``eqe_map``.
-    filters : list of Filter
+    filters : tuple of Filter
         In front of the sensor, where ``quantum_efficiency`` does not include them.
     aperture : Aperture, optional
         What of the pixel sees light, where it is no square in its middle; ``fill_factor`` is its
@@ -122,6 +122,13 @@ class DataSheet(Strict):
         exposed, pixels: the middle of the way is where it stands still in other sensors.
     sources : dict of str to str
         Where each figure comes from, by field.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> sheet = gs.Sensor.load("imx477")
+    >>> sheet.full_well_e, sheet.bit_depth, sheet.cfa.pattern
+    (8180.0, 12, (('B', 'G'), ('G', 'R')))
     """
 
     name: str
@@ -146,9 +153,9 @@ class DataSheet(Strict):
     prnu_percent: float = Field(ge=0, le=100)
     veiling_glare: float = Field(ge=0, lt=1)
     analogue_gain: Positive = 1.0
-    analogue_gains: list[GainStep] = Field(default=[])
+    analogue_gains: tuple[GainStep, ...] = Field(default=())
     linearity: Linearity | None = None
-    channel_black_level_dn: dict[str, NotNegative] | None = None
+    channel_black_level_dn: Table[NotNegative] | None = None
     column_offset: ColumnOffset | None = None
     dual_gain: DualGain | None = None
     optical_black: Border | None = None
@@ -168,7 +175,7 @@ class DataSheet(Strict):
     crosstalk: Crosstalk | None = None
     eqe_map: EqeMap | None = None
     micro_lens: MicroLens | None = None
-    filters: list[Filter] = Field(default_factory=list)
+    filters: tuple[Filter, ...] = Field(default=())
     aperture: Aperture | None = None
     scan_motion_px: tuple[float, float] | None = None
-    sources: dict[str, str] = Field(default_factory=dict)
+    sources: Table[str] = Field(default=Fixed())

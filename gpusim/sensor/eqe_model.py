@@ -37,11 +37,11 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from gpusim.config.mistakes import checked
-from gpusim.config.model import Strict, wrong
+from gpusim.config.model import Strict, Table, wrong
 from gpusim.config.text import read_json
 from gpusim.sensor.strict import NotNegative, Positive, check_grid
 
-Cube = list[list[list[NotNegative]]]
+Cube = tuple[tuple[tuple[NotNegative, ...], ...], ...]
 KEYS = "source, wavelengths_nm, theta_deg, phi_deg, channels: see gpusim/sensor/eqe_model.py"
 WIDEST_STEP_DEG = 180.0  # of phi: farther apart nothing is known between
 
@@ -56,7 +56,7 @@ class Efficiencies(Strict):
     @model_validator(mode="before")
     @classmethod
     def _external(cls, data: object) -> object:
-        return {"eqe": data} if isinstance(data, list) else data
+        return {"eqe": data} if isinstance(data, list | tuple) else data
 
     @model_validator(mode="after")
     def _one_or_two(self) -> Efficiencies:
@@ -78,20 +78,20 @@ class EqeMap(Strict):
 
     file: str = ""
     source: str = ""
-    wavelengths_nm: list[Positive]
-    theta_deg: list[float]
-    phi_deg: list[float]
-    channels: dict[str, Efficiencies]
+    wavelengths_nm: tuple[Positive, ...]
+    theta_deg: tuple[float, ...]
+    phi_deg: tuple[float, ...]
+    channels: Table[Efficiencies]
 
     @field_validator("wavelengths_nm")
     @classmethod
-    def _over_the_grid(cls, grid: list[float]) -> list[float]:
+    def _over_the_grid(cls, grid: tuple[float, ...]) -> tuple[float, ...]:
         check_grid(grid)
         return grid
 
     @field_validator("theta_deg")
     @classmethod
-    def _from_the_normal(cls, theta: list[float]) -> list[float]:
+    def _from_the_normal(cls, theta: tuple[float, ...]) -> tuple[float, ...]:
         rises = all(b > a for a, b in pairwise(theta))
         if len(theta) < 2 or theta[0] != 0 or not rises or theta[-1] > 90:
             raise wrong(
@@ -101,8 +101,8 @@ class EqeMap(Strict):
 
     @field_validator("phi_deg")
     @classmethod
-    def _all_around(cls, phi: list[float]) -> list[float]:
-        if phi == [0]:
+    def _all_around(cls, phi: tuple[float, ...]) -> tuple[float, ...]:
+        if phi == (0,):
             return phi
         around = [*phi, phi[0] + 360] if phi else []
         steps = [b - a for a, b in pairwise(around)]
@@ -163,16 +163,16 @@ class MicroLens(Strict):
 
     Attributes
     ----------
-    heights_mm : list of float
+    heights_mm : tuple of float
         Distances from the middle of the sensor, rising from 0; beyond the last it stays.
-    chief_ray_deg : list of float
+    chief_ray_deg : tuple of float
         Angle from the normal, outwards, at which light there finds the pixel as light along the
         normal finds it in the middle; 0 in the middle. Its sine is taken off the direction cosines
         of the light: an aberration-free micro-lens moves its spot by f sin(theta) / n.
     """
 
-    heights_mm: list[NotNegative]
-    chief_ray_deg: list[float] = Field(min_length=2)
+    heights_mm: tuple[NotNegative, ...]
+    chief_ray_deg: tuple[float, ...] = Field(min_length=2)
 
     @model_validator(mode="after")
     def _curve(self) -> MicroLens:

@@ -24,16 +24,16 @@ class Filter(Strict):
     Attributes
     ----------
     name : str
-    wavelengths_nm : list of float
+    wavelengths_nm : tuple of float
         Rising, over all of the grid of spectra.
-    transmission : list of float
+    transmission : tuple of float
         Share of the light, 0 to 1. In a file `file: NAME.csv` may stand for both lists: a line for
         each wavelength, nm and transmission with a comma between, and `#` before remarks.
     """
 
     name: str
-    wavelengths_nm: list[Positive]
-    transmission: list[NotNegative]
+    wavelengths_nm: tuple[Positive, ...]
+    transmission: tuple[NotNegative, ...]
 
     @model_validator(mode="before")
     @classmethod
@@ -101,10 +101,10 @@ def passed(filters: Iterable[Filter], wavelengths_nm: np.ndarray = WAVELENGTHS_N
 class _Filters(Strict):
     """Filters of a camera file, with the name that they have in a sensor's."""
 
-    filters: list[Filter]
+    filters: tuple[Filter, ...]
 
 
-def load_filters(data: object, path: Path) -> list[Filter]:
+def load_filters(data: object, path: Path) -> tuple[Filter, ...]:
     """Return the filters in front of a lens, of a camera file that lies at a path.
 
     Raises

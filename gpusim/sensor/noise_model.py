@@ -89,8 +89,8 @@ class ReadNoiseLaw(Strict):
         probability.
     """
 
-    probabilities: list[float] = Field(min_length=2)
-    values: list[float] = Field(min_length=2)
+    probabilities: tuple[float, ...] = Field(min_length=2)
+    values: tuple[float, ...] = Field(min_length=2)
 
     @model_validator(mode="after")
     def _rising(self) -> ReadNoiseLaw:
@@ -147,6 +147,11 @@ class Masks(Strict):
     area: tuple[int, int, int, int] | None = None
 
     _digests: dict[str, str] = PrivateAttr(default_factory=dict)  # of each mask's values
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether its files were found and read: `placed`."""
+        return bool(self._digests)
 
     def placed(self, folder: Path, area: tuple[int, int, int, int]) -> Masks:
         """Return the masks with their files found and their size checked.
@@ -318,7 +323,7 @@ class Defects(Strict):
         temperature.
     """
 
-    pixels: list[DefectPixel] = Field(default_factory=list)
+    pixels: tuple[DefectPixel, ...] = Field(default=())
     dead_fraction: float = Field(default=0, ge=0, le=0.1)
     hot_fraction: float = Field(default=0, ge=0, le=0.1)
     stuck_fraction: float = Field(default=0, ge=0, le=0.1)

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from pydantic import model_validator
 
-from gpusim.config.model import Strict, wrong
+from gpusim.config.model import Strict, Table, wrong
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.strict import NotNegative, Positive, check_grid
 
@@ -15,8 +15,8 @@ from gpusim.sensor.strict import NotNegative, Positive, check_grid
 class QuantumEfficiency(Strict):
     """Quantum efficiency of each channel, filters included, on a wavelength grid of its own."""
 
-    wavelengths_nm: list[Positive]
-    channels: dict[str, list[NotNegative]]
+    wavelengths_nm: tuple[Positive, ...]
+    channels: Table[tuple[NotNegative, ...]]
 
     @model_validator(mode="after")
     def _on_one_grid(self) -> QuantumEfficiency:

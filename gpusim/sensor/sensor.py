@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 from pydantic import ValidationInfo, model_validator
 
-from gpusim.config.model import wrong
+from gpusim.config.model import Fixed, wrong
 from gpusim.errors import UserError
 from gpusim.known import Known
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -63,29 +63,11 @@ class Sensor(DataSheet):
         check_fields(self)
         # Validation may not return another model: what these two change is put into this one.
         self.__dict__.update(mixed(self).__dict__)
-        if self.masks is not None:
+        if self.masks is not None and not self.masks.is_placed:
             folder = (info.context or {}).get("folder", Path())
             area = (self.first_row, self.first_col, self.rows, self.cols)
             self.__dict__["masks"] = self.masks.placed(folder, area)
         return self
-
-    @classmethod
-    def load(cls, name_or_path: str | Path) -> Sensor:
-        """Return a sensor of the package by its name, or that of a file.
-
-        Raises
-        ------
-        UserError
-            Unknown preset; a file that cannot be read or is no YAML; a wrong field.
-
-        Examples
-        --------
-        >>> Sensor.load("imx477").roi(480, 640).rows
-        480
-        """
-        from gpusim.sensor.load import load_sensor
-
-        return load_sensor(name_or_path)
 
     def __repr__(self) -> str:
         return (
@@ -192,7 +174,19 @@ class Sensor(DataSheet):
         )
 
     def at_low_gain(self) -> Sensor:
-        """Return the sensor as it reads at the low gain of two."""
+        """Return the sensor as it reads at the low gain of two.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> low = {
+        ...     "system_gain_dn_per_e": 0.04, "temporal_dark_noise_e": 12.0,
+        ...     "black_level_dn": 256.0, "switch_dn": 3800.0,
+        ... }
+        >>> two = {"analogue_gains": (), "dual_gain": low}
+        >>> gs.Sensor.load("imx477").model_copy(update=two).at_low_gain().system_gain_dn_per_e
+        0.04
+        """
         dual = self.dual_gain
         return self.model_copy(
             update={
@@ -238,7 +232,7 @@ class Sensor(DataSheet):
         return tuple(chain(*self.cfa.pattern))
 
     @cached_property
-    def qe(self) -> dict[str, np.ndarray]:
+    def qe(self) -> Fixed[str, np.ndarray]:
         """Quantum efficiency of each channel at ``WAVELENGTHS_NM``: (61,), read-only.
 
         With the filters in front of the sensor.
@@ -246,7 +240,7 @@ class Sensor(DataSheet):
         curves = self.qe_at(WAVELENGTHS_NM)
         for curve in curves.values():
             curve.flags.writeable = False
-        return curves
+        return Fixed(curves)
 
     def qe_at(self, wavelengths_nm: np.ndarray) -> dict[str, np.ndarray]:
         """Return the same at wavelengths (K,), beyond `known` as at its ends."""
@@ -345,6 +339,13 @@ class Sensor(DataSheet):
         ------
         UserError
             Larger than the sensor, or without a pixel.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> part = gs.Sensor.load("imx477").roi(480, 640)
+        >>> part.rows, part.cols, part.first_row % 2
+        (480, 640, 0)
         """
         for field, wanted, available in (("rows", rows, self.rows), ("cols", cols, self.cols)):
             if not 1 <= wanted <= available:
@@ -354,15 +355,21 @@ class Sensor(DataSheet):
                     value=wanted,
                     allowed=f"1 to {available}",
                 )
-        (first_row, first_col), (py, px) = (self.rows - rows, self.cols - cols), self.period
-        return self.model_copy(
-            update={
-                "rows": rows,
-                "cols": cols,
-                "first_row": self.first_row + first_row // 2 // py * py,
-                "first_col": self.first_col + first_col // 2 // px * px,
-            }
-        )
+        (above, left), (py, px) = (self.rows - rows, self.cols - cols), self.period
+        first_row = self.first_row + above // 2 // py * py
+        first_col = self.first_col + left // 2 // px * px
+        part = {"rows": rows, "cols": cols, "first_row": first_row, "first_col": first_col}
+        # Lists of the chip's pixels and columns end with the region: what lies beyond is not read.
+        if self.defects is not None:
+            inside = range(first_row, first_row + rows), range(first_col, first_col + cols)
+            pixels = [one for one in self.defects.pixels if one.row in inside[0]]
+            pixels = tuple(one for one in pixels if one.col in inside[1])
+            part["defects"] = self.defects.model_copy(update={"pixels": pixels})
+        if self.column_offset is not None and self.column_offset.offsets_dn is not None:
+            read = first_col + cols + self.frame.read[3] - self.cols
+            offsets_dn = self.column_offset.offsets_dn[:read]
+            part["column_offset"] = self.column_offset.model_copy(update={"offsets_dn": offsets_dn})
+        return self.model_copy(update=part)
 
     def cut(self, row: int, col: int) -> Sensor:
         """Return this sensor with a filter pattern that begins at a pixel, for files of a part."""

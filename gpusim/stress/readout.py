@@ -74,6 +74,7 @@ def steep_response() -> tuple:
     sensor = mono().model_copy(
         update={
             "linearity": Linearity(electrons=list(at), read_e=list(read)),
+            "full_well_e": 1e5,
             "system_gain_dn_per_e": 0.5,
             "bit_depth": 16,
         }
@@ -103,9 +104,15 @@ def saturated_at_each_gain() -> tuple:
     return f"{expected}", f"{found}", found == expected
 
 
+def two_reads(full_well_e: float) -> Sensor:
+    """Return a sensor that reads each charge at two gains, 16 to 1."""
+    changes = {"dual_gain": DUAL, "analogue_gains": (), "full_well_e": full_well_e}
+    return mono().model_copy(update=changes)
+
+
 def merged_ramp() -> tuple:
     """Read a ramp of 130 000 electrons at two gains, 16 to 1: one straight line to 16 bits."""
-    sensor = mono().model_copy(update={"dual_gain": DUAL, "full_well_e": 1.3e5})
+    sensor = two_reads(1.3e5)
     electrons = np.linspace(0, 1.25e5, 256 * 400).reshape(256, 400)
     found = converted(electrons, sensor)
     low = np.floor(256 + 0.47 * electrons + 0.5) >= 3800
@@ -118,7 +125,7 @@ def merged_ramp() -> tuple:
 
 def beyond_both_reads() -> tuple:
     """Take a charge beyond both reads, and one far below black: the merged codes' ends."""
-    sensor = mono().model_copy(update={"dual_gain": DUAL, "full_well_e": 1e7})
+    sensor = two_reads(1e7)
     found = converted(np.array([[-1e7, 1e7]]), sensor).ravel()
     top = float(np.floor(256 + 0.47 / 0.03 * (4095 - 200) + 0.5))
     return f"0 and {top:g}", f"{found[0]:g} and {found[1]:g}", list(found) == [0.0, top]
@@ -127,9 +134,9 @@ def beyond_both_reads() -> tuple:
 def offsets_beyond_the_codes() -> tuple:
     """Take column offsets of many times the range: codes are clipped, and none wraps around."""
     offsets = [-1e6, 0.0, 1e6] * 21 + [0.0]
-    sensor = mono().model_copy(update={"column_offset": ColumnOffset(offsets_dn=offsets)})
     # Counted on the chip, where a region begins elsewhere.
-    sensor = sensor.model_copy(update={"first_row": 0, "first_col": 0})
+    whole = {"first_row": 0, "first_col": 0, "column_offset": ColumnOffset(offsets_dn=offsets)}
+    sensor = mono().model_copy(update=whole)
     found = converted(np.zeros((48, 64)), sensor)
     expected = np.clip(256 + np.array(offsets), 0, 4095)
     return "0, 256 and 4095", f"{np.unique(found)}", bool((found == expected).all())

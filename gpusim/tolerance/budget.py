@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from gpusim.batch.axes import Axis, combined
 from gpusim.camera import Camera
 from gpusim.config.mistakes import checked
-from gpusim.config.model import Strict
+from gpusim.config.model import Strict, Table
 from gpusim.config.text import read_yaml
 from gpusim.errors import UserError
 from gpusim.lens.perturb import OF_ELEMENT, OF_SURFACE, names_part, parts
@@ -45,7 +45,7 @@ class Budget(Strict):
         Whether the design and the camera below which five in a hundred lie are rendered.
     """
 
-    tolerances: dict[str, Axis] = Field(min_length=1)
+    tolerances: Table[Axis] = Field(min_length=1)
     samples: Annotated[int, Field(ge=1, le=100_000)] = 200
     sampler: Literal["random", "sobol"] = "sobol"
     random_seed: Annotated[int, Field(ge=0)] = 0

@@ -104,7 +104,7 @@ def finer(sensor: Sensor, apart: int) -> Sensor:
         "pixel_pitch_um": sensor.pixel_pitch_um / apart,
         "fill_factor": apart**2 * sensor.fill_factor,  # apertures overlap: no file may say so
     }
-    return sensor.model_copy(update=changes)
+    return sensor.unchecked(**changes)
 
 
 def measure_costs(

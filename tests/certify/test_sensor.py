@@ -76,7 +76,7 @@ CMOS = {
     "kernels by channel": {"crosstalk": BAYER_5, "prnu_percent": 5.0},
     "border": {"crosstalk": SPREAD, "optical_black": BLACK, **UNLIKE},
     "X-Trans": {"cfa": X_TRANS, "crosstalk": SPREAD, **UNLIKE},
-    "two gains": {"dual_gain": MERGED, "crosstalk": SPREAD},
+    "two gains": {"dual_gain": MERGED, "analogue_gains": (), "crosstalk": SPREAD},
 }
 CCDS = {
     "interline, linear": {"smear": INTERLINE, "parallel_cti": LINEAR, "serial_cti": LINEAR},

@@ -76,7 +76,7 @@ def check(sensor: Sensor) -> None:
     assert sensor.dsnu_e == pytest.approx(6)
     assert sensor.prnu_percent == 1.2
     assert sensor.fill_factor == pytest.approx(0.6)
-    assert sensor.cfa.pattern == [["R", "G"], ["G", "B"]]
+    assert sensor.cfa.pattern == (("R", "G"), ("G", "B"))
     curves = sensor.quantum_efficiency.channels
     assert sensor.quantum_efficiency.wavelengths_nm == WAVE
     assert curves["R"] == pytest.approx([0.09, 0.09, 0.64, 0.24])

@@ -116,7 +116,7 @@ def test_a_monochrome_sensor_has_one_channel(tmp_path: Path):
         (("color",), {"filterSpectra": [0.5, 0.6, 0.7, 0.8], "filterNames": "w"}),
     )
     sensor = read(file)
-    assert sensor.cfa.pattern == [["W"]]
+    assert sensor.cfa.pattern == (("W",),)
     assert sensor.quantum_efficiency.channels["W"] == pytest.approx([0.45, 0.54, 0.56, 0.64])
 
 
@@ -129,7 +129,7 @@ def test_filters_of_one_colour_are_channels_of_their_own(tmp_path: Path):
         (("color", "filterNames"), ["r", "gr", "b", "gb"]),
     )
     sensor = read(file)
-    assert sensor.cfa.pattern == [["R", "Gr"], ["Gb", "B"]]
+    assert sensor.cfa.pattern == (("R", "Gr"), ("Gb", "B"))
 
 
 @pytest.mark.parametrize(

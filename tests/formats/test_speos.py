@@ -49,7 +49,7 @@ def test_every_key_finds_its_field(folder: Path):
     assert (sensor.pixel_pitch_um, sensor.bit_depth) == (3.75, 12)
     assert (sensor.system_gain_dn_per_e, sensor.temporal_dark_noise_e) == (0.25, 6.0)
     assert (sensor.dark_current_e_per_s, sensor.dsnu_e, sensor.prnu_percent) == (3.0, 1.5, 0.8)
-    assert sensor.cfa.pattern == [["W"]]
+    assert sensor.cfa.pattern == (("W",),)
     # eta AST DR = 0.8 x 10 photons x 10^(60/20)
     assert sensor.full_well_e == pytest.approx(8000)
     assert sensor.qe["W"].max() == pytest.approx(0.8)
@@ -93,7 +93,7 @@ def test_three_spectra_are_multiplied(folder: Path):
         (("EMVA Data", "IR & UV Filter"), {"Filename": "cut.spectrum", "Unit": "0 to 1"}),
     )
     sensor = read(file)
-    assert sensor.cfa.pattern == [["R", "G"], ["G", "B"]]
+    assert sensor.cfa.pattern == (("R", "G"), ("G", "B"))
     # At 660 nm the cut passes 0.6: half way from 0.9 to 0.3.
     for channel, filtered in (("R", 0.30), ("G", 0.50), ("B", 0.40)):
         assert at(sensor, channel, 500) == pytest.approx(filtered * 0.9, rel=1e-5)
@@ -105,7 +105,7 @@ def test_three_spectra_are_multiplied(folder: Path):
 def test_two_unlike_greens_are_two_channels(folder: Path):
     file = written(folder, CONSTANT, (BAYER, {**RGGB, "10 spectrum": "green2.spectrum"}))
     sensor = read(file)
-    assert sensor.cfa.pattern == [["R", "Gr"], ["Gb", "B"]]
+    assert sensor.cfa.pattern == (("R", "Gr"), ("Gb", "B"))
     assert (at(sensor, "Gr", 500), at(sensor, "Gb", 500)) == (0.5, 0.46)
 
 

@@ -499,7 +499,7 @@ EVERY_FILE = {
     "clear and red": {"pattern": "RCCC"},
     "plain TIFF": {"pattern": "RGB/CMY"},
     "X-Trans": {"pattern": "X-Trans"},
-    "dual gain": {"sensor": {"dual_gain": DUAL, "full_well_e": 80_000.0}},
+    "dual gain": {"sensor": {"dual_gain": DUAL, "analogue_gains": (), "full_well_e": 80_000.0}},
     "binned": {"pattern": "quad Bayer", "binned": True},
     "a nonlinear response": {"bent": True},
     "a short exposure": {"exposure_s": 1e-12},
@@ -630,7 +630,7 @@ def test_a_noise_of_two_numbers_is_in_the_noise_profile():
 
 
 def test_two_merged_reads_have_the_noise_of_the_one_that_counts():
-    camera = sensor(dual_gain=DUAL, full_well_e=80_000.0)
+    camera = sensor(dual_gain=DUAL, analogue_gains=(), full_well_e=80_000.0)
     scale, offset = noise_profile(camera)
     span = saturation_dn(camera) - 256
     rng, n = np.random.default_rng(9), 400_000

@@ -25,6 +25,7 @@ from gpusim.sensor.sensor import Sensor
 
 MONO = {
     "name": "mono",
+    "analogue_gains": (),
     "rows": 192,
     "cols": 256,
     "cfa": ColourFilterArray(pattern=[["W"]]),

@@ -75,6 +75,7 @@ def test_every_effect_of_a_sensor_can_be_switched_off_alone(name):
         assert having(without(sensor, frozenset((effect,)))) == [
             one for one in owned if one != effect
         ]
+    assert without(sensor, frozenset(EFFECTS)).veiling_glare == 0
 
 
 def test_effects_name_fields_that_sensors_have():

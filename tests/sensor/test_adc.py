@@ -180,8 +180,8 @@ def recorded(device: Device, electrons: np.ndarray, sensor=None, **more) -> np.n
 
 
 def changed(**changes):
-    return load_sensor("imx477").model_copy(
-        update={"serial_number": SERIAL, "first_row": 2, "first_col": 6} | changes
+    return load_sensor("imx477").unchecked(
+        **{"serial_number": SERIAL, "first_row": 2, "first_col": 6} | changes
     )
 
 
@@ -192,7 +192,7 @@ def test_the_host_gives_everything_that_the_sensor_has(device: Device):
         channel_black_level_dn={"R": 250.0, "B": 261.5},
         column_offset=ColumnOffset(sigma_dn=2.0),
     )
-    assert sensor.cfa.pattern == [["B", "G"], ["G", "R"]]
+    assert sensor.cfa.pattern == (("B", "G"), ("G", "R"))
     electrons = np.random.default_rng(9).uniform(-50, 8000, (21, 50)).astype(F32)
     found = recorded(device, electrons, sensor, origin=(3, 8))
     row, col = np.indices((21, 50))

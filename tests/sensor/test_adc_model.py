@@ -24,7 +24,8 @@ ONE_GAIN = {"analogue_gains": []}  # the preset has steps, which do not go with 
 
 
 def changed(**changes) -> Sensor:
-    return load_sensor("imx477").model_copy(update=changes)
+    one = {"analogue_gains": ()} if "dual_gain" in changes else {}
+    return load_sensor("imx477").model_copy(update=one | changes)
 
 
 def loaded(folder: Path, **fields) -> Sensor:
@@ -119,7 +120,7 @@ def test_a_sensor_at_one_gain_is_not_taken_to_another():
 def test_offsets_come_from_a_table(tmp_path: Path):
     (tmp_path / "columns.txt").write_text("# DN\n" + "0.5\n-1.25  # the second\n" * 2028)
     offset = loaded(tmp_path, column_offset={"file": "columns.txt"}).column_offset
-    assert offset.offsets_dn[:3] == [0.5, -1.25, 0.5] and len(offset.offsets_dn) == 4056
+    assert offset.offsets_dn[:3] == (0.5, -1.25, 0.5) and len(offset.offsets_dn) == 4056
 
 
 @pytest.mark.parametrize("content", ["1\ntwo\n", "1\nnan\n", "1\ninf\n", None])

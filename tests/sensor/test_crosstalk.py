@@ -36,12 +36,8 @@ EXPOSURE = 0.01
 
 
 def of_pattern(pattern: tuple[str, ...], rows: int, cols: int) -> Sensor:
-    return load_sensor("imx477").model_copy(
-        update={
-            "rows": rows,
-            "cols": cols,
-            "cfa": ColourFilterArray(pattern=[list(row) for row in pattern]),
-        }
+    return load_sensor("imx477").unchecked(
+        rows=rows, cols=cols, cfa=ColourFilterArray(pattern=[list(row) for row in pattern])
     )
 
 

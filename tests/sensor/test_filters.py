@@ -78,7 +78,11 @@ def test_no_filter_changes_no_bit():
 def test_a_filter_is_read_from_a_table_beside_the_sensor(tmp_path: Path):
     csv(tmp_path, "# an infra-red cut\n400, 1\n650, 1  # edge\n655, 0\n\n700, 0\n")
     (found,) = load_sensor(written(tmp_path, {"file": "cut.csv"})).filters
-    assert (found.name, found.wavelengths_nm, found.transmission) == ("cut", GRID, CUT)
+    assert (found.name, found.wavelengths_nm, found.transmission) == (
+        "cut",
+        tuple(GRID),
+        tuple(CUT),
+    )
 
 
 def test_filters_in_front_of_the_lens_count_as_well(tmp_path: Path):

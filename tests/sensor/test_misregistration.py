@@ -101,7 +101,7 @@ def test_names_of_patterns_say_clear_where_they_say_c(tmp_path):
         "channels": {"R": curves.channels["R"], "W": curves.channels["G"]},
     }
     file = sensor_file(tmp_path, (("cfa", "pattern"), "RCCC"), quantum_efficiency=measured)
-    assert load_sensor(file).cfa.pattern == [["R", "W"], ["W", "W"]]
+    assert load_sensor(file).cfa.pattern == (("R", "W"), ("W", "W"))
     assert {len(row) for rows in PATTERNS.values() for row in rows} == {1, 2, 4, 6}
 
 

@@ -13,7 +13,9 @@ from gpusim.cli import app
 from gpusim.config.mistakes import user_error
 from gpusim.errors import UserError
 from gpusim.scene.spectra import WAVELENGTHS_NM, illuminant
+from gpusim.sensor.adc_model import ColumnOffset
 from gpusim.sensor.load import load_sensor, presets
+from gpusim.sensor.noise_model import DefectPixel, Defects
 from gpusim.sensor.sensor import Sensor
 
 
@@ -339,8 +341,25 @@ def test_an_unknown_preset_is_refused_with_the_known_ones():
 
 def test_the_pattern_of_a_part_begins_where_the_part_does():
     sensor = load_sensor("imx477")
-    assert sensor.cfa.pattern == [["B", "G"], ["G", "R"]]
+    assert sensor.cfa.pattern == (("B", "G"), ("G", "R"))
     for row, col, first in ((0, 0, "BGGR"), (1, 0, "GRBG"), (0, 3, "GBRG"), (5, 7, "RGGB")):
         part = sensor.cut(row, col)
         assert "".join(part.site_channels()) == first
         assert part.model_copy(update={"cfa": sensor.cfa}) == sensor
+
+
+def test_a_region_keeps_of_the_chips_lists_what_it_reads():
+    """So that it can be copied, written and read again: what lies beyond contradicts its size."""
+    whole = load_sensor("imx477")
+    pixels = [DefectPixel(row=row, col=col, kind="dead") for row, col in ((0, 0), (1500, 2000))]
+    offsets = np.arange(whole.cols) / 100
+    listed = {
+        "defects": Defects(pixels=pixels, dead_fraction=1e-3),
+        "column_offset": ColumnOffset(offsets_dn=offsets.tolist()),
+    }
+    part = whole.model_copy(update=listed).roi(480, 640)
+    assert [(one.row, one.col) for one in part.defects.pixels] == [(1500, 2000)]
+    assert part.defects.dead_fraction == 1e-3
+    assert part.column_offset.offsets_dn == tuple(offsets[: part.first_col + 640])
+    assert Sensor.model_validate_json(part.model_dump_json()) == part
+    assert part.model_copy(update={"dsnu_e": 1.0}).defects is part.defects

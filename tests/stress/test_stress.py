@@ -123,7 +123,7 @@ def test_planted_errors_fail_the_cases_of_the_read_out(monkeypatch: pytest.Monke
 
         def plant(rec, *arrays_and_sensor, **more):
             *arrays, sensor = arrays_and_sensor
-            return record(rec, *arrays, sensor.model_copy(update=changes), **more)
+            return record(rec, *arrays, sensor.unchecked(**changes), **more)
 
         return plant
 
