@@ -17,29 +17,30 @@ if TYPE_CHECKING:
     from gpusim.batch.dataset import Dataset
     from gpusim.batch.sweep import Sweep
     from gpusim.errors import UserError
+    from gpusim.library.burst import Burst
     from gpusim.library.camera import Camera
     from gpusim.library.expose import expose
-    from gpusim.library.frame import Burst, Frame
+    from gpusim.library.frame import Frame
     from gpusim.library.irradiance import Irradiance
     from gpusim.library.lens import Lens
     from gpusim.library.light import Light
+    from gpusim.library.scene import Scene
+    from gpusim.library.sensor import Sensor
     from gpusim.library.session import Session
     from gpusim.preview.window import widget
-    from gpusim.scene.scene import Scene
-    from gpusim.sensor.sensor import Sensor
 
 # Where each public name lives: it is imported when it is first asked for, so that `import gpusim`
 # takes milliseconds.
 _HOMES = {
-    "Burst": "gpusim.library.frame",
+    "Burst": "gpusim.library.burst",
     "Camera": "gpusim.library.camera",
     "Dataset": "gpusim.batch.dataset",
     "Frame": "gpusim.library.frame",
     "Irradiance": "gpusim.library.irradiance",
     "Lens": "gpusim.library.lens",
     "Light": "gpusim.library.light",
-    "Scene": "gpusim.scene.scene",
-    "Sensor": "gpusim.sensor.sensor",
+    "Scene": "gpusim.library.scene",
+    "Sensor": "gpusim.library.sensor",
     "Session": "gpusim.library.session",
     "Sweep": "gpusim.batch.sweep",
     "UserError": "gpusim.errors",

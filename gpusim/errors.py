@@ -23,6 +23,15 @@ class UserError(Exception):
         The value that was found.
     allowed : str, optional
         What would have been accepted.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> try:
+    ...     gs.Lens.load("double-gaus")
+    ... except gs.UserError as error:
+    ...     error.field, "double-gauss" in error.screen()
+    ('lens', True)
     """
 
     def __init__(

@@ -89,7 +89,7 @@ def test_a_command_that_is_none_is_refused():
 def test_the_python_of_the_readme_is_that_of_the_library():
     """Each name that it asks of `gs`, of lights, frames and lenses is there."""
     import gpusim as gs
-    from gpusim.library.frame import Burst
+    from gpusim.library.burst import Burst
 
     (code,) = re.findall(r"```python\n(.*?)```", (PROJECT / "README.md").read_text(), re.DOTALL)
     compile(code, "README.md", "exec")

@@ -37,6 +37,16 @@ class Sample(NamedTuple):
     parameters : dict of str to object
         The frame's number, scene and settings; of a crop its place ``x``, ``y``. What the frame
         leaves to its camera is not there.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> sweep = gs.Sweep(
+    ...     camera="mtf-only", scenes=["colorchecker"], rows=48, cols=64, tolerance=1e-2, probes=0,
+    ... )
+    >>> sample = next(iter(sweep.dataset()))
+    >>> sample.raw.shape, sample.clean.shape, sample.labels, sample.parameters["scene"]
+    ((48, 64), (48, 64), {}, 'colorchecker')
     """
 
     raw: np.ndarray
@@ -46,7 +56,18 @@ class Sample(NamedTuple):
 
 
 class Dataset:
-    """An iterable of `Sample`: see `gpusim.batch.sweep.Sweep.dataset`."""
+    """An iterable of `Sample`: see `gpusim.batch.sweep.Sweep.dataset`.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> sweep = gs.Sweep(
+    ...     camera="mtf-only", scenes=["colorchecker"], rows=48, cols=64, tolerance=1e-2, probes=0,
+    ...     axes={"seed": {"range": [0, 4]}},
+    ... )
+    >>> len(sweep.dataset(shard=0, shards=2))
+    2
+    """
 
     def __init__(self, sweep: Sweep, shard: int, shards: int, prefetch: int) -> None:
         if not 0 <= shard < shards:

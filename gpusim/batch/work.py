@@ -16,7 +16,7 @@ from gpusim.batch.files import FrameFiles, failed, put_in_place
 from gpusim.batch.kept import DEVICE, SIDECAR, SWEEPS, exposed, light_of, read_sidecar
 from gpusim.errors import UserError
 from gpusim.gpu import held
-from gpusim.library.frame import TOGETHER, read_frames
+from gpusim.library.burst import TOGETHER, read_frames
 from gpusim.library.light import Light
 
 if TYPE_CHECKING:

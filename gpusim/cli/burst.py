@@ -25,7 +25,7 @@ from gpusim.scene import make_scene
 from gpusim.scene.exr import write_exr
 
 if TYPE_CHECKING:
-    from gpusim.library.frame import Burst
+    from gpusim.library.burst import Burst
 
 LIGHT = "light.json"  # what makes the light again, which the frames share
 FORMATS = ("npz", "dng", "exr")

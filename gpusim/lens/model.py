@@ -205,6 +205,12 @@ class LensModel(Strict):
         ------
         UserError
             Where ``shift_um`` is not a finite number.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> gs.Lens.load("double-gauss").defocused(20.0).focus_shift_um
+        20.0
         """
         if not math.isfinite(shift_um):
             raise UserError(

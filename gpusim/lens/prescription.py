@@ -29,6 +29,12 @@ class Prescription(LensModel):
         ------
         UserError
             Where ``efl_mm`` is not greater than 0.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> gs.Lens.load("double-gauss").scaled(12.0).history
+        ('every length multiplied by 0.119444868',)
         """
         if not (math.isfinite(efl_mm) and efl_mm > 0):
             raise UserError(
@@ -49,6 +55,12 @@ class Prescription(LensModel):
         ------
         UserError
             Where the lens does not open so far.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> gs.Lens.load("double-gauss").stopped(8.0).f_number
+        8.0
         """
         widest = first_order(self).f_number
         # The stop may be asked to be where it is already, to the digits that f-numbers have.
@@ -87,6 +99,13 @@ class Prescription(LensModel):
         UserError
             Where a distance is not greater than 0, or the lens forms no real image of what it is
             focused on.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> near = gs.Lens.load("double-gauss").scaled(50.0).looking(object_distance_m=1.0)
+        >>> near.object_distance_mm
+        1000.0
         """
         changes, steps = {}, []
         for name, given in (("object", object_distance_m), ("focus", focus_distance_m)):
@@ -140,6 +159,12 @@ class Prescription(LensModel):
         ------
         UserError
             Where the field is beyond the published one.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> gs.Lens.load("double-gauss").limited(10.0).max_field_deg
+        10.0
         """
         if self.states_axis_alone and 0 < max_field_deg < 90:
             return self.derived(
@@ -179,6 +204,13 @@ class Prescription(LensModel):
         ------
         UserError
             Where there are no such surfaces, or a surface would be turned by 90 deg or more.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> lens = gs.Lens.load("double-gauss").with_element_moved(1, 2, decentre_mm=(0.0, 0.02))
+        >>> lens.is_centred
+        False
         """
         count = len(self.surfaces)
         if not 1 <= first <= last <= count:

@@ -1,17 +1,11 @@
-"""Frames: what the sensor made of a light, one or many."""
+"""Frames: what the sensor made of a light."""
 
 from __future__ import annotations
 
-import base64
-import io
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
-from html import escape
-from itertools import cycle, islice
-from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,14 +13,14 @@ import numpy as np
 from PIL import Image
 
 from gpusim.errors import UserError
-from gpusim.gpu import held
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
+from gpusim.library.notebook import curves as drawn
+from gpusim.library.notebook import facts, figure, picture
 from gpusim.library.recipe import write_sidecar
-from gpusim.library.together import read_raws
 from gpusim.scene.exr import write_exr
 from gpusim.sensor.frame import Areas, areas_of
 from gpusim.sensor.readout import Shot
@@ -34,12 +28,8 @@ from gpusim.sensor.readout import Shot
 if TYPE_CHECKING:
     from gpusim.certify import Certificate
     from gpusim.library.light import Light
-    from gpusim.sensor.sensor import Sensor
 
-SHOWN_PX = 960  # longest side of a frame's picture in a notebook
 HISTOGRAM_BINS = 96
-# Frames in one recording: what submitting and fetching cost is shared, and memory stays small.
-TOGETHER = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +46,16 @@ class Frame:
         Exposure (s), seed, frame number and temperature.
     noise : bool
         Whether noise and fixed patterns were drawn.
+
+    Examples
+    --------
+    >>> frame = light.capture(1/60, seed=7)
+    >>> frame.raw.shape, frame.raw.dtype, frame.electrons.dtype, frame.truth_dn.dtype
+    ((48, 64), dtype('uint16'), dtype('float32'), dtype('float32'))
+    >>> frame.exposure_s == 1/60, frame.iso, frame.certificate, int(frame.saturated.sum())
+    (True, 100, None, 0)
+    >>> frame.areas.lit
+    (0, 0, 48, 64)
     """
 
     raw: np.ndarray
@@ -67,7 +67,7 @@ class Frame:
         rows, cols = self.raw.shape
         return (
             f"Frame({self.light.title!r}, {self.light.scene!r}, {cols} x {rows} pixels, "
-            f"{_seconds(self.exposure_s)}, ISO {self.iso}, {self.saturated.mean():.2%} saturated)"
+            f"{spoken_s(self.exposure_s)}, ISO {self.iso}, {self.saturated.mean():.2%} saturated)"
         )
 
     @property
@@ -117,6 +117,14 @@ class Frame:
         edges_dn : ndarray (bins + 1,)
         counts : dict of str to ndarray (bins,)
             Pixels of each filter colour that see light.
+
+        Examples
+        --------
+        >>> edges, counts = frame.histogram(bins=4)
+        >>> edges
+        array([   0., 1024., 2048., 3072., 4096.])
+        >>> {letter: int(one.sum()) for letter, one in counts.items()}
+        {'R': 768, 'G': 1536, 'B': 768}
         """
         row, col, rows, cols = self.areas.active
         lit = self.raw[row : row + rows, col : col + cols]
@@ -131,6 +139,11 @@ class Frame:
         ----------
         ev : float
             By how many stops it is shown brighter.
+
+        Examples
+        --------
+        >>> frame.develop(ev=1).size
+        (64, 48)
         """
         with tempfile.TemporaryDirectory() as folder:
             sensor = self.light.sensor.cut(*self.areas.lit[:2])
@@ -150,6 +163,11 @@ class Frame:
         ------
         UserError
             Another suffix, or the file cannot be written.
+
+        Examples
+        --------
+        >>> frame.save("a.dng")
+        >>> frame.save("a.png", ev=1)
         """
         path = Path(path)
         try:
@@ -192,7 +210,13 @@ class Frame:
             )
 
     def write_raw(self, path: Path, ev: float, taken: datetime | None = None) -> None:
-        """Write the raw as a DNG, or as a TIFF with its tags: see `save`."""
+        """Write the raw as a DNG, or as a TIFF with its tags: see `save`.
+
+        Examples
+        --------
+        >>> from pathlib import Path
+        >>> frame.write_raw(Path("b.dng"), ev=0.0)
+        """
         light, areas = self.light, self.areas
         sensor = light.sensor.cut(*areas.lit[:2])
         if path.suffix.lower() == ".dng" and not has_dng(sensor):
@@ -218,17 +242,8 @@ class Frame:
             taken=taken,
         )
 
-    def _repr_png_(self) -> bytes:
-        """Return the developed picture for notebooks."""
-        picture = self.develop()
-        picture.thumbnail((SHOWN_PX, SHOWN_PX))
-        with io.BytesIO() as file:
-            picture.save(file, "PNG")
-            return file.getvalue()
-
     def _repr_html_(self) -> str:
         """Return picture, histogram and certificate for notebooks."""
-        shown = base64.b64encode(self._repr_png_()).decode("ascii")
         certificate = self.certificate
         verdict = "not certified"
         if certificate is not None:
@@ -236,71 +251,13 @@ class Frame:
                 f"total RMS {certificate.total_rms:.1e}, worst {certificate.total_worst:.1e}: "
                 f"tolerance {self.light.tolerance} {'met' if certificate.met else 'not met'}"
             )
-        return (
-            f"<figure style='margin:0'><img src='data:image/png;base64,{shown}' "
-            f"style='max-width:100%'><figcaption>{escape(repr(self)[6:-1])}<br>{escape(verdict)}"
-            f"</figcaption>{self._histogram_svg()}</figure>"
-        )
+        told = {"": repr(self)[6:-1], "certificate": verdict}
+        return figure(picture(self.develop()), facts(self.light.title, told), self.curves())
 
-    def _histogram_svg(self) -> str:
+    def curves(self) -> str:
         """Return the raw's histogram by colour, square-root counts."""
         _, counts = self.histogram(HISTOGRAM_BINS)
-        top = max(float(np.sqrt(one.max())) for one in counts.values()) or 1.0
-        colours = {"R": "#c0392b", "G": "#27864a", "B": "#2c62b4"}
-        lines = "".join(
-            f"<polyline fill='none' stroke='{colours.get(letter, '#777')}' points='"
-            + " ".join(
-                f"{k * 480 / HISTOGRAM_BINS:.1f},{78 - 76 * np.sqrt(n) / top:.1f}"
-                for k, n in enumerate(one)
-            )
-            + "'/>"
-            for letter, one in counts.items()
-        )
-        return f"<svg viewBox='0 0 480 80' style='width:100%;max-width:480px'>{lines}</svg>"
-
-
-@dataclass(frozen=True, eq=False)
-class Burst:
-    """Frames of one light.
-
-    Attributes
-    ----------
-    raw : ndarray (frames, rows, cols), uint16
-    light : Light
-    shots : tuple of Shot
-        Exposure, seed and number of each frame.
-    sensors : tuple of Sensor
-        The sensor of each frame, at its gain.
-    truth_dn : ndarray (frames, rows, cols), float32, or None
-        The mean signal of each, where it was asked for.
-    """
-
-    raw: np.ndarray
-    light: Light
-    shots: tuple[Shot, ...]
-    sensors: tuple[Sensor, ...]
-    truth_dn: np.ndarray | None = None
-
-    def __repr__(self) -> str:
-        count, rows, cols = self.raw.shape
-        times = ", ".join(dict.fromkeys(_seconds(one.exposure_s) for one in self.shots))
-        return f"Burst({self.light.title!r}, {count} frames of {cols} x {rows} pixels, {times})"
-
-    def __len__(self) -> int:
-        return len(self.raw)
-
-    def __getitem__(self, number: int) -> Frame:
-        """Return one frame."""
-        light = self.light.at(sensor=self.sensors[number])
-        return Frame(self.raw[number], light, self.shots[number])
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self[number] for number in range(len(self)))
-
-    @property
-    def exposure_s(self) -> np.ndarray:
-        """Exposure times, seconds: (frames,)."""
-        return np.array([one.exposure_s for one in self.shots])
+        return drawn((letter, np.sqrt(one)) for letter, one in counts.items())
 
 
 def truth_dn(light: Light, shot: Shot) -> np.ndarray:
@@ -323,75 +280,7 @@ def truth_dn(light: Light, shot: Shot) -> np.ndarray:
     return np.clip(signal + black, 0, sensor.raw_max_dn).astype(np.float32)
 
 
-def taken(
-    light: Light,
-    count: int,
-    exposure_s: float | Sequence[float] | None,
-    iso: int | Sequence[int] | None,
-    *,
-    seed: int,
-    temperature_c: float | None,
-    truth: bool,
-    progress: Callable[[str, int, int], None] | None,
-) -> Burst:
-    """Return a burst: see `Light.burst`."""
-    if not isinstance(count, Integral) or count < 1:
-        raise UserError("no frame was asked for", field="count", value=count, allowed="1 or more")
-    for name, given in (("exposure_s", exposure_s), ("iso", iso)):
-        if not all(one is None or isinstance(one, Real) for one in _several(given)):
-            raise UserError("not numbers", field=name, value=given, allowed="numbers, in turns")
-        if not _several(given):
-            raise UserError("an empty list", field=name, allowed="one or several, or None")
-    speeds = [light.at(iso=one) for one in _several(iso)]
-    exposures = [
-        speeds[0].white_exposure_s if one is None else float(one) for one in _several(exposure_s)
-    ]
-    # Gain changes once all exposures were taken: every pair comes.
-    pairs = [(one, at) for at in speeds for one in exposures]
-    raw = np.empty((count, *light.rect[2:]), np.uint16)
-    means: dict[int, np.ndarray] = {}
-    shots, sensors = [], []
-    for number, (seconds, at) in enumerate(islice(cycle(pairs), count)):
-        shots.append(Shot(seconds, seed, number, temperature_c))
-        sensors.append(at.sensor)
-        if truth and number < len(pairs):
-            means[number] = truth_dn(at, shots[number])
-    with held():
-        for first in range(0, count, TOGETHER):
-            chunk = slice(first, min(first + TOGETHER, count))
-            for number, one in enumerate(read_raws(light, sensors[chunk], shots[chunk]), first):
-                raw[number] = one
-            if progress is not None:
-                progress("burst", chunk.stop, count)
-    clean = None
-    if truth:
-        clean = np.stack([means[number % len(pairs)] for number in range(count)])
-    return Burst(raw, light, tuple(shots), tuple(sensors), clean)
-
-
-def read_frames(shots: Sequence[tuple[Light, Shot]]) -> list[Frame]:
-    """Return the frames of shots at one light, noise drawn: as one by one, but read together.
-
-    Parameters
-    ----------
-    shots : sequence of (Light, Shot)
-        As `Light.shot` returns them, of one light. `TOGETHER` of them take as little memory as a
-        burst.
-    """
-    if not shots:
-        return []
-    lights, taken = zip(*shots, strict=True)
-    with held():
-        raws = read_raws(lights[0], [light.sensor for light in lights], taken)
-    return [Frame(*one) for one in zip(raws, lights, taken, strict=True)]
-
-
-def _several(value: object) -> list:
-    """Return one value or several as a list."""
-    return list(value) if isinstance(value, Sequence | np.ndarray) else [value]
-
-
-def _seconds(exposure_s: float) -> str:
+def spoken_s(exposure_s: float) -> str:
     """Return an exposure time as photographers write it."""
     if exposure_s >= 0.3:
         return f"{exposure_s:.3g} s"

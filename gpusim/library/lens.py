@@ -27,6 +27,12 @@ class Lens(Views):
     ------
     UserError
         A field is wrong, unknown or missing.
+
+    Examples
+    --------
+    >>> from gpusim import Lens
+    >>> Lens.load("double-gauss")
+    Lens('Double Gauss f/2 (Tronnier, Voigtlaender), 44 deg full field', 11 surfaces)
     """
 
     def __init__(self, **fields: Any) -> None:

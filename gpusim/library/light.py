@@ -14,7 +14,8 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import Recording, Resident, default_device
-from gpusim.library.frame import Frame, taken
+from gpusim.library.burst import taken
+from gpusim.library.frame import Frame
 from gpusim.library.held import Held
 from gpusim.library.shot import checked
 from gpusim.library.store import read_light, save_light
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from gpusim.certify import Certificate
     from gpusim.isp.optics import Optics
-    from gpusim.library.frame import Burst, Frame
+    from gpusim.library.burst import Burst
     from gpusim.sensor.sensor import Sensor
 
 # Without an exposure of its own a capture brings the scene's white to this share of saturation:
@@ -72,6 +73,15 @@ class Light:
         How the scene was read and placed.
     certificate : Certificate or None
         How far the mean signal is from the exact one, at the exposure of `white_exposure_s`.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> small = gs.Camera.load("mtf-only")
+    >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
+    >>> light = gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
+    >>> light.rates.shape  # of each site of the filter pattern, 2 x 2, its photosites
+    (4, 24, 32)
     """
 
     title: str
@@ -190,10 +200,6 @@ class Light:
 
         Examples
         --------
-        >>> import gpusim as gs
-        >>> small = gs.Camera.load("mtf-only")
-        >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
-        >>> light = gs.expose(small, gs.Scene.load("colorchecker"), 1e-2, probes=0)
         >>> light.capture(1/60, seed=7)
         Frame('small', 'colorchecker', 64 x 48 pixels, 1/60 s, ISO 100, 0.00% saturated)
         >>> light.burst(20, [1/240, 1/60], seed=7)
@@ -262,6 +268,12 @@ class Light:
         ------
         UserError
             No frame, or a value out of range.
+
+        Examples
+        --------
+        >>> burst = light.burst(4, [1/240, 1/60], seed=7, truth=True)
+        >>> burst.raw.shape, burst.truth_dn.shape
+        ((4, 48, 64), (4, 48, 64))
         """
         return taken(
             self,
@@ -355,6 +367,10 @@ class Light:
         ------
         UserError
             The file cannot be written.
+
+        Examples
+        --------
+        >>> light.save("light.npz")
         """
         save_light(self, path)
 
@@ -366,5 +382,13 @@ class Light:
         ------
         UserError
             No such file, or not a light.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> light.save("light.npz")
+        >>> again = gs.Light.load("light.npz")
+        >>> bool((again.capture(1/60, seed=7).raw == light.capture(1/60, seed=7).raw).all())
+        True
         """
         return cls(**read_light(path))

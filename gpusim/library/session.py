@@ -127,6 +127,13 @@ class Session:
         ------
         UserError
             No such setting, or a value that it cannot have; nothing is changed then.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> with gs.Session(gs.Camera.load("demo"), gs.Scene.load("colorchecker")) as session:
+        ...     session.change(f_number=4.0, exposure_s=1/30).camera.lens.f_number
+        4.0
         """
         known = (*READ_OUT, *PARTS, *LENS_SETTINGS)
         for name in settings:
@@ -181,7 +188,17 @@ class Session:
         return None if self._renderer is None else self._renderer.plan
 
     def light(self) -> Light:
-        """Return the light of the settings of now, made if it is not there."""
+        """Return the light of the settings of now, made if it is not there.
+
+        Examples
+        --------
+        >>> import gpusim as gs
+        >>> small = gs.Camera.load("mtf-only")
+        >>> small = gs.Camera(small.lens, small.sensor.roi(48, 64), "small")
+        >>> with gs.Session(small, gs.Scene.load("colorchecker"), 1e-2) as session:
+        ...     session.light().rect, session.redone, session.plan.tolerance
+        ((0, 0, 48, 64), ('plan', 'light'), 0.01)
+        """
         light, done = self._light, []
         if light is None:
             if self._renderer is None:

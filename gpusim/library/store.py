@@ -17,7 +17,7 @@ from gpusim.config.text import json_of
 from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.isp.optics import Optics
-from gpusim.sensor.sensor import Sensor
+from gpusim.library.sensor import Sensor
 
 if TYPE_CHECKING:
     from gpusim.library.light import Light

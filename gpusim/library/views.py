@@ -56,6 +56,16 @@ class Psf(_Drawn):
     field_deg, wavelength_nm : float
     outside : float
         Share of the light beyond the window.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> psf = gs.Lens.load("double-gauss").psf(samples=32)
+    >>> psf
+    Psf(32 x 32 samples of 1.44 um, field 0 deg, 587.562 nm)
+    >>> round(float(psf.values.sum()) + psf.outside, 6)
+    1.0
+    >>> figure = psf.plot()
     """
 
     values: np.ndarray
@@ -88,6 +98,15 @@ class Mtf(_Drawn):
     field_deg : float
     limit : ndarray (K,) or None
         That of a perfect lens of the same f-number on the axis.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> mtf = gs.Lens.load("double-gauss").mtf(frequency_cy_mm=[0.0, 30.0])
+    >>> mtf
+    Mtf(2 frequencies up to 30 cy/mm, field 0 deg)
+    >>> tangential, sagittal = mtf.at(30.0)
+    >>> figure = mtf.plot()
     """
 
     frequency_cy_mm: np.ndarray
@@ -126,6 +145,11 @@ class Layout(_Drawn):
     ----------
     system : System
     title : str
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> figure = gs.Lens.load("double-gauss").layout().plot()
     """
 
     system: System

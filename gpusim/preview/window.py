@@ -155,6 +155,11 @@ def widget(camera: str, scene: str, out: str | Path = "out/preview", **knobs: An
     ------
     UserError
         The camera, the scene or a knob cannot be had, or a package of the extra is missing.
+
+    Examples
+    --------
+    >>> import gpusim as gs
+    >>> gs.widget("demo", "colorchecker", exposure_s=1/50)  # in a notebook  # doctest: +SKIP
     """
     check_packages("anywidget")
     from rendercanvas.anywidget import AnywidgetRenderCanvas, loop

@@ -16,7 +16,7 @@ def rgb_scene(
     white_cd_m2: float = DEFAULT_WHITE_LUMINANCE_CD_M2,
     name: str = "RGB array",
 ) -> Scene:
-    """Return a photograph that is an array: see `Scene.from_rgb`."""
+    """Return a photograph that is an array: see `gpusim.library.scene.Scene.from_rgb`."""
     pixels = _finite(rgb, "rgb", "(rows, cols, 3)")
     if pixels.ndim != 3 or pixels.shape[2] != 3:
         raise _shape("rgb", pixels, "(rows, cols, 3)")
@@ -31,7 +31,7 @@ def rgb_scene(
 def spectral_scene(
     radiance: np.ndarray, wavelengths_nm: np.ndarray, name: str = "spectral array"
 ) -> Scene:
-    """Return a scene of spectral radiance by band: see `Scene.from_spectra`."""
+    """Return a scene of spectral radiance by band: see `from_spectra` of the library's `Scene`."""
     cube = _finite(radiance, "radiance", "(rows, cols, bands)")
     lines = np.asarray(wavelengths_nm, float)
     if cube.ndim != 3 or cube.shape[2] != len(lines) or len(lines) < 2:

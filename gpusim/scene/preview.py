@@ -51,11 +51,38 @@ def chart_rgb(scene: Scene, rows: int) -> np.ndarray:
     -------
     ndarray (rows, round(4/3 rows), 3), float32
     """
+    return _drawn(scene, rows, np.maximum(_rgb_of_spectra(scene), 0.0))
+
+
+def seen_rgb(scene: Scene, rows: int) -> np.ndarray:
+    """Return any scene in linear Rec.709, as `chart_rgb`: a picture's samples, its whole area.
+
+    Parameters
+    ----------
+    scene : Scene
+    rows : int
+        Height of the result; of a picture with fewer, its own.
+
+    Returns
+    -------
+    ndarray (rows, columns, 3), float32
+    """
+    if isinstance(scene.source, Chart):
+        return chart_rgb(scene, rows)
+    planes = scene.source.planes
+    size = max(planes.shape[1] // rows, 1)  # samples of a cell, each way
+    count, high, wide = planes.shape[0], *(n // size * size for n in planes.shape[1:])
+    cells = planes[:, :high, :wide].reshape(count, high // size, size, -1, size)
+    means = np.moveaxis(cells.mean(axis=(2, 4)), 0, -1)
+    return np.maximum(means @ _rgb_of_spectra(scene), 0.0).astype(np.float32)
+
+
+def _rgb_of_spectra(scene: Scene) -> np.ndarray:
+    """Return the scene's spectra in linear Rec.709 (M, 3), its white at (1, 1, 1)."""
     white = xyz(scene.white, scene.wavelengths_nm)
     space = rgb_to_xyz(REC709_CHROMATICITIES)
     to_rgb = np.linalg.solve(space, adaptation(white / white[1], space.sum(axis=1)))
-    seen = xyz(scene.spectra, scene.wavelengths_nm) / white[1]
-    return _drawn(scene, rows, np.maximum(seen @ to_rgb.T, 0.0))
+    return xyz(scene.spectra, scene.wavelengths_nm) / white[1] @ to_rgb.T
 
 
 def chart_radiance(scene: Scene, rows: int, wavelengths_nm: np.ndarray) -> np.ndarray:

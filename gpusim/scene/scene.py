@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -70,76 +69,6 @@ class Scene:
     made_of: tuple[Known, ...] = ()
     illumination: str = ""
     made_from: Mapping[str, object] | None = None
-
-    @classmethod
-    def load(cls, name_or_path: str | Path, **options: object) -> Scene:
-        """Return a chart by its name, or a chart or picture from a file: see `make_scene`.
-
-        Examples
-        --------
-        >>> Scene.load("colorchecker", illuminant="D65")
-        Scene('colorchecker', chart, D65, white 300 cd/m^2)
-        """
-        from gpusim.scene.make import make_scene
-
-        return make_scene(name_or_path, **options)
-
-    @staticmethod
-    def from_rgb(
-        rgb: np.ndarray,
-        white_cd_m2: float = DEFAULT_WHITE_LUMINANCE_CD_M2,
-        name: str = "RGB array",
-    ) -> Scene:
-        """Return a photograph that is an array, laid over the whole sensor.
-
-        Parameters
-        ----------
-        rgb : ndarray (rows, cols, 3)
-            Linear R, G, B with the primaries of Rec. 709, none negative.
-        white_cd_m2 : float
-            Luminance of RGB (1, 1, 1), cd/m^2. Spectra are those of Mallett and Yuksel (2019),
-            under D65.
-        name : str
-
-        Raises
-        ------
-        UserError
-            Another shape, a value that is no light, or a luminance that is not positive.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> Scene.from_rgb(np.full((40, 60, 3), 0.18), white_cd_m2=500).illuminant
-        'D65'
-        """
-        from gpusim.scene.arrays import rgb_scene
-
-        return rgb_scene(rgb, white_cd_m2, name)
-
-    @staticmethod
-    def from_spectra(
-        radiance: np.ndarray, wavelengths_nm: np.ndarray, name: str = "spectral array"
-    ) -> Scene:
-        """Return a scene of spectral radiance, laid over the whole sensor.
-
-        Parameters
-        ----------
-        radiance : ndarray (rows, cols, bands)
-            W m^-2 sr^-1 nm^-1, none negative; linear in wavelength between bands, and none beyond.
-            White, for exposure and white balance, is the mean of the brightest hundredth.
-        wavelengths_nm : ndarray (bands,)
-            Rising.
-        name : str
-
-        Raises
-        ------
-        UserError
-            Another shape, wavelengths that do not rise or are not seen, or a value that is no
-            light.
-        """
-        from gpusim.scene.arrays import spectral_scene
-
-        return spectral_scene(radiance, wavelengths_nm, name)
 
     def __repr__(self) -> str:
         kind = "chart" if isinstance(self.source, Chart) else "picture"

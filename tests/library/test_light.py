@@ -11,7 +11,7 @@ import pytest
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
 
 from gpusim.errors import UserError
-from gpusim.library import frame as frames
+from gpusim.library import burst as bursts
 from gpusim.library.camera import Camera
 from gpusim.library.expose import expose, lit
 from gpusim.library.light import Light
@@ -52,6 +52,7 @@ SENSORS = {
             black_level_dn=200.0,
             switch_dn=3800,
         ),
+        analogue_gains=(),
         full_well_e=85_000.0,
     ),
     "CCD": sensor(
@@ -302,7 +303,7 @@ def test_saturated_pixels_are_told(bayer: Light):
 
 def test_frames_in_one_recording_are_those_one_by_one(bayer: Light, monkeypatch):
     together = bayer.burst(7, EXPOSURE_S, seed=SEED).raw
-    monkeypatch.setattr(frames, "TOGETHER", 1)
+    monkeypatch.setattr(bursts, "TOGETHER", 1)
     assert together.tobytes() == bayer.burst(7, EXPOSURE_S, seed=SEED).raw.tobytes()
 
 
@@ -313,7 +314,7 @@ def test_frames_that_are_read_together_are_those_one_by_one(bayer: Light):
     times = [EXPOSURE_S, EXPOSURE_S, EXPOSURE_S, 2 * EXPOSURE_S]
     shots = [one.shot(time, SEED) for one, time in zip(lights, times, strict=True)]
     for found, light, shot in zip(
-        frames.read_frames(list(zip(lights, shots, strict=True))), lights, shots, strict=True
+        bursts.read_frames(list(zip(lights, shots, strict=True))), lights, shots, strict=True
     ):
         alone = light.capture(shot.exposure_s, seed=SEED)
         assert found.raw.dtype == alone.raw.dtype == np.uint16
