@@ -15,11 +15,11 @@ from gpusim.library import burst as bursts
 from gpusim.library.camera import Camera
 from gpusim.library.expose import expose, lit
 from gpusim.library.light import Light
+from gpusim.library.scene import Scene
 from gpusim.plan import Accuracy
 from gpusim.render import Renderer
 from gpusim.render.checks import rectangle
 from gpusim.scene.exr import units_of
-from gpusim.scene.scene import Scene
 from gpusim.sensor.adc_model import ColumnOffset, DualGain, GainStep, Linearity
 from gpusim.sensor.crosstalk_model import Crosstalk, Kernels
 from gpusim.sensor.cti_model import Cti

@@ -8,10 +8,10 @@ from scipy.integrate import quad
 
 from gpusim.camera import load_camera
 from gpusim.known import Known
+from gpusim.library.scene import Scene
 from gpusim.plan import Accuracy
 from gpusim.plan.band import DROPPED_SHARE, band_of
 from gpusim.scene import make_scene
-from gpusim.scene.scene import Scene
 from gpusim.scene.spectra import WAVELENGTHS_NM, grid_nm
 from gpusim.sensor.filters_model import Filter
 from gpusim.sensor.qe import QuantumEfficiency
