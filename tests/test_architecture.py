@@ -168,7 +168,7 @@ def test_the_reader_resolves_every_form_of_import():
 def test_the_reader_finds_what_is_there():
     assert {"gpusim", "gpusim.errors", "gpusim.gpu", "gpusim.gpu.kernel"} <= MODULES.keys()
     assert "wgpu" in IMPORTS["gpusim.gpu.device"]
-    assert "gpusim.gpu.layout.ShaderError" in IMPORTS["gpusim.gpu.kernel"]
+    assert "gpusim.gpu.packing.ShaderError" in IMPORTS["gpusim.gpu.kernel"]
     assert offences("gpu", ("wgpu",))
 
 

@@ -19,8 +19,8 @@ from harness import assert_close, echo_params, example_params, filled, run_stage
 from harness import wgsl_eval as evaluate
 from harness.compare import _picture
 
-from gpusim.gpu import Kernel, ShaderError, layout
-from gpusim.gpu.layout import Struct
+from gpusim.gpu import Kernel, ShaderError, packing
+from gpusim.gpu.packing import Struct
 
 REFERENCE = np.linspace(1.0, 2.0, 12).reshape(3, 4)
 
@@ -312,7 +312,7 @@ def test_the_echo_sees_a_member_that_lies_elsewhere():
 def test_the_echo_sees_a_transposed_matrix(monkeypatch: pytest.MonkeyPatch):
     kernel = Kernel.from_text("tests/members", MEMBERS)
     assert not echo_fails(kernel)
-    monkeypatch.setattr(layout.np, "swapaxes", lambda value, *axes: value)
+    monkeypatch.setattr(packing.np, "swapaxes", lambda value, *axes: value)
     assert echo_fails(kernel)
 
 

@@ -25,8 +25,8 @@ from gpusim.optics.point_sources import HIGHLIGHT, SQUARE
 from gpusim.optics.sampling import sampled_kernels
 from gpusim.optics.warp import Warp
 from gpusim.parallel import each
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.plan.costs import UNITS, Costs
-from gpusim.plan.layout import TRANSFORMS
 from gpusim.psf.places import Heights
 from gpusim.scene.chart import Chart, Disc
 from gpusim.scene.raster import PlacedRaster

@@ -22,8 +22,8 @@ from gpusim.disk import whole
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.gpu.wgsl import shaders_sha256
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.plan.costs import Costs, content_of, costs_of
-from gpusim.plan.layout import TRANSFORMS
 
 TURNS = 2  # in which everything is timed; the first also compiles
 PARTS = (

@@ -6,7 +6,7 @@ from .compiling import Compiled, compiling
 from .device import Device, DeviceLostError, default_device
 from .exact import double_float
 from .kernel import Kernel
-from .layout import ShaderError
+from .packing import ShaderError
 from .pool import OutOfMemoryError, Use
 from .recording import Recording, Result
 from .wgsl import held

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .layout import ShaderError
+from .packing import ShaderError
 from .pool import TEXEL_BYTES, Use
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from gpusim.errors import UserError
 from .adapters import choose, described, native
 from .arrays import Resident
 from .compiling import Compiled
-from .layout import ShaderError
+from .packing import ShaderError
 from .pool import (
     MAX_BINDING_BYTES,
     MAX_BUFFER_BYTES,

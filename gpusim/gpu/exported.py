@@ -9,7 +9,7 @@ import numpy as np
 
 from .arrays import Array, Resident
 from .commands import Clear, Dispatch, Download, Upload
-from .layout import ShaderError
+from .packing import ShaderError
 from .pool import Use
 from .recording import Recording
 

@@ -7,7 +7,7 @@ import math
 import operator
 import re
 
-from .layout import ShaderError
+from .packing import ShaderError
 
 Scalar = bool | int | float
 

@@ -15,7 +15,7 @@ import numpy as np
 from . import wgsl
 from .arrays import DTYPES, Array
 from .device import PORTABLE_LIMITS, Device
-from .layout import SCALARS, ShaderError
+from .packing import SCALARS, ShaderError
 from .pool import Use
 from .recording import Recording
 

@@ -13,7 +13,7 @@ import numpy as np
 from .arrays import Array
 from .commands import Clear, Command, Copy, Dispatch, Download, Proxy, Upload
 from .device import Device
-from .layout import ShaderError
+from .packing import ShaderError
 from .pool import Use
 from .run import Run
 

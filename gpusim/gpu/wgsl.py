@@ -17,7 +17,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from .expressions import Names, Scalar
-from .layout import Layouts, ShaderError, Struct, split_top
+from .packing import Layouts, ShaderError, Struct, split_top
 
 
 def shaders_root() -> Path:

@@ -16,7 +16,7 @@ from gpusim.lens.prescription import Prescription
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build
 from gpusim.lens.wavefront import pupils
-from gpusim.psf import transfer
+from gpusim.psf import otf
 from gpusim.psf.psf import intensity
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ class Views(Prescription):
         if window_um is None:
             window_um = 2 * WINDOW_AIRY * airy_radius_um(system, float(line[0]))
         traced = sample_field(system, system.index(line), theta, 0.0)
-        (pupil,) = pupils(traced, line, window_um, transfer.PUPIL_NODES)
+        (pupil,) = pupils(traced, line, window_um, otf.PUPIL_NODES)
         pitch_um = window_um / samples
         values, outside = intensity(pupil, float(line[0]), samples, pitch_um)
         return Psf(values, pitch_um, math.degrees(theta), float(line[0]), outside)
@@ -245,7 +245,7 @@ class Views(Prescription):
         system = build(self)
         theta = self._theta(field)
         light = white_light(system)
-        traced = transfer.field_pupils(system, theta, WHITE_NM, light, reference=WHITE_REFERENCE)
+        traced = otf.field_pupils(system, theta, WHITE_NM, light, reference=WHITE_REFERENCE)
         number = airy_radius_um(system, self.reference_nm) / (1.22e-3 * self.reference_nm)
         if frequency_cy_mm is None:
             cut_off = 1e6 / (WHITE_NM[0] * number)
@@ -259,8 +259,8 @@ class Views(Prescription):
                 field="frequency_cy_mm",
                 allowed="an array (K,) of cycles per mm, none negative",
             )
-        tangential, sagittal = (np.abs(traced.otf(frequency, way)) for way in transfer.DIRECTIONS)
-        perfect = np.array([transfer.diffraction_mtf(frequency, one, number) for one in WHITE_NM])
+        tangential, sagittal = (np.abs(traced.otf(frequency, way)) for way in otf.DIRECTIONS)
+        perfect = np.array([otf.diffraction_mtf(frequency, one, number) for one in WHITE_NM])
         limit = traced.weight @ perfect / traced.weight.sum()
         return Mtf(frequency, tangential, sagittal, math.degrees(theta), limit)
 

@@ -34,8 +34,8 @@ from gpusim.metrics.nonuniformity import (
     response_nonuniformity,
 )
 from gpusim.metrics.outliers import Outlier, without_outliers
+from gpusim.metrics.photon_transfer import LEAST_LEVELS, Transfer, refuse_disorder, transfer_of
 from gpusim.metrics.statistics import Level, pooled
-from gpusim.metrics.transfer import LEAST_LEVELS, Transfer, refuse_disorder, transfer_of
 
 UNDERFLOW_SHARE = 0.005  # of dark pixels that may be 0 DN (section 6.5)
 

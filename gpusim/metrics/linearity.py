@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.metrics.figure import Figure
-from gpusim.metrics.transfer import LEAST_LEVELS, Transfer
+from gpusim.metrics.photon_transfer import LEAST_LEVELS, Transfer
 
 LINEARITY_SHARES = (0.05, 0.95)  # of saturation, between which linearity is judged (section 6.7)
 

@@ -20,7 +20,7 @@ from gpusim.metrics.dark import LEAST_DARK_VARIANCE_DN2, QUANTISATION_DN2
 from gpusim.metrics.emva import UNDERFLOW_SHARE, Channel, Characterisation
 from gpusim.metrics.figure import Figure, line
 from gpusim.metrics.law import PixelLaw
-from gpusim.metrics.transfer import DRAWS, Transfer
+from gpusim.metrics.photon_transfer import DRAWS, Transfer
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.noise_model import LineNoise
 from gpusim.sensor.sensor import Sensor

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.metrics.figure import Figure, root_in
+from gpusim.metrics.photon_transfer import Transfer
 from gpusim.metrics.statistics import Level, Parts, pooled
-from gpusim.metrics.transfer import Transfer
 
 CLEAR_SIGMAS = 10.0  # by which a PRNU stands out, so that its pixels' noise can be compared
 

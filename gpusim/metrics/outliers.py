@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.metrics.transfer import Transfer
+from gpusim.metrics.photon_transfer import Transfer
 
 # Usual distances from the neighbours: a normal one this far is one in 1.7 million, a level in 30000
 # measurements of 60.

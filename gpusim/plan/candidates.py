@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from gpusim.errors import UserError
-from gpusim.plan.layout import Layout
+from gpusim.plan.blocks import Layout
 
 
 @dataclass(frozen=True)

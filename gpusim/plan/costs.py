@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.optics.grid import SimGrid
-from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.blocks import TRANSFORMS
 
 # Unit of work of each rate: what the planner counts and gpusim.calibrate measures.
 UNITS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpusim.errors import UserError
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.modes import Decomposition, mode_decomposition
-from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.plan.problem import Problem, Sampled
 
 # What is looked at to guess how many modes there are: the PSFs as far, sim samples, and at so many

@@ -14,14 +14,14 @@ from gpusim.optics.convolve import Scratch
 from gpusim.optics.direct import MARGIN, direct_work, support_within
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.nodes import folds_of, own_kernels
-from gpusim.plan.candidates import Part
-from gpusim.plan.layout import (
+from gpusim.plan.blocks import (
     Memory,
     Needed,
     cheapest_grid,
     planes_at_nodes,
     planes_at_points,
 )
+from gpusim.plan.candidates import Part
 from gpusim.plan.modes import guessed_rank
 from gpusim.plan.problem import Problem, Sampled
 from gpusim.plan.shares import MODES_SHARE, TONE_SHARE

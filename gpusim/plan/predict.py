@@ -34,7 +34,7 @@ PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
 # Sim samples around the kernels: room for the pixel's aperture, half a sample to its centre, and
 # the ringing of the band's end.
 GUARD = 8
-SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.layout)
+SMALLEST_CELL = 16  # sim samples: twice as far apart as nodes must be (gpusim.plan.blocks)
 
 
 def edge_integral(frequency: np.ndarray, spectrum: np.ndarray) -> float:

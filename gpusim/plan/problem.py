@@ -20,10 +20,10 @@ from gpusim.optics.nodes import Scale
 from gpusim.optics.spectral_basis import Basis
 from gpusim.plan.accuracy import Accuracy
 from gpusim.plan.alias import Alias
+from gpusim.plan.blocks import Needed
 from gpusim.plan.contrast import contrast_of, edge_contrast
 from gpusim.plan.costs import Costs
 from gpusim.plan.halo import seen_shares
-from gpusim.plan.layout import Needed
 from gpusim.plan.lens import LATERAL
 from gpusim.plan.predict import Edge, cells_within, cut_error
 from gpusim.plan.shares import TAIL_SHARE

@@ -10,7 +10,7 @@ from gpusim.lens.entering import stretch
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import pupils
-from gpusim.psf import transfer
+from gpusim.psf import otf
 from gpusim.psf.sampling import REFERENCE_NM
 
 
@@ -21,7 +21,7 @@ class FieldContrast:
     Attributes
     ----------
     mtf : ndarray, shape (2, K)
-        Along each of ``transfer.DIRECTIONS``.
+        Along each of ``otf.DIRECTIONS``.
     light_sr : ndarray, shape (L,)
         What an even scene of unit radiance sends through, per area of its image.
     """
@@ -50,24 +50,24 @@ def field_contrast(
     """
     index = system.index(wavelengths_nm)
     samples = sample_field(system, index, theta)
-    found = pupils(samples, wavelengths_nm, 1.0, transfer.COARSE_NODES)
+    found = pupils(samples, wavelengths_nm, 1.0, otf.COARSE_NODES)
     entered = np.array([pupil.entered for pupil in found])
     weight = spectrum * entered
     shift_um = dict(
-        zip(transfer.DIRECTIONS, (1e3 * samples.chief_y_mm, 1e3 * samples.chief_x_mm), strict=True)
+        zip(otf.DIRECTIONS, (1e3 * samples.chief_y_mm, 1e3 * samples.chief_x_mm), strict=True)
     )
     here = np.zeros(1)
 
-    def contrast(frequency: float, direction: transfer.Direction) -> float:
+    def contrast(frequency: float, direction: otf.Direction) -> float:
         otfs = np.array(
             [
-                transfer.through_focus(pupil, wavelength, frequency, direction, here)
+                otf.through_focus(pupil, wavelength, frequency, direction, here)
                 for pupil, wavelength in zip(found, wavelengths_nm, strict=True)
             ]
         )
         at = np.array([frequency])
-        together = transfer.polychromatic(otfs, weight, at, shift_um[direction])
+        together = otf.polychromatic(otfs, weight, at, shift_um[direction])
         return float(np.abs(together[0]))
 
-    mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in transfer.DIRECTIONS]
+    mtf = [[contrast(float(f), way) for f in frequency_cy_mm] for way in otf.DIRECTIONS]
     return FieldContrast(np.array(mtf), entered / stretch(system, REFERENCE_NM, theta).area())

@@ -13,7 +13,7 @@ from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import Pupil
 from gpusim.parallel import each
-from gpusim.psf import transfer
+from gpusim.psf import otf
 from gpusim.psf.bank import Bank
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_facts import working_f_number
@@ -123,8 +123,8 @@ def lens_page(
         if progress is not None:
             progress(next(steps), 2 * len(fields) + 1)
 
-    def traced(theta: float) -> transfer.FieldPupils:
-        return transfer.field_pupils(system, theta, wavelengths, light, reference=reference)
+    def traced(theta: float) -> otf.FieldPupils:
+        return otf.field_pupils(system, theta, wavelengths, light, reference=reference)
 
     pupils = each(traced, fields, advance)
     top, half = _frequencies(bank, pupils[0])
@@ -133,7 +133,7 @@ def lens_page(
     depth_mm = _depth_mm(bank, pupils, focus_frequency)
     focus_mm = np.linspace(-depth_mm, depth_mm, 61)
 
-    def curves(one: tuple[str, float, transfer.FieldPupils]) -> tuple[Curves, np.ndarray]:
+    def curves(one: tuple[str, float, otf.FieldPupils]) -> tuple[Curves, np.ndarray]:
         name, theta, field = one
         mtf = Curves(name, float(np.degrees(theta)), _both(field.otf, frequency))
         return mtf, _through_focus(field, focus_frequency, focus_mm)
@@ -178,7 +178,7 @@ def ready_page(bank: Bank) -> BankPage:
         )
         for number, name in sorted(fields.items())
     ]
-    limits = [transfer.diffraction_mtf(frequency, w, f_number) for w in bank.wavelengths_nm]
+    limits = [otf.diffraction_mtf(frequency, w, f_number) for w in bank.wavelengths_nm]
     light = field_light(bank, 0)
     others = [int(np.abs(bank.wavelengths_nm - w).argmin()) for w in COLOUR_WAVELENGTHS_NM]
     lines = [bank.reference, *sorted({*others} - {bank.reference})]
@@ -201,20 +201,18 @@ def field_light(bank: Bank, field: int) -> np.ndarray:
     return passed * quadrature(bank)
 
 
-def bank_otf(
-    bank: Bank, field: int, frequency: np.ndarray, direction: transfer.Direction
-) -> np.ndarray:
+def bank_otf(bank: Bank, field: int, frequency: np.ndarray, direction: otf.Direction) -> np.ndarray:
     """Return the polychromatic OTF of a field's PSFs and of the light beyond them; shape (K,)."""
     core, *halo = bank.levels
-    otfs = transfer.otf(core.psf[field], core.pitch_um, frequency, direction)
+    otfs = otf.otf(core.psf[field], core.pitch_um, frequency, direction)
     for level in halo:
         # It is smooth: beyond what its samples tell there is nothing.
         told = np.abs(frequency) < 500 / level.pitch_um
-        seen = transfer.otf(level.psf[field], level.pitch_um, frequency * told, direction)
+        seen = otf.otf(level.psf[field], level.pitch_um, frequency * told, direction)
         otfs = otfs + told * seen
     shift = bank.real_height_um[field] - bank.real_height_um[field, bank.reference]
     tangential = direction == "tangential"
-    return transfer.polychromatic(
+    return otf.polychromatic(
         otfs, field_light(bank, field), frequency, shift if tangential else 0.0
     )
 
@@ -225,15 +223,13 @@ def _chief_um(system: System, wavelengths_nm: np.ndarray) -> Callable[[float], n
     return lambda theta: 1e3 * sample_rays(system, index, theta, centre, centre).chief_y_mm
 
 
-def _through_focus(
-    field: transfer.FieldPupils, frequency: float, focus_mm: np.ndarray
-) -> np.ndarray:
+def _through_focus(field: otf.FieldPupils, frequency: float, focus_mm: np.ndarray) -> np.ndarray:
     """Return a field's MTF, tangential and sagittal, at shifts of the image plane; shape (2, Z)."""
     return _both(lambda f, direction: field.through_focus(f, direction, focus_mm), frequency)
 
 
 def _limit_of(
-    axis: transfer.FieldPupils, wavelengths_nm: np.ndarray, frequency: np.ndarray, f_number: float
+    axis: otf.FieldPupils, wavelengths_nm: np.ndarray, frequency: np.ndarray, f_number: float
 ) -> np.ndarray:
     """Return the MTF of a perfect lens with the axial pupils, in the light of the lens."""
     limits = np.stack(
@@ -250,9 +246,9 @@ def _limit(
 ) -> np.ndarray:
     """Return the MTF of a perfect lens with the axial pupil."""
     if np.isscalar(pupil.apodised):
-        return transfer.diffraction_mtf(frequency, wavelength_nm, f_number)
+        return otf.diffraction_mtf(frequency, wavelength_nm, f_number)
     perfect = replace(pupil, opd_mm=np.zeros_like(pupil.opd_mm))
-    return np.abs(transfer.pupil_otf(perfect, wavelength_nm, frequency, "tangential"))
+    return np.abs(otf.pupil_otf(perfect, wavelength_nm, frequency, "tangential"))
 
 
 def quadrature(bank: Bank | PlaneBank) -> np.ndarray:
@@ -266,8 +262,8 @@ def field_number(bank: Bank, part: float) -> int:
     return round(part * (len(bank.field_deg) - 1))
 
 
-def _both(otf: Callable, *arguments: object) -> np.ndarray:
-    return np.abs([otf(*arguments, direction) for direction in transfer.DIRECTIONS])
+def _both(function: Callable, *arguments: object) -> np.ndarray:
+    return np.abs([function(*arguments, direction) for direction in otf.DIRECTIONS])
 
 
 def round_near(value: float, series: tuple[float, ...] = (1, 2, 3, 4, 5, 6, 8)) -> float:
@@ -287,7 +283,7 @@ def _rounds(value: float, series: tuple[float, ...]) -> np.ndarray:
     return np.concatenate([np.array(series) * decade, [10 * decade * series[0]]])
 
 
-def _frequencies(bank: Bank, axis: transfer.FieldPupils) -> tuple[float, float]:
+def _frequencies(bank: Bank, axis: otf.FieldPupils) -> tuple[float, float]:
     """Return round frequencies: where the axis keeps 10 %, or a little more; and about 50 %."""
     cut_off = 1e6 / (bank.wavelengths_nm[0] * working_f_number(bank))
     tried = np.geomspace(cut_off / 500, cut_off, 120)
@@ -298,7 +294,7 @@ def _frequencies(bank: Bank, axis: transfer.FieldPupils) -> tuple[float, float]:
     return round_above(top), round_near(tried[half[0]] if half.size else cut_off / 2)
 
 
-def _depth_mm(bank: Bank, pupils: list[transfer.FieldPupils], frequency: float) -> float:
+def _depth_mm(bank: Bank, pupils: list[otf.FieldPupils], frequency: float) -> float:
     """Return how far to shift the image plane: until a perfect lens has lost the frequency.
 
     A disc of blur dz / N has its first zero at 1.22 N / dz: twice that, and the best focus of every
@@ -309,6 +305,6 @@ def _depth_mm(bank: Bank, pupils: list[transfer.FieldPupils], frequency: float) 
     best = [
         abs(tried[np.abs(field.through_focus(frequency, direction, tried)).argmax()])
         for field in pupils
-        for direction in transfer.DIRECTIONS
+        for direction in otf.DIRECTIONS
     ]
     return round_above(max(2 * unit, max(best) + unit))

@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 
 from gpusim.metrics.emva import Channel, Characterisation
 from gpusim.metrics.nonuniformity import Pattern, spectrogram
-from gpusim.metrics.transfer import FIT_SHARE
+from gpusim.metrics.photon_transfer import FIT_SHARE
 from gpusim.report.drawing import INK, SOFT, STYLE, absent, panel, titles, write
 
 # By the colour of the filter, dark enough to read on white, and told apart by lightness too.

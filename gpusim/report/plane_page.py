@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.lens.layout import Element, beam, elements
 from gpusim.lens.system import System
-from gpusim.psf import transfer
+from gpusim.psf import otf
 from gpusim.psf.plane_bank import PlaneBank
 from gpusim.report.lens_page import CURVE_FIELDS, RAYS, quadrature, round_near
 
@@ -101,15 +101,15 @@ def field_light(bank: PlaneBank) -> np.ndarray:
 
 def _otf(bank: PlaneBank, frequency: np.ndarray, axis: str) -> np.ndarray:
     """Return the polychromatic OTF of every field along x or y, shape (Y, X, K)."""
-    # transfer calls columns tangential, as in banks with an axis: here they are x.
+    # `otf` calls columns tangential, as in banks with an axis: here they are x.
     way, chief = ("tangential", bank.chief_x_um) if axis == "x" else ("sagittal", bank.chief_y_um)
-    otfs = transfer.otf(bank.psf, bank.pitch_um, frequency, way)
+    otfs = otf.otf(bank.psf, bank.pitch_um, frequency, way)
     shift = chief - chief[..., bank.reference, None]
     light = field_light(bank)
     fields = np.ndindex(light.shape[:2])
     found = [
         # The OTF is of one direction: its shift is that of the chief rays along it.
-        transfer.polychromatic(otfs[f], light[f], frequency, shift[f])
+        otf.polychromatic(otfs[f], light[f], frequency, shift[f])
         for f in fields
     ]
     return np.array(found).reshape(*light.shape[:2], len(frequency))

@@ -12,8 +12,8 @@ from command_line import gpusim
 from gpusim.calibrate import rates, timing
 from gpusim.errors import UserError
 from gpusim.gpu import Device
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.plan.costs import LAVAPIPE, UNITS, Costs, content_of
-from gpusim.plan.layout import TRANSFORMS
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpusim.gpu import Kernel, ShaderError
-from gpusim.gpu.layout import Layouts, split_top
+from gpusim.gpu.packing import Layouts, split_top
 from gpusim.gpu.wgsl import Names, compose, load, reflect, shaders_root, strip_comments
 
 MINIMAL = """

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from gpusim.gpu import Kernel
-from gpusim.gpu.layout import SCALARS
+from gpusim.gpu.packing import SCALARS
 
 from .stage import run_stage
 

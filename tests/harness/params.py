@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gpusim.gpu import Kernel
-from gpusim.gpu.layout import SCALARS, TypeLayout
+from gpusim.gpu.packing import SCALARS, TypeLayout
 
 from .stage import run_stage
 

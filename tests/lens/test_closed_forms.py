@@ -17,8 +17,8 @@ from gpusim.formats.lens_file import load_prescription, presets
 from gpusim.lens.samples import sample_field, sample_rays
 from gpusim.lens.system import build, first_order
 from gpusim.lens.wavefront import pupils
+from gpusim.psf import otf
 from gpusim.psf import psf as reference_psf
-from gpusim.psf import transfer
 
 D_LINE = np.array([587.5618])
 LAMBDA_UM = 0.5875618
@@ -201,7 +201,7 @@ def test_an_apodised_lens_has_its_pupils_transfer_function(pupil_of, psf_of):
     system = build(perfect_lens(4.0, gaussian_apodisation=1.0))
     pupil = pupil_of(system, window_um=128.0)
     nu = np.array([50.0, 150.0, 300.0])
-    found = transfer.pupil_otf(pupil, D_LINE[0], nu, "sagittal").real
+    found = otf.pupil_otf(pupil, D_LINE[0], nu, "sagittal").real
     share = nu * 1e-3 * LAMBDA_UM / (2 * sine_of_aperture(4.0))
     exact = overlaps(4.0, share, lambda rho: np.exp(-(rho**2)))
     # 2.5e-3 of the rim's cells (line_spread), where there is little light; the filter goes with the
@@ -209,10 +209,10 @@ def test_an_apodised_lens_has_its_pupils_transfer_function(pupil_of, psf_of):
     np.testing.assert_allclose(found, exact, rtol=0, atol=1.5e-3)
     for one, expected in zip(nu, exact, strict=True):
         still = np.zeros(1)
-        overlap = transfer.through_focus(pupil, D_LINE[0], one, "tangential", still)[0]
+        overlap = otf.through_focus(pupil, D_LINE[0], one, "tangential", still)[0]
         assert abs(overlap - expected) < 1.5e-3
     even = pupil_of(build(perfect_lens(4.0)), window_um=128.0)
-    assert np.abs(transfer.pupil_otf(even, D_LINE[0], nu, "sagittal") - exact).max() > 0.05
+    assert np.abs(otf.pupil_otf(even, D_LINE[0], nu, "sagittal") - exact).max() > 0.05
 
 
 def hopkins(s, w20_waves):

@@ -7,7 +7,7 @@ import pytest
 
 from gpusim.errors import UserError
 from gpusim.library.lens import Lens
-from gpusim.psf.transfer import otf
+from gpusim.psf.otf import otf
 
 LENS = Lens.load("double-gauss").scaled(12.0).stopped(8.0)
 

@@ -20,7 +20,7 @@ from gpusim.optics.convolve import Convolve
 from gpusim.optics.grid import SimGrid
 from gpusim.optics.modes import Decomposition, Modes
 from gpusim.optics.nodes import Scale, folds_of
-from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.psf.bank import Bank
 from gpusim.sensor.aperture import Response
 

@@ -13,7 +13,7 @@ from optics.made import DEFAULT_GRID, ULP, convolve_for, twiddles
 from gpusim.gpu import Device, Kernel
 from gpusim.optics.convolve import FIRST_RADIX
 from gpusim.optics.grid import SimGrid
-from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.reference.fft_rows import fft_rows
 
 F32 = np.float32

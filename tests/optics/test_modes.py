@@ -34,7 +34,7 @@ from gpusim.optics.kernels import FieldKernels
 from gpusim.optics.modes import Decomposition, Modes, mode_decomposition
 from gpusim.optics.nodes import Scale
 from gpusim.optics.sampling import node_kernels, sampled_kernels
-from gpusim.plan.layout import TRANSFORMS
+from gpusim.plan.blocks import TRANSFORMS
 from gpusim.psf.places import Heights
 from gpusim.reference.modes import modes
 

@@ -15,7 +15,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.optics.images import field_images
 from gpusim.optics.kernels import FieldKernels, field_kernels
 from gpusim.optics.nodes import NodeStore, Scale
-from gpusim.plan.layout import planes_at_nodes, planes_at_points
+from gpusim.plan.blocks import planes_at_nodes, planes_at_points
 
 GRID = SimGrid(96, 128, 4, 2, 256, 64, (3, 2))
 WEIGHTS = np.random.default_rng(31).uniform(1, 5, (2, 3, 3))

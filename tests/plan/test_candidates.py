@@ -8,8 +8,8 @@ import pytest
 
 from gpusim.errors import UserError
 from gpusim.optics.grid import SimGrid
+from gpusim.plan.blocks import Layout
 from gpusim.plan.candidates import Candidate, Part, choose
-from gpusim.plan.layout import Layout
 
 GRID = SimGrid(96, 128, 4, 2, 256, 16, (1, 1))
 TOO_BIG = UserError("The kernels do not fit.", value="352 samples", allowed="less")

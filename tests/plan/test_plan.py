@@ -15,9 +15,9 @@ from gpusim.optics import spectral_basis
 from gpusim.optics.images import field_images
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan, PlanStage, plan_optics
+from gpusim.plan.blocks import BLOCK_BYTES
 from gpusim.plan.candidates import Candidate
 from gpusim.plan.costs import LAVAPIPE
-from gpusim.plan.layout import BLOCK_BYTES
 from gpusim.plan.stages import NAME, sensor_runs
 from gpusim.plan.ways import OVERSAMPLINGS
 from gpusim.scene.raster import Raster

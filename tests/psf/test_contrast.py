@@ -10,8 +10,8 @@ from gpusim.lens.analysis.fields import WHITE_NM, WHITE_REFERENCE, white_light
 from gpusim.lens.entering import stretch
 from gpusim.lens.system import build
 from gpusim.psf.contrast import field_contrast
+from gpusim.psf.otf import DIRECTIONS, field_pupils
 from gpusim.psf.sampling import REFERENCE_NM
-from gpusim.psf.transfer import DIRECTIONS, field_pupils
 
 
 @pytest.mark.parametrize("field_deg", [0.0, 20.0])
@@ -22,7 +22,7 @@ def test_it_is_the_mtf_of_the_fields_own_transfer_function(field_deg: float):
     found = field_contrast(system, theta, WHITE_NM, light, frequency)
     exact = field_pupils(system, theta, WHITE_NM, light, reference=WHITE_REFERENCE)
     expected = [np.abs(exact.otf(frequency, way)) for way in DIRECTIONS]
-    # `gpusim.psf.transfer.COARSE_NODES`: 1e-3 of the rim's rounding.
+    # `gpusim.psf.otf.COARSE_NODES`: 1e-3 of the rim's rounding.
     np.testing.assert_allclose(found.mtf, expected, rtol=0, atol=2e-3)
     area = stretch(system, REFERENCE_NM, theta).area()
     whole = np.array([pupil.entered for pupil in exact.fine]) / area

@@ -14,7 +14,7 @@ from gpusim.camera import Camera, load_camera
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.plan import Accuracy
-from gpusim.psf.transfer import field_pupils
+from gpusim.psf.otf import field_pupils
 from gpusim.reference.backward import chief_back, trace_back
 from gpusim.reference.lens_truth import Judge
 from gpusim.reference.lens_view import REFERENCE_NM, view

@@ -13,7 +13,7 @@ from gpusim.lens.projection import RECTILINEAR
 from gpusim.lens.samples import sample_field
 from gpusim.lens.system import build, first_order, transmission
 from gpusim.lens.wavefront import pupils
-from gpusim.psf.transfer import diffraction_mtf
+from gpusim.psf.otf import diffraction_mtf
 from gpusim.reference.aperture import aperture_of
 from gpusim.reference.backward import chief_back, newton, through, trace_back
 from gpusim.reference.bundle import OVERSIZE, RAYS_ACROSS, Frame, Rays, frame_of, rays_of

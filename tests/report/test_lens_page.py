@@ -20,8 +20,8 @@ from gpusim.lens.system import build, first_order
 from gpusim.psf.bank import Bank
 from gpusim.psf.compute import compute_bank
 from gpusim.psf.compute_plane import compute_plane_bank
+from gpusim.psf.otf import diffraction_mtf
 from gpusim.psf.sampling import default_fields_deg
-from gpusim.psf.transfer import diffraction_mtf
 from gpusim.report import drawing
 from gpusim.report import lens_page as page_numbers
 from gpusim.report.drawing import png, svg

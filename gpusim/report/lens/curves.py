@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy.interpolate import PchipInterpolator
 
-from gpusim.psf import transfer
+from gpusim.psf import otf
 from gpusim.psf.bank import Bank
 from gpusim.report.drawing import INK, SOFT, end_labels, roomy
 from gpusim.report.lens.colours import FIELD_COLOURS, wavelength_colour
@@ -53,7 +53,7 @@ def draw_mtf(axes: Axes, page: BankPage, *, fields: bool = False) -> None:
 
 
 def _pair(axes: Axes, x: np.ndarray, pair: np.ndarray, colour: str) -> None:
-    for values, direction in zip(pair, transfer.DIRECTIONS, strict=True):
+    for values, direction in zip(pair, otf.DIRECTIONS, strict=True):
         axes.plot(x, values, color=colour, linestyle=_DASHES[direction], linewidth=1.3)
 
 

@@ -21,7 +21,7 @@ from gpusim.lens.analysis.fields import (
 )
 from gpusim.lens.system import System
 from gpusim.parallel import each
-from gpusim.psf import contrast, transfer
+from gpusim.psf import contrast, otf
 from gpusim.report.lens_page import round_above, round_near
 
 CHIEF_FIELDS = 41
@@ -60,7 +60,7 @@ class Study:
     @property
     def ways(self) -> tuple[str, str]:
         """Names of the directions y and x of the image."""
-        return transfer.DIRECTIONS if self.centred else ("along y", "along x")
+        return otf.DIRECTIONS if self.centred else ("along y", "along x")
 
     @cached_property
     def fields(self) -> list[Field]:
@@ -199,12 +199,12 @@ class Study:
     # white light
 
     @cached_property
-    def pupils(self) -> list[transfer.FieldPupils]:
+    def pupils(self) -> list[otf.FieldPupils]:
         """The polychromatic pupils of each field."""
         light = white_light(self.system)
 
-        def traced(field: Field) -> transfer.FieldPupils:
-            return transfer.field_pupils(
+        def traced(field: Field) -> otf.FieldPupils:
+            return otf.field_pupils(
                 self.system,
                 field.theta,
                 WHITE_NM,
@@ -244,8 +244,8 @@ class Study:
     def mtf(self) -> np.ndarray:
         """MTF against frequency, shape (fields, 2, K)."""
 
-        def both(pupils: transfer.FieldPupils) -> np.ndarray:
-            return np.abs([pupils.otf(self.frequencies, way) for way in transfer.DIRECTIONS])
+        def both(pupils: otf.FieldPupils) -> np.ndarray:
+            return np.abs([pupils.otf(self.frequencies, way) for way in otf.DIRECTIONS])
 
         return np.array(each(both, self.pupils))
 
@@ -253,7 +253,7 @@ class Study:
     def limit(self) -> np.ndarray:
         """MTF of a perfect lens as bright on axis, with the same light, shape (K,)."""
         number = self.airy_um / (1.22e-3 * self.primary_nm)
-        mtf = [transfer.diffraction_mtf(self.frequencies, w, number) for w in WHITE_NM]
+        mtf = [otf.diffraction_mtf(self.frequencies, w, number) for w in WHITE_NM]
         weight = self.pupils[0].weight
         return weight @ np.array(mtf) / weight.sum()
 
@@ -266,7 +266,7 @@ class Study:
         best = [
             abs(tried[np.abs(one.through_focus(self.frequency, way, tried)).argmax()])
             for one in self.pupils
-            for way in transfer.DIRECTIONS
+            for way in otf.DIRECTIONS
         ]
         depth = round_above(max(2 * unit, max(best) + unit))
         return np.linspace(-depth, depth, FOCUS_STEPS)
@@ -275,8 +275,8 @@ class Study:
     def through_focus(self) -> np.ndarray:
         """MTF at one frequency through focus, shape (fields, 2, Z)."""
 
-        def both(pupils: transfer.FieldPupils) -> np.ndarray:
-            ways = transfer.DIRECTIONS
+        def both(pupils: otf.FieldPupils) -> np.ndarray:
+            ways = otf.DIRECTIONS
             found = [pupils.through_focus(self.frequency, way, self.depth_mm) for way in ways]
             return np.abs(found)
 
@@ -318,7 +318,7 @@ class Study:
     def encircled(self) -> np.ndarray:
         """Encircled energy of each field, shape (fields, R)."""
 
-        def of(one: transfer.FieldPupils) -> np.ndarray:
+        def of(one: otf.FieldPupils) -> np.ndarray:
             chief = one.shift_um[::-1]
             return energy.encircled_energy(one.fine, WHITE_NM, one.weight, chief, self.radius_um)
 

@@ -35,7 +35,7 @@ RADIUS = np.linspace(0, 60, 121)
 
 
 def test_an_airy_disc_holds_what_born_and_wolf_say():
-    # The rim's rounding on 256 nodes, as of the MTF: 1e-3 (`gpusim.psf.transfer.PUPIL_NODES`).
+    # The rim's rounding on 256 nodes, as of the MTF: 1e-3 (`gpusim.psf.otf.PUPIL_NODES`).
     np.testing.assert_allclose(energy(disc(), RADIUS), airy(RADIUS), rtol=0, atol=1.5e-3)
     first_ring = 0.61 * 0.55 / NA
     assert energy(disc(), np.array([first_ring]))[0] == pytest.approx(0.838, abs=2e-3)

@@ -10,9 +10,9 @@ from optics.made import bank, scene, sensor, shapes
 
 from gpusim.errors import UserError
 from gpusim.optics.grid import SimGrid
-from gpusim.plan import Accuracy, layout, plan_optics
+from gpusim.plan import Accuracy, blocks, plan_optics
+from gpusim.plan.blocks import Memory, Needed, cheapest_grid, planes_at_nodes
 from gpusim.plan.costs import LAVAPIPE, Costs
-from gpusim.plan.layout import Memory, Needed, cheapest_grid, planes_at_nodes
 
 LENS = bank(coma_um=0.5, falloff=0.1)
 COLOURED = scene(shapes())
@@ -91,7 +91,7 @@ def test_nodes_closer_than_a_few_samples_are_refused():
 
 
 def test_a_psf_wider_than_the_longest_transform_is_refused(monkeypatch):
-    monkeypatch.setattr(layout, "TRANSFORMS", (36,))
+    monkeypatch.setattr(blocks, "TRANSFORMS", (36,))
     with pytest.raises(UserError, match="too wide") as caught:
         plan_optics(LENS, sensor(), COLOURED, Accuracy(1e-2), method="fft")
     assert "sim samples wide" in caught.value.value and "4 samples" in caught.value.allowed
