@@ -22,7 +22,7 @@ DUAL = DualGain(
 def hdr(**changes) -> Sensor:
     """Return a sensor of 85 000 e- that reads at 0.47 and 0.04 DN/e-: 11.75 to 1."""
     two = {"dual_gain": DUAL, "full_well_e": 85_000.0, "analogue_gains": ()}
-    return load_sensor("imx477").unchecked(**two | changes)
+    return load_sensor("imx477").model_copy(update=two | changes)
 
 
 def on_device(high: np.ndarray, low: np.ndarray, spare: int = 0, **changes) -> np.ndarray:
@@ -148,8 +148,8 @@ def test_the_merged_raw_is_linear_and_its_noise_that_of_the_read(device: Device,
 
 
 def test_the_reads_have_noise_of_their_own(device: Device):
-    """With the switch below all codes the low gain counts alone: its noise is not the other's."""
-    lowest = DUAL.model_copy(update={"switch_dn": 1})
+    """With the switch at black, below all codes of light, the low gain counts alone."""
+    lowest = DUAL.model_copy(update={"switch_dn": 257})
     sensor = hdr(dual_gain=lowest, **QUIET)
     off = ("noise",)  # no shot noise: the charge is even
     found = shot_of(device, sensor, 2000.0, *off)
