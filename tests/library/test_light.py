@@ -31,7 +31,7 @@ from gpusim.sensor.smear_model import Smear
 LENS = bank(coma_um=0.6, falloff=0.1)
 EXPOSURE_S, SEED = 0.02, 11
 NEAR = [[0.0, 0.02, 0.0], [0.03, 0.9, 0.03], [0.0, 0.02, 0.0]]
-STEPS = [GainStep(gain=1.0, iso=100), GainStep(gain=4.0, iso=400, temporal_dark_noise_e=1.2)]
+STEPS = (GainStep(gain=1.0, iso=100), GainStep(gain=4.0, iso=400, temporal_dark_noise_e=1.2))
 SENSORS = {
     "Bayer": sensor(32, 40, veiling_glare=0.02, analogue_gains=STEPS),
     "monochrome": monochrome(32, 40, lines=LineNoise(row_noise_e=2.0)),
