@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.gpu import held
-from gpusim.library.frame import Frame, spoken_s, truth_dn
+from gpusim.library.frame import Frame, histogram_curves, spoken_s, truth_dn
 from gpusim.library.notebook import facts, figure, picture
 from gpusim.library.together import read_raws
 from gpusim.sensor.readout import Shot
@@ -83,7 +83,7 @@ class Burst:
         for (exposure_s, gain), number in list(first.items())[:MOST_SHOWN]:
             frame = self[number]
             what = f"frame {number}", {"": spoken_s(exposure_s), "gain": f"{gain:g}"}
-            shown = picture(frame.develop(), SHOWN_PX), facts(*what), frame.curves()
+            shown = picture(frame.develop(), SHOWN_PX), facts(*what), histogram_curves(frame)
             cells.append(f"<td style='vertical-align:top'>{figure(*shown)}</td>")
         told = {"": repr(self)[6:-1]}
         if len(first) > MOST_SHOWN:

@@ -18,8 +18,7 @@ from gpusim.isp.dng import has_dng, write_dng
 from gpusim.isp.files import image_of, write_picture
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import iso_speed, saturation_dn
-from gpusim.library.notebook import curves as drawn
-from gpusim.library.notebook import facts, figure, picture
+from gpusim.library.notebook import curves, facts, figure, picture
 from gpusim.library.recipe import write_sidecar
 from gpusim.scene.exr import write_exr
 from gpusim.sensor.frame import Areas, areas_of
@@ -252,12 +251,15 @@ class Frame:
                 f"tolerance {self.light.tolerance} {'met' if certificate.met else 'not met'}"
             )
         told = {"": repr(self)[6:-1], "certificate": verdict}
-        return figure(picture(self.develop()), facts(self.light.title, told), self.curves())
+        return figure(
+            picture(self.develop()), facts(self.light.title, told), histogram_curves(self)
+        )
 
-    def curves(self) -> str:
-        """Return the raw's histogram by colour, square-root counts."""
-        _, counts = self.histogram(HISTOGRAM_BINS)
-        return drawn((letter, np.sqrt(one)) for letter, one in counts.items())
+
+def histogram_curves(frame: Frame) -> str:
+    """Return a frame's histogram by colour for notebooks, square-root counts."""
+    _, counts = frame.histogram(HISTOGRAM_BINS)
+    return curves((letter, np.sqrt(one)) for letter, one in counts.items())
 
 
 def truth_dn(light: Light, shot: Shot) -> np.ndarray:
