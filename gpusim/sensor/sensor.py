@@ -378,4 +378,4 @@ class Sensor(DataSheet):
         ]
         first = row % self.period[0]
         pattern = ColourFilterArray(pattern=rows[first:] + rows[:first])
-        return self.model_copy(update={"cfa": pattern})
+        return self.unchecked(cfa=pattern)  # the same filters, as right as before
