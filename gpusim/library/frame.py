@@ -120,8 +120,8 @@ class Frame:
         Examples
         --------
         >>> edges, counts = frame.histogram(bins=4)
-        >>> edges
-        array([   0., 1024., 2048., 3072., 4096.])
+        >>> edges.tolist()
+        [0.0, 1024.0, 2048.0, 3072.0, 4096.0]
         >>> {letter: int(one.sum()) for letter, one in counts.items()}
         {'R': 768, 'G': 1536, 'B': 768}
         """

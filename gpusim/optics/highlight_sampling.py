@@ -117,7 +117,8 @@ def sampling(
     light = exact / np.maximum(fall(radius, window), LEAST)
     last = means(light)[:, : int(window / RING)][:, -1]  # a window may be wider than a table
     light = np.where(radius < window, light, last[:, None, None])
-    light = np.maximum(light, ROUNDING * exact.max())
+    # Tables without light err by nothing.
+    light = np.maximum(light, max(ROUNDING * exact.max(), np.finfo(float).tiny))
     found = [Sampling(side, 0, 1, float(side))]
     for step in STEPS:
         far = 2 * (math.ceil(kernels.support / step) + BORDER)

@@ -78,7 +78,7 @@ def check(sensor: Sensor) -> None:
     assert sensor.fill_factor == pytest.approx(0.6)
     assert sensor.cfa.pattern == (("R", "G"), ("G", "B"))
     curves = sensor.quantum_efficiency.channels
-    assert sensor.quantum_efficiency.wavelengths_nm == WAVE
+    assert sensor.quantum_efficiency.wavelengths_nm == tuple(WAVE)
     assert curves["R"] == pytest.approx([0.09, 0.09, 0.64, 0.24])
     assert curves["G"] == pytest.approx([0.18, 0.63, 0.16, 0.04])
     assert curves["B"] == pytest.approx([0.54, 0.45, 0.08, 0.0])

@@ -132,7 +132,7 @@ def test_files_have_the_border_and_the_picture_has_not(whole: Capture, tmp_path:
 
 def test_a_gain_reaches_the_raw_and_what_is_told_of_it():
     steps = [GainStep(gain=1), GainStep(gain=4, iso=400, temporal_dark_noise_e=2.0)]
-    camera = StubCamera(LENS, sensor(32, 40, analogue_gains=steps))
+    camera = StubCamera(LENS, sensor(32, 40, analogue_gains=tuple(steps)))
     arguments = {"exposure_s": 0.01, "accuracy": Accuracy(1e-2, 0), "noise": False}
     shots = [capture(camera, scene(shapes()), gain=gain, **arguments) for gain in (None, 1, 4)]
     plain, at_1, at_4 = (shot.raw.astype(float) - 256 for shot in shots)

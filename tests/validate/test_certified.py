@@ -16,13 +16,13 @@ TOLERANCE = 1e-2
 
 @pytest.mark.parametrize("planted", [False, True])
 def test_a_further_rectangle_is_certified_by_probes_of_its_own(monkeypatch, planted):
-    def go_on(renderer, first, probes, go_on=certified._go_on):
+    def go_on(renderer, first, probes, go_on=certified.go_on):
         go_on(renderer, first, probes)
         # The exact model's glare is this: its truth is a twentieth of the mean brighter.
         renderer.glare = renderer.glare + np.float32(0.05 * first.rate.mean())
 
     if planted:
-        monkeypatch.setattr(certified, "_go_on", go_on)
+        monkeypatch.setattr(certified, "go_on", go_on)
     camera, subject = StubCamera(bank(size=32, circle_um=60.0), sensor(32, 48)), scene(shapes())
     found = certified.certified_tiles(camera, subject, Accuracy(TOLERANCE, 4), 0.01, TILES)
     first, other = (one.certificate for one in found)
