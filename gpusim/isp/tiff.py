@@ -12,6 +12,7 @@ from typing import BinaryIO
 
 import numpy as np
 
+from gpusim.disk import beside
 from gpusim.errors import UserError
 
 BYTE, ASCII, SHORT, LONG, RATIONAL, UNDEFINED, SRATIONAL, DOUBLE = 1, 2, 3, 4, 5, 7, 10, 12
@@ -112,7 +113,7 @@ def write_tiff(path: Path, pixels: np.ndarray, tags: Tags, exif: Tags) -> None:
     exif_at = 8 + len(_directory(whole, 8))
     pixels_at = exif_at + len(_directory(exif, exif_at))
     whole |= {STRIP_OFFSETS: (LONG, (pixels_at,)), EXIF_IFD: (LONG, (exif_at,))}
-    partial = path.with_name(f".{path.name}.part")
+    partial = beside(path)  # a batch that is resumed sweeps such names away
     try:
         if pixels_at + size > MAX_BYTES:
             raise OSError(f"{size} bytes of pixels, and a TIFF has at most {MAX_BYTES}")

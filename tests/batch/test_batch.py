@@ -23,7 +23,9 @@ from gpusim.batch.run import run as run_batch
 from gpusim.batch.sweep import Sweep
 from gpusim.batch.work import Task, rendered, work
 from gpusim.cli.app import app
+from gpusim.disk import beside
 from gpusim.errors import UserError
+from gpusim.isp.tiff import write_tiff
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.plan.deadline import first_frame_s
@@ -238,6 +240,23 @@ def test_what_killed_workers_left_half_written_goes_when_the_batch_goes_on(folde
         (out / name).touch()
     prepared(sweep, out, resume=True)
     assert {path.name for path in out.iterdir()} == kept
+
+
+def test_a_raw_whose_writing_was_killed_goes_too(folder: Path, monkeypatch):
+    sweep, out = Sweep.load(written(folder)), folder / "out"
+    prepared(sweep, out, resume=False)
+    there = set(out.iterdir())
+
+    def killed(part: Path, path: Path) -> None:
+        raise SystemExit  # nothing that the writer handles
+
+    monkeypatch.setattr(Path, "replace", killed)
+    with pytest.raises(SystemExit):
+        write_tiff(beside(out / "frame-000001.dng"), np.zeros((2, 2), np.uint16), {}, {})
+    assert len(set(out.iterdir()) - there) == 1
+    monkeypatch.undo()
+    prepared(sweep, out, resume=True)
+    assert set(out.iterdir()) == there
 
 
 @pytest.mark.parametrize("content", ["[" * 100_000, "[1]", '{"number": 1}', "", "\0"])
