@@ -24,6 +24,10 @@ Certify = Annotated[
         "256.",
     ),
 ]
+Luminance = Annotated[
+    float | None,
+    typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+]
 BestEffort = Annotated[
     bool,
     typer.Option(

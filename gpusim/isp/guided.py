@@ -24,8 +24,8 @@ def guide_of(pattern: tuple[str, ...]) -> str:
 def near_of(pattern: tuple[str, ...]) -> np.ndarray:
     """Return the sites of each one's colour around it: (rows, cols, most, 4), int32.
 
-    Of each rows and columns away and the weight by a tent; zeros of those that have fewer. None of
-    the guide's own sites: there is nothing to find there.
+    Each has rows and columns away and the weight by a tent; what is missing to the most is zeros.
+    The guide's own sites have none: there is nothing to find there.
     """
     sites, own = np.array([list(line) for line in pattern]), guide_of(pattern)
     rows, cols = sites.shape

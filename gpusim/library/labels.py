@@ -97,7 +97,7 @@ def in_raw(seen: np.ndarray, areas: Areas, shape: tuple[int, ...]) -> np.ndarray
     seen : ndarray (sensor rows, sensor cols) or (sensor rows, sensor cols, n)
         As of `labels_on_sensor`.
     areas : Areas
-        Of the raw.
+        The raw's own.
     shape : (int, int)
         Rows and columns of the raw.
     """

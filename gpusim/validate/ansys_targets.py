@@ -26,8 +26,8 @@ LUMINANCE_CD_M2, LAMP = 500.0, "D50"  # section 2.2
 # they are 2.6e-3.
 DARK, BRIGHT = 0.36, 0.72
 HEIGHT_MM = 850.9  # 33.5 in
-# Of the square in the middle, half-heights: at 1.061 mm its edges are 85 px long, and regions of
-# 64 px fit beside them.
+# The side of the square in the middle, half-heights: at 1.061 mm its edges are 85 px long, and
+# regions of 64 px fit beside them.
 SIDE = 0.45
 # Steps of 2:1 in place of the chart's 4:1.
 FILLS = {"grey": DARK, "dark": DARK**2 / BRIGHT, "bright": BRIGHT}

@@ -223,7 +223,7 @@ def test_a_render_has_the_labels_of_its_scene_beside_its_raw(tmp_path: Path):
     np.testing.assert_array_equal(whole, labels_on_sensor(loaded, depth))
     seen = np.asarray(Image.open(tmp_path / "a" / "labels-kinds.png"))
     np.testing.assert_array_equal(seen, labels_on_sensor(loaded, kinds))
-    # Of a rectangle, that rectangle.
+    # A rectangle has its own part.
     ran = gpusim(*plain, "--out", tmp_path / "b", *maps, "--tile", "8,6,20,10")
     assert ran.code == 0, ran.err
     np.testing.assert_array_equal(np.load(tmp_path / "b" / "labels-depth.npy"), whole[6:16, 8:28])

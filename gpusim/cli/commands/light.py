@@ -11,6 +11,7 @@ from gpusim.cli.options import (
     Adapter,
     BestEffort,
     Certify,
+    Luminance,
     choose_adapter,
 )
 
@@ -30,10 +31,7 @@ def irradiance(
             "without a filter array: electrons/s.",
         ),
     ] = False,
-    luminance: Annotated[
-        float | None,
-        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
-    ] = None,
+    luminance: Luminance = None,
     illuminant: Annotated[
         str | None, typer.Option(metavar="NAME", help="Light on a chart: D50, A, ..., 5100K.")
     ] = None,
@@ -117,10 +115,7 @@ def burst(
         float | None,
         typer.Option(metavar="C", help="Of the sensor, in Celsius; that of its data if not given."),
     ] = None,
-    luminance: Annotated[
-        float | None,
-        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
-    ] = None,
+    luminance: Luminance = None,
     illuminant: Annotated[
         str | None, typer.Option(metavar="NAME", help="Light on a chart: D50, A, ..., 5100K.")
     ] = None,

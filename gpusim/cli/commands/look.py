@@ -13,6 +13,7 @@ from gpusim.cli.options import (
     FocalLength,
     FocusDistance,
     FocusShift,
+    Luminance,
     ObjectDistance,
     choose_adapter,
 )
@@ -98,10 +99,7 @@ def chart(
             "450,550,650.",
         ),
     ] = None,
-    luminance: Annotated[
-        float | None,
-        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
-    ] = None,
+    luminance: Luminance = None,
     illuminant: Annotated[
         str | None,
         typer.Option(

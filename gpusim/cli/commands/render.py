@@ -15,6 +15,7 @@ from gpusim.cli.options import (
     FocalLength,
     FocusDistance,
     FocusShift,
+    Luminance,
     ObjectDistance,
     choose_adapter,
     folder_of,
@@ -56,10 +57,7 @@ def render(
         float | None,
         typer.Option(metavar="C", help="Of the sensor, in Celsius; that of its data if not given."),
     ] = None,
-    luminance: Annotated[
-        float | None,
-        typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
-    ] = None,
+    luminance: Luminance = None,
     illuminant: Annotated[
         str | None,
         typer.Option(
