@@ -13,6 +13,7 @@ from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
 from gpusim.plan.band import Band, Unknown
 from gpusim.plan.candidates import RunnerUp
+from gpusim.psf.local import LocalPsfs
 from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
@@ -86,7 +87,7 @@ def fake_capture(
         sigma=0.8,
     )
     basis = SimpleNamespace(coefficients=np.eye(3))
-    return Capture(
+    capture = Capture(
         raw=raw,
         rate=plane if "rate" in keep else None,
         electrons=plane if "electrons" in keep else None,
@@ -122,4 +123,9 @@ def fake_capture(
         accuracy=Accuracy(tolerance=tolerance, probes=2),
         band=Band(WAVELENGTHS_NM, (MISSING,)),
         recipe={"camera": {"sensor": {}}, "noise": True},
+        bank=None,
     )
+    # In place of what the PSFs of a lens would show.
+    light = np.full((1, 4, 4, 3), 1 / 16)
+    capture.__dict__["psfs"] = LocalPsfs(np.zeros((1, 2)), True, light, 12.0)
+    return capture

@@ -370,30 +370,38 @@ def band_images(
     tolerance, tile, progress
         As of `gpusim.expose`.
     """
-    sensor, found = camera.sensor, []
+    found = []
+    whole = tile or (0, 0, camera.sensor.cols, camera.sensor.rows)
     most = MAX_CHANNELS if isinstance(scene.source, Chart) else BESIDE_HIGHLIGHTS
     for first in range(0, len(curves), most):
         part = curves[first : first + most]
-        names = [f"W{number:02d}" for number in range(len(part))]
-        # A period that no grid has: each channel is a plane of all pixels: see `planes_of`.
-        length = next(n for n in count(len(part)) if n not in PERIODS)
-        pattern = ((*names, *names[:1] * (length - len(names))),)
-        efficiency = QuantumEfficiency(
-            wavelengths_nm=tuple(map(float, wavelengths_nm)),
-            channels={name: tuple(map(float, one)) for name, one in zip(names, part, strict=True)},
-        )
-        fields = {name: getattr(sensor, name) for name in OF_LIGHT}
-        bare = Sensor(
-            **fields, cfa=ColourFilterArray(pattern=pattern), quantum_efficiency=efficiency
-        )
-        whole = tile or (0, 0, sensor.cols, sensor.rows)
-        seen = type(camera)(camera.lens, bare, camera.title)
+        seen = without_array(camera, wavelengths_nm, part)
         light = expose(seen, scene, tolerance, probes=0, tile=whole, progress=progress)
-        x, y, width, height = whole
-        top, left = y - light.area[0], x - light.area[1]
-        rates = light.rates[:, top : top + height, left : left + width]
-        found.append(rates + light.glare[: len(part), None, None])
+        found.append(on_tile(light, whole) + light.glare[: len(part), None, None])
     return np.concatenate(found).transpose(1, 2, 0)
+
+
+def without_array(camera: Camera, wavelengths_nm: np.ndarray, curves: np.ndarray) -> Camera:
+    """Return a camera whose light has a plane of all pixels for each curve: see `band_images`."""
+    sensor = camera.sensor
+    names = [f"W{number:02d}" for number in range(len(curves))]
+    # A period that no grid has: each channel is a plane of all pixels: see `planes_of`.
+    length = next(n for n in count(len(curves)) if n not in PERIODS)
+    pattern = ((*names, *names[:1] * (length - len(names))),)
+    efficiency = QuantumEfficiency(
+        wavelengths_nm=tuple(map(float, wavelengths_nm)),
+        channels={name: tuple(map(float, one)) for name, one in zip(names, curves, strict=True)},
+    )
+    fields = {name: getattr(sensor, name) for name in OF_LIGHT}
+    bare = Sensor(**fields, cfa=ColourFilterArray(pattern=pattern), quantum_efficiency=efficiency)
+    return type(camera)(camera.lens, bare, camera.title)
+
+
+def on_tile(light: Light, tile: tuple[int, int, int, int]) -> np.ndarray:
+    """Return the planes (S, rows, cols) of a light that has one for every pixel, on its tile."""
+    x, y, width, height = tile
+    top, left = y - light.area[0], x - light.area[1]
+    return light.rates[:, top : top + height, left : left + width]
 
 
 def _tents(lines_nm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

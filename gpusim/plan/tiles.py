@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from gpusim.gpu.pool import MAX_BINDING_BYTES, size_class
 
@@ -26,6 +27,13 @@ def aligned(rect: Rect, period: int) -> Rect:
     row0, col0 = row // period * period, col // period * period
     row1, col1 = (-(-end // period) * period for end in (row + rows, col + cols))
     return row0, col0, row1 - row0, col1 - col0
+
+
+def enclosing(rects: Sequence[Rect]) -> Rect:
+    """Return the smallest rectangle that holds others."""
+    row, col = (min(rect[axis] for rect in rects) for axis in (0, 1))
+    below, right = (max(rect[axis] + rect[axis + 2] for rect in rects) for axis in (0, 1))
+    return row, col, below - row, right - col
 
 
 def tile_bytes(rect: Rect, period: int, layers: int = 1) -> int:

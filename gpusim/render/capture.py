@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.band import Band
 from gpusim.plan.costs import Costs
 from gpusim.plan.tiles import Rect
+from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.local import LocalPsfs, local_psfs
 from gpusim.scene.scene import Scene
 from gpusim.sensor.frame import Areas, areas_of
@@ -74,8 +76,8 @@ class Capture:
         What makes its light again: see `gpusim.render.recipe`.
     band : Band
         The wavelengths that were rendered, and what no data describe.
-    psfs : LocalPsfs or None
-        PSFs over the sensor, to look at.
+    bank : FieldBank
+        The PSFs that it was rendered with.
     """
 
     raw: np.ndarray
@@ -103,13 +105,18 @@ class Capture:
     temperature_c: float
     band: Band
     recipe: dict[str, Any]
+    bank: FieldBank
     costs: Costs | None = None
-    psfs: LocalPsfs | None = None
 
     @property
     def areas(self) -> Areas:
         """Which pixels of the raw see light."""
         return areas_of(self.rect, self.camera.sensor.frame)
+
+    @cached_property
+    def psfs(self) -> LocalPsfs:
+        """PSFs over the sensor, to look at."""
+        return local_psfs(self.bank.levels[0], self.camera.sensor, self.scene)
 
 
 def captured(
@@ -170,5 +177,5 @@ def captured(
         exposure_s=asked.exposure_s,
         accuracy=renderer.accuracy,
         temperature_c=asked.temperature_c,
-        psfs=local_psfs(renderer.core, renderer.camera.sensor, renderer.scene),
+        bank=renderer.bank,
     )

@@ -24,6 +24,7 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import Costs
 from gpusim.plan.signal import white_rates
 from gpusim.plan.tiles import Rect, aligned
+from gpusim.plan.ways import WHOLE
 from gpusim.psf.field_bank import FieldBank
 from gpusim.render.capture import Capture, captured
 from gpusim.render.certificate import certified
@@ -307,16 +308,23 @@ class Renderer:
         """Bring onto the device what further frames need as well, if there is room for all."""
         started = time.perf_counter()
         held, seen = self.on_device, self.on_device.lit(rect)
-        whole = aligned(seen, self.period)
-        held.hold_halo(whole, lambda part: coarse_halo(self, part, self._coarse_light, report))
+        self.hold_halo(rect, report)
         started = self._spent("halo", started)
         if held.point_sources is not None:
-            held.hold_point_sources(whole, report)
+            held.hold_point_sources(aligned(seen, self.period), report)
             started = self._spent("point sources", started)
         held.hold_scene(seen)
         started = self._spent("scene", started)
         held.hold_kernels(rect, tile_px, report)
         self._spent("kernels", started)
+
+    def hold_halo(self, rect: Rect, report: Progress) -> None:
+        """Bring the halo of a rectangle onto the device: that of all its parts."""
+        whole = aligned(self.on_device.lit(rect), self.period)
+        with self.device.pool.within(self.memory_bytes):
+            self.on_device.hold_halo(
+                whole, lambda part: coarse_halo(self, part, self._coarse_light, report)
+            )
 
     def _coarse_light(
         self, camera: CoarseCamera, scene: Scene, accuracy: Accuracy, rect: Rect
@@ -332,6 +340,8 @@ class Renderer:
             costs=self.costs,
             noise=False,
             method="fft",
+            # A level is a tail itself: to plan where it might be cut took 2 s before photographs.
+            force=(WHOLE,),
         )
         self.coarse_plans[camera.level.pitch_um] = renderer.plan  # rectangles share it
         try:

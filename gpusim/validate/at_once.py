@@ -10,8 +10,9 @@ import os
 import signal
 import threading
 import warnings
-from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_EXCEPTION, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from multiprocessing.queues import SimpleQueue
 from typing import Any
@@ -40,27 +41,56 @@ def at_once(parts: Sequence[Part], progress: Progress) -> list[Any]:
     progress : callable
         Called with (what, done, total).
     """
+    with crew(progress) as workers:
+        for part in parts:
+            workers.begin(part)
+        return workers.results()
+
+
+class Crew:
+    """Processes, one for each core, that work on parts: see `crew`."""
+
+    def __init__(self, pool: ProcessPoolExecutor, told: SimpleQueue, progress: Progress) -> None:
+        self._pool, self._told, self._progress = pool, told, progress
+        self._made: list[Future] = []
+
+    def begin(self, part: Part) -> None:
+        """Hand over a part: it begins when a process is free, while the caller goes on."""
+        self._made.append(self._pool.submit(_measured, part))
+
+    def results(self) -> list[Any]:
+        """Wait for all parts, and return what they give; what failed ends the others."""
+        running = set(self._made)
+        while running:
+            done, running = wait(running, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
+            while not self._told.empty():
+                self._progress(*self._told.get())
+            for one in done:
+                one.result()
+        return [one.result() for one in self._made]
+
+
+@contextmanager
+def crew(progress: Progress) -> Iterator[Crew]:
+    """Start processes for parts, and end them.
+
+    Parameters
+    ----------
+    progress : callable
+        Called with (what, done, total), of the parts.
+    """
     adapter_costs(default_device())  # measured before: parts would slow one another's measurement
     context = get_context("spawn")  # a copy of this process would share its GPU's device
     told = context.SimpleQueue()
-    count = min(len(parts), os.cpu_count() or 1)
-    workers = ProcessPoolExecutor(count, context, _begin, (told,))
+    pool = ProcessPoolExecutor(os.cpu_count() or 1, context, _begin, (told,))
     try:
-        made = [workers.submit(_measured, part) for part in parts]
-        running = set(made)
-        while running:
-            done, running = wait(running, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
-            while not told.empty():
-                progress(*told.get())
-            for one in done:
-                one.result()  # what failed ends the others
-        return [one.result() for one in made]
+        yield Crew(pool, told, progress)
     except BaseException:
         for process in active_children():
             process.terminate()
         raise
     finally:
-        workers.shutdown(cancel_futures=True)
+        pool.shutdown(cancel_futures=True)
 
 
 def _begin(told: SimpleQueue) -> None:

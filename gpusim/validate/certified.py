@@ -13,6 +13,7 @@ from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.library.expose import lit
 from gpusim.library.light import Light
 from gpusim.plan import Accuracy
+from gpusim.plan.tiles import enclosing
 from gpusim.render import Capture, Renderer
 from gpusim.render.anew import Certified as WithCertificate
 from gpusim.render.anew import planned_anew
@@ -94,7 +95,7 @@ def certificate_section(
         f" at probe pixels: RMS within the tolerance, the worst within {WORST_TO_RMS:g} times it. "
         "Where rectangles of one frame were rendered, probes lie in each, and count together; they "
         "share the plan, the bank and the bank's part, for which the lens is traced anew in the "
-        "first one."
+        "first one; so do renders that differ in the sensor alone."
     )
     body = [
         [name, f"{one.tolerance:g}", f"{one.certificate.total_rms:.1e}",
@@ -149,7 +150,12 @@ def certified_tiles(
 
 
 def certified_lights(
-    camera: Camera, scene: Scene, accuracy: Accuracy, tiles: Sequence[Rect]
+    camera: Camera,
+    scene: Scene,
+    accuracy: Accuracy,
+    tiles: Sequence[Rect],
+    *,
+    like: WithCertificate | None = None,
 ) -> list[Light]:
     """Return the light of rectangles, each with a certificate.
 
@@ -161,13 +167,18 @@ def certified_lights(
     scene : Scene
     accuracy : Accuracy
     tiles : sequence of (x, y, width, height)
+    like : Light or Capture, optional
+        Of the same lens and scene, whose certificate has the bank's part: nothing is traced anew.
     """
     first, *others = (rectangle(tile, camera.sensor) for tile in tiles)
-    renderer, light = certified(
-        accuracy,
-        lambda asked: Renderer(camera, scene, asked),
-        lambda renderer: lit(renderer, first),
-    )
+
+    def made(asked: Accuracy) -> Renderer:
+        renderer = Renderer(camera, scene, asked)
+        renderer.judged = None if like is None else judged_as(like)
+        renderer.hold_halo(enclosing([first, *others]), lambda what, done, total: None)
+        return renderer
+
+    renderer, light = certified(accuracy, made, lambda renderer: lit(renderer, first))
     go_on(renderer, light, accuracy.probes)
     try:
         return [light, *(lit(renderer, one) for one in others)]
@@ -180,9 +191,14 @@ def go_on(renderer: Renderer, first: WithCertificate, probes: int | None) -> Non
 
     Eight probes take a second of one core; tracing the lens anew would take twelve.
     """
-    one = first.certificate
-    renderer.judged = Judged(Share(one.bank_rms, one.bank_worst, one.probes), one.window, ())
+    renderer.judged = judged_as(first)
     renderer.accuracy = replace(renderer.accuracy, probes=probes)
+
+
+def judged_as(one: WithCertificate) -> Judged:
+    """Return the bank's part and the window's of a certificate."""
+    found = one.certificate
+    return Judged(Share(found.bank_rms, found.bank_worst, found.probes), found.window, ())
 
 
 Taken = TypeVar("Taken", bound=WithCertificate)

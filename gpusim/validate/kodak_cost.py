@@ -13,9 +13,9 @@ every third of its pixels, both ways, is one of the camera's. Its time holds the
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -23,7 +23,7 @@ import numpy as np
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.pareto.knobs import oversampled
-from gpusim.plan import Accuracy
+from gpusim.plan import Accuracy, Plan
 from gpusim.render import Renderer
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
@@ -35,9 +35,12 @@ from gpusim.validate.kodak import (
     band_of,
     even_light,
     mono_sensor,
+    targets,
 )
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Predictor
+
+Tile = tuple[int, int, int, int]  # x, y, width, height
 
 SAMPLES = (2, 3, 4, 8)  # per pixel
 EDGES = (1, 5)  # of table 1: on the axis, where PSFs are sharpest, and the one of figures 9 and 12
@@ -107,54 +110,48 @@ def finer(sensor: Sensor, apart: int) -> Sensor:
     return sensor.unchecked(**changes)
 
 
-def measure_costs(
+@dataclass(frozen=True, eq=False)
+class Grids:
+    """The plans of sim grids, and the errors of edges on them by place: each by N."""
+
+    plans: Mapping[int, Plan]
+    errors: Mapping[int, Mapping[int, Error]]
+
+
+def measure_grids(
     lens: Prescription,
-    target: Target,
     predictor: Predictor,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> Costs:
-    """Render edges of a target at every N, and time it.
+) -> Grids:
+    """Render the near-vertical edges at every N, and hold them against the finest grid.
 
     Parameters
     ----------
     lens : Prescription
-    target : Target
-        The near-vertical edges.
     predictor : Predictor
     progress : callable
         Called with (what, done, total).
     """
     sensor, band = mono_sensor(REFERENCE), band_of(REFERENCE)
-    scene = lit(target.chart)
+    target = targets(predictor, sensor)[0]
     places = [place for place in TABLE_1 if place.number in EDGES]
-    regions = [region_of(place, target.axis, sensor) for place in places]
+    regions = regions_of(target)
     flat = even_light(sensor, predictor, band)
-    camera = Camera(lens=lens, sensor=sensor, title="stand-in, sim grids")
+    plans: dict[int, Plan] = {}
+    pictures: dict[int, list[np.ndarray]] = {}
     with ExitStack() as kept:
-        takers, prepared = [], {}
-        for number, samples in enumerate((*SAMPLES, FINEST)):
-            progress("sim grids", number, len(SAMPLES) + 2)
-            apart = samples if samples % 2 else 1
-            seen = replace(camera, sensor=finer(sensor, apart))
-            make = partial(Renderer, seen, scene, Accuracy(TOLERANCE, 0), noise=False)
-            if apart not in prepared:
-                prepared[apart] = make()
-                kept.callback(prepared[apart].release)
-            plan = oversampled(prepared[apart], samples // apart)
-            renderer = make(plan=plan)
-            kept.callback(renderer.release)
-            takers.append(partial(taken, renderer, apart))
-        *pictures, finest = [take(regions) for take in takers]
-        progress("sim grids", len(SAMPLES) + 1, len(SAMPLES) + 2)
-        for take in takers[:-1]:  # what a region's first frame prepares is not a frame's time
-            take(regions[:1])
-        seconds: list[list[float]] = [[] for _ in SAMPLES]
-        for _ in range(ROUNDS):
-            for take, times in zip(takers[:-1], seconds, strict=True):
-                started = time.perf_counter()
-                take(regions[:1])
-                times.append(time.perf_counter() - started)
-    progress("sim grids", len(SAMPLES) + 2, len(SAMPLES) + 2)
+        planned: dict[int, Renderer] = {}
+        for samples in (*SAMPLES, FINEST):
+            progress("sim grids", len(plans), len(SAMPLES) + 1)
+            apart = apart_for(samples)
+            if apart not in planned:
+                planned[apart] = kept.enter_context(opened(lens, target, apart))
+            plans[samples] = oversampled(planned[apart], samples // apart)
+            with opened(lens, target, apart, plans[samples]) as renderer:
+                pictures[samples] = taken(renderer, apart, regions)
+    progress("sim grids", len(SAMPLES) + 1, len(SAMPLES) + 1)
+    del plans[FINEST]
+    finest = pictures.pop(FINEST)
 
     def error(k: int, picture: np.ndarray) -> Error:
         shown = picture / cut(flat, regions[k])
@@ -162,22 +159,86 @@ def measure_costs(
         rms = float(np.sqrt(np.mean((picture / finest[k] - 1) ** 2)))
         return Error(rms, float(edge.error_px), edge.mtf_error)
 
+    errors = {
+        samples: {place.number: error(k, own[k]) for k, place in enumerate(places)}
+        for samples, own in pictures.items()
+    }
+    return Grids(plans, errors)
+
+
+def timed(
+    lens: Prescription,
+    target: Target,
+    grids: Grids,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Costs:
+    """Time the first region on every grid, by renderers that are prepared.
+
+    Parameters
+    ----------
+    lens : Prescription
+    target : Target
+        The near-vertical edges.
+    grids : Grids
+    progress : callable
+        Called with (what, done, total) rounds.
+    """
+    first = regions_of(target)[:1]
+    with ExitStack() as kept:
+        takers = []
+        for samples, plan in grids.plans.items():
+            apart = apart_for(samples)
+            renderer = kept.enter_context(opened(lens, target, apart, plan))
+            takers.append(partial(taken, renderer, apart, first))
+        for take in takers:  # what a region's first frame prepares is not a frame's time
+            take()
+        seconds: list[list[float]] = [[] for _ in takers]
+        for number in range(ROUNDS):
+            progress("sim grids, timed", number, ROUNDS)
+            for take, times in zip(takers, seconds, strict=True):
+                started = time.perf_counter()
+                take()
+                times.append(time.perf_counter() - started)
+    progress("sim grids, timed", ROUNDS, ROUNDS)
     return Costs(
         [
-            Cost(samples, {place.number: error(k, own[k]) for k, place in enumerate(places)}, times)
-            for samples, own, times in zip(SAMPLES, pictures, seconds, strict=True)
+            Cost(samples, grids.errors[samples], times)
+            for samples, times in zip(grids.plans, seconds, strict=True)
         ]
     )
 
 
-def taken(
-    renderer: Renderer, apart: int, regions: Sequence[tuple[int, int, int, int]]
-) -> list[np.ndarray]:
+def apart_for(samples: int) -> int:
+    """Return how many times as close pixels lie where N samples are asked for."""
+    return samples if samples % 2 else 1
+
+
+@contextmanager
+def opened(
+    lens: Prescription, target: Target, apart: int, plan: Plan | None = None
+) -> Iterator[Renderer]:
+    """Yield a renderer of a target before the sensor whose pixels are so many times as close."""
+    sensor = finer(mono_sensor(REFERENCE), apart)
+    camera = Camera(lens=lens, sensor=sensor, title="stand-in, sim grids")
+    renderer = Renderer(camera, lit(target.chart), Accuracy(TOLERANCE, 0), noise=False, plan=plan)
+    try:
+        yield renderer
+    finally:
+        renderer.release()
+
+
+def regions_of(target: Target) -> list[Tile]:
+    """Return the regions of the edges."""
+    sensor = mono_sensor(REFERENCE)
+    return [region_of(place, target.axis, sensor) for place in TABLE_1 if place.number in EDGES]
+
+
+def taken(renderer: Renderer, apart: int, regions: Sequence[Tile]) -> list[np.ndarray]:
     """Return the electrons/s of regions, made anew, at the camera's own pixels."""
     renderer.drop_light()
     found = []
-    for x, y, width, height in regions:
-        tile = apart * x, apart * y, apart * width, apart * height
+    for region in regions:
+        tile = tuple(apart * side for side in region)
         rate = renderer.capture(EXPOSURE_S, tile=tile, keep=("rate",)).rate
         found.append(rate[apart // 2 :: apart, apart // 2 :: apart].astype(float))
     return found

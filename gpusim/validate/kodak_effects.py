@@ -30,15 +30,16 @@ from scipy.stats import norm
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.library.expose import expose
-from gpusim.library.irradiance import band_images
+from gpusim.library.irradiance import on_tile, without_array
 from gpusim.library.light import Light
+from gpusim.plan import Accuracy
 from gpusim.scene import make_scene
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.noise_model import Masks
 from gpusim.sensor.readout import Shot
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
-from gpusim.validate.certified import Certified
+from gpusim.validate.certified import Certified, certified_lights, pooled
 from gpusim.validate.kodak import BANDS, EXPOSURE_S, SENSOR
 
 SCENE = "kodak-squares"
@@ -125,29 +126,31 @@ def measure_effects(
 ) -> tuple[Effects, Light]:
     """Render the squares, and each effect on and off; return the light without effects too."""
     sensor, own, scene = plain_sensor(), load_sensor(SENSOR), make_scene(SCENE)
-    total = 5
+    total = 4
 
-    def lit(sensor: Sensor, tile: tuple[int, int, int, int] | None) -> Light:
-        camera = Camera(lens=lens, sensor=sensor, title="stand-in, squares")
-        return expose(camera, scene, TOLERANCE, probes=PROBES, tile=tile)
+    def seen(sensor: Sensor) -> Camera:
+        return Camera(lens=lens, sensor=sensor, title="stand-in, squares")
 
-    def imaged(tile: tuple[int, int, int, int]) -> np.ndarray:
-        camera = Camera(lens=lens, sensor=sensor, title="stand-in, bands")
-        nm = np.array(sensor.quantum_efficiency.wavelengths_nm)
-        curves = np.array([sensor.quantum_efficiency.channels[name] for name in BANDS])
-        return EXPOSURE_S * band_images(camera, scene, nm, curves, TOLERANCE, tile=tile)
+    def lit(camera: Camera, *tiles: tuple[int, int, int, int]) -> list[Light]:
+        accuracy = Accuracy(TOLERANCE, PROBES)
+        return certified_lights(camera, scene, accuracy, tiles, like=light)
 
     progress("squares", 0, total)
-    light = lit(sensor, None)
+    light = expose(seen(sensor), scene, TOLERANCE, probes=PROBES)
     progress("squares", 1, total)
-    upper = imaged(UPPER)
+    nm = np.array(sensor.quantum_efficiency.wavelengths_nm)
+    curves = np.array([sensor.quantum_efficiency.channels[name] for name in BANDS])
+    bands = lit(without_array(seen(sensor), nm, curves), UPPER, CORNER)
+    upper, corner = (
+        EXPOSURE_S * on_tile(one, tile).transpose(1, 2, 0)
+        for one, tile in zip(bands, (UPPER, CORNER), strict=True)
+    )
     progress("squares", 2, total)
-    corner = imaged(CORNER)
+    glare = sensor.model_copy(update={"veiling_glare": own.veiling_glare})
+    (flare,) = lit(seen(glare), CORNER)
     progress("squares", 3, total)
-    flare = lit(sensor.model_copy(update={"veiling_glare": own.veiling_glare}), CORNER)
-    progress("squares", 4, total)
     shifted = sensor.cfa.model_copy(update={"shift_px": SHIFT_PX})
-    beside = lit(Sensor(**{**dict(sensor), "cfa": shifted}), CORNER)
+    (beside,) = lit(seen(Sensor(**{**dict(sensor), "cfa": shifted})), CORNER)
     progress("squares", total, total)
 
     off = read(light, sensor)
@@ -164,7 +167,7 @@ def measure_effects(
     certificates = {
         name: Certified(one.certificate, TOLERANCE)
         for name, one in (("squares", light), ("flare", flare), ("misregistration", beside))
-    }
+    } | {"squares in three full bands, two corners": pooled(bands, TOLERANCE)}
     for one in (flare, beside):
         one.release()
     return Effects(off, upper, found, certificates), light

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from gpusim.validate.at_once import Progress, at_once
+from gpusim.validate.at_once import Progress, crew
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certificate_bar
 from gpusim.validate.kodak import (
@@ -18,10 +18,11 @@ from gpusim.validate.kodak import (
     stand_in,
     targets,
 )
-from gpusim.validate.kodak_cost import Costs, measure_costs
+from gpusim.validate.kodak_cost import Costs, measure_grids, timed
 from gpusim.validate.kodak_effects import Effects, measure_effects
 from gpusim.validate.kodak_noise import Hues, Noises, measure_hues, measure_noises
 from gpusim.validate.kodak_psf import PointSpreads, measure_psfs
+from gpusim.validate.predict import Predictor
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +57,24 @@ def measured(
     own : bool
         Whether our tracer predicts, which is not independent.
     """
-    parts = [_squares, *(partial(_edges, own, where) for where in SHEETS)]
-    (effects, hues, noises), *edges = at_once(parts, progress)
     lens = stand_in()
-    progress("predictions", 0, 2)
-    predictor = predictor_of(lens, own=own)
-    progress("predictions", 1, 2)
+    with crew(progress) as workers:
+        workers.begin(_squares)
+        progress("predictions", 0, 1)
+        predictor = predictor_of(lens, own=own)
+        progress("predictions", 1, 1)
+        for where in SHEETS:
+            workers.begin(partial(_edges, predictor, where))
+        workers.begin(partial(measure_grids, lens, predictor))
+        (effects, hues, noises), *edges, grids = workers.results()
     psfs = measure_psfs(lens, predictor)
-    progress("predictions", 2, 2)
     vertical = targets(predictor, mono_sensor(REFERENCE))[0]
-    costs = measure_costs(lens, vertical, predictor, progress)
+    costs = timed(lens, vertical, grids, progress)
     return Measured(Edges.of(edges), psfs, effects, hues, noises, costs)
 
 
-def _edges(own: bool, where: str, progress: Progress) -> Edges:
-    lens = stand_in()
-    return measure_edges(lens, predictor_of(lens, own=own), progress, sheets=(where,))
+def _edges(predictor: Predictor, where: str, progress: Progress) -> Edges:
+    return measure_edges(stand_in(), predictor, progress, sheets=(where,))
 
 
 def _squares(progress: Progress) -> tuple[Effects, Hues, Noises]:

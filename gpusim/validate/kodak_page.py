@@ -62,10 +62,6 @@ TEXTS = {
 }
 # Renders without a certificate, and why.
 WITHOUT = {
-    "squares in three full bands, two corners": (
-        "lens, tolerance and bank are those of the squares; the filter array's bar holds one "
-        "corner against these, site by site, and the other one is shown only"
-    ),
     "edges 1 and 5 at N = 2, 3, 4, 8 and 16": (
         "what their sim grids err by is measured there: N is given, not planned for a tolerance"
     ),

@@ -19,10 +19,17 @@ from gpusim.validate.at_once import Progress, at_once
 from gpusim.validate.certified import certificate_bar, certificate_numbers, certificate_section
 from gpusim.validate.predict import Predictor
 from gpusim.validate.report import Report, Rows, Section
-from gpusim.validate.samsung_camera import LENSES, STANDARD, lens_of, predictor_of
+from gpusim.validate.samsung_camera import (
+    LENSES,
+    LINES_NM,
+    STANDARD,
+    Optics,
+    lens_of,
+    predictor_of,
+)
 from gpusim.validate.samsung_colour import PATCHES, Colours, measure_colours
 from gpusim.validate.samsung_corners import Corners, measure_corners
-from gpusim.validate.samsung_edges import LINES_NM, Edges, measure_edges
+from gpusim.validate.samsung_edges import Edges, measure_edges
 from gpusim.validate.samsung_noise import EXPOSURES_S, ISOS, SIGNAL_BAR, Noise, measure_noise
 from gpusim.validate.samsung_qe import CHANNELS, Efficiency, measure_qe
 from gpusim.validate.tracers import SHARED, independence_bar
@@ -56,8 +63,15 @@ def validated(
     own : bool
         Whether our tracer predicts, which is not independent.
     """
-    parts = measure_edges, measure_corners, _efficiency, _colours, _noise
-    return report(*at_once([partial(part, own) for part in parts], progress))
+    parts = [*(partial(_lines, one) for one in LENSES), _efficiency, _colours, _noise]
+    *lines, efficiency, colours, noise = at_once([partial(part, own) for part in parts], progress)
+    edges, corners = zip(*lines, strict=True)
+    return report(Edges.of(edges), Corners.of(corners), efficiency, colours, noise)
+
+
+def _lines(optics: Optics, own: bool, progress: Progress) -> tuple[Edges, Corners]:
+    """Return edges and corners of one lens, which share its rays."""
+    return measure_edges(own, progress, [optics]), measure_corners(own, progress, [optics])
 
 
 def _efficiency(own: bool, progress: Progress) -> Efficiency:

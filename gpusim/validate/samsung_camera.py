@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from gpusim.validate.tracers import OwnTracer, refracted_losses, tracer_of
 SENSOR = "imx477"
 REFERENCE_NM = 567.0  # of the field angle: the middle one of the paper's wavelengths
 SPARE = 1.02  # of the field, beyond the sensor's corners
+LINES_NM = {"B": 456.0, "G": REFERENCE_NM, "R": 656.0}  # the paper's
+REACH_OF_FIELD = 0.8  # to which rays are traced: optiland aims at no more of a fisheye
 LINE_NM = 5.0  # of the spectral samples, between two of which a line of light is shared
 LINE_QE = 0.6  # of the channel that sees a line: near the sensor's own peaks
 
@@ -73,6 +76,14 @@ def predictor_of(
     """Return what predicts pictures before a lens: by optiland, or by our tracer."""
     losses = refracted_losses(system, nodes_nm)
     return Predictor(tracer_of(system, own=own), widest_rad, nodes_nm, losses, pupils=pupils)
+
+
+@cache
+def lines_predictor(optics: Optics, own: bool) -> Predictor:
+    """Return what predicts pictures of a stand-in at the paper's wavelengths."""
+    widest = REACH_OF_FIELD * math.radians(optics.full_deg / 2)
+    nodes = np.array(sorted(LINES_NM.values()))
+    return predictor_of(build(lens_of(optics)), widest, nodes, own=own, pupils=9)
 
 
 def lines_sensor(pattern: list[list[str]], lines_nm: dict[str, float]) -> Sensor:

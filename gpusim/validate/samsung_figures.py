@@ -8,10 +8,10 @@ from matplotlib.figure import Figure
 
 from gpusim.report.drawing import INK, LINE, SOFT, STYLE, panel, titles
 from gpusim.scene.spectra import colour_matching
-from gpusim.validate.samsung_camera import LENSES
+from gpusim.validate.samsung_camera import LENSES, LINES_NM
 from gpusim.validate.samsung_colour import PATCHES, XY_BAR, Colours, xy
 from gpusim.validate.samsung_corners import CORNER_BAR_PX, Corners
-from gpusim.validate.samsung_edges import ESF_BAR, LINES_NM, PLACES, Edges
+from gpusim.validate.samsung_edges import ESF_BAR, PLACES, Edges
 from gpusim.validate.samsung_noise import ISOS, Noise
 from gpusim.validate.samsung_qe import CHANNELS, SHOWN_NM, Efficiency
 

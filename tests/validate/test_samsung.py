@@ -30,6 +30,8 @@ from gpusim.validate.edges import predicted_lsf
 from gpusim.validate.samsung import report
 from gpusim.validate.samsung_camera import (
     LENSES,
+    LINES_NM,
+    REACH_OF_FIELD,
     STANDARD,
     WIDE,
     corner_mm,
@@ -194,7 +196,7 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
         if planted:
             other = build(other_lens(standard))
             true = predictor_of(other, widest, nodes, own=True, pupils=5)
-    sensor = lines_sensor(edges.PATTERN, edges.LINES_NM)
+    sensor = lines_sensor(edges.PATTERN, LINES_NM)
     places, target = edges.places_of(STANDARD, predictor, sensor)
     place = places["tangential"]
     left, top, width, height = edges.region_of(place, sensor)
@@ -217,7 +219,7 @@ def test_edges_hold_as_the_rays_predict_them(standard, system, planted):
 def cornered(standard, system):
     """Return what predicts corners before the standard lens, and before one a little off."""
     nodes = corners.REFERENCE_NM + np.array([-10.0, 0.0, 10.0])
-    widest = math.radians(corners.REACH_OF_FIELD * STANDARD.full_deg / 2)
+    widest = math.radians(REACH_OF_FIELD * STANDARD.full_deg / 2)
     with threadpool_limits(1):
         return [
             predictor_of(one, widest, nodes, own=True, pupils=5)
