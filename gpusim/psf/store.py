@@ -210,6 +210,7 @@ def from_cache(
     path = folder / f"{_key(kind.__name__ + name, prescription, settings)}.nc"
     held = _in_use.get(path)
     if held is not None:
+        _used(path)
         return cast(AnyStored, held)
     if path.exists():
         try:

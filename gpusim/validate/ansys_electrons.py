@@ -98,7 +98,8 @@ def electrons_of(
         (round(side / 2 * (1 + x) - EVEN / 2), round(side / 2 * (1 + y) - EVEN / 2), EVEN, EVEN)
         for x, y in EVEN_AT
     ]
-    captures = certified_tiles(camera, scene, Accuracy(TOLERANCE, PROBES), EXPOSURE_S, tiles)
+    accuracy = Accuracy(TOLERANCE, PROBES // len(tiles))  # pixels of an even scene are all alike
+    captures = certified_tiles(camera, scene, accuracy, EXPOSURE_S, tiles)
     for (left, top, _, _), capture in zip(tiles, captures, strict=True):
         x_mm, y_mm = ((at + (EVEN - side) / 2) * pitch_mm for at in (left, top))
         away_mm = math.hypot(x_mm, y_mm)

@@ -7,7 +7,7 @@ from functools import partial
 
 from gpusim.validate.ansys import READINGS, Read, Reading, read
 from gpusim.validate.ansys_electrons import EvenScene
-from gpusim.validate.ansys_mtf import Sharpness, even_scene, sharpness
+from gpusim.validate.ansys_mtf import Sharpness, even_scene, sharpness, through_focus
 from gpusim.validate.at_once import Progress, at_once
 
 
@@ -28,9 +28,12 @@ def measured(progress: Progress = lambda what, done, total: None) -> Measured:
     progress : callable
         Called with (what, done, total).
     """
-    edges, targets = ([partial(of, one) for one in READINGS] for of in (sharpness, read))
-    found = at_once([*edges, *targets, partial(_even, READINGS[0])], progress)
-    return Measured(found[len(edges) : -1], found[: len(edges)], found[-1])
+    of_each, count = (through_focus, sharpness, read), len(READINGS)
+    parts = [partial(of, one) for of in of_each for one in READINGS]
+    even, *found = at_once([partial(_even, READINGS[0]), *parts], progress)
+    focus, edges, targets = (found[first : first + count] for first in range(0, 3 * count, count))
+    sharp = [one.with_focus(*own) for one, own in zip(edges, focus, strict=True)]
+    return Measured(targets, sharp, even)
 
 
 def _even(reading: Reading, progress: Progress) -> EvenScene:

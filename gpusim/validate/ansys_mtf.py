@@ -16,11 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gpusim.camera import Camera
+from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import first_order
 from gpusim.scene import make_scene
 from gpusim.sensor.sensor import Sensor
@@ -32,7 +33,6 @@ from gpusim.validate.ansys_pixel import angular, radiometric
 from gpusim.validate.ansys_square import (
     LAMP,
     ROIS,
-    TOLERANCE,
     Square,
     band_of,
     predicted_mtf,
@@ -42,7 +42,7 @@ from gpusim.validate.ansys_targets import LUMINANCE_CD_M2, half_um
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import Certified, certificate_bar
 from gpusim.validate.edges import ROI_PX, Found
-from gpusim.validate.predict import CHIEF_FIELDS, FIELDS
+from gpusim.validate.predict import CHIEF_FIELDS, FIELDS, Predictor
 
 SPARE_PX = 24  # of the field, beyond the regions: PSFs and the slopes about the edges
 SHIFTS_UM = (-10.0, 10.0, 20.0)  # of the image plane: figure 14
@@ -74,7 +74,7 @@ class Sharpness:
         By map, "electrons" or, of the paper's simulation, "irradiance", and region.
     noise : dict of int to Noise
     focus : list of Focus
-        By shift, 0 among them.
+        By shift, 0 among them; 0 alone until the others are measured: see `with_focus`.
     models : dict of str to ndarray (F,)
         MTFs of ROI 3 by limits and simpler models.
     opened : list of Opened
@@ -94,6 +94,11 @@ class Sharpness:
     opened: list[Opened]
     certificates: dict[str, Certified]
     regions: dict[int, tuple[int, int, int, int]]
+
+    def with_focus(self, found: list[Focus], certificates: dict[str, Certified]) -> Sharpness:
+        """Return it with what `through_focus` gave."""
+        focus = sorted([*self.focus, *found], key=lambda one: one.shift_um)
+        return replace(self, focus=focus, certificates=self.certificates | certificates)
 
     @property
     def q(self) -> float:
@@ -144,6 +149,24 @@ def cropped(reading: Reading) -> Sensor:
     return reading.sensor.model_copy(update={"rows": side, "cols": side})
 
 
+def narrowed(reading: Reading) -> Prescription:
+    """Return a reading's lens with the field that the square needs: renders cost by it."""
+    corner_mm = 1e-3 * math.hypot(reach_px(reading), ROI_PX[1] / 2) * reading.pitch_um
+    return reading.lens.limited(math.degrees(math.atan(WIDER * corner_mm / reading.efl_mm)))
+
+
+def rendered(shift_um: float, square: Square) -> Focus:
+    """Return ROI 3 as it was rendered."""
+    one = square.found(SHOWN)
+    return Focus(shift_um, one.measured_mtf, one.predicted_mtf)
+
+
+def by_rays(shift_um: float, lens: Prescription, sensor: Sensor, predictor: Predictor) -> Focus:
+    """Return ROI 3 by rays alone."""
+    camera = Camera(lens=lens, sensor=sensor, title="stand-in")
+    return Focus(shift_um, None, predicted_mtf(SHOWN, camera, predictor))
+
+
 def even_scene(reading: Reading) -> EvenScene:
     """Render an even scene, and predict its electrons by equation 1."""
     sensor = angular(reading.sensor)
@@ -169,17 +192,11 @@ def sharpness(
     progress : callable, optional
         Called with (what, done, total).
     """
-    positions = sorted((0.0, *SHIFTS_UM))
-    what, total = f"edges, {reading.name}", 2 + len(positions)
-    steps = iter(range(total))
-    base, far_px = cropped(reading), reach_px(reading)
-    # A lens's first render costs by its field.
-    corner_mm = 1e-3 * math.hypot(far_px, ROI_PX[1] / 2) * base.pixel_pitch_um
-    lens = reading.lens.limited(math.degrees(math.atan(WIDER * corner_mm / reading.efl_mm)))
-    predictor = predictor_of(lens, base, far_px)
-    found, certificates, noise, focus = {}, {}, {}, []
-
-    progress(what, next(steps), total)
+    base, lens = cropped(reading), narrowed(reading)
+    predictor = predictor_of(lens, base, reach_px(reading))
+    found, certificates, noise = {}, {}, {}
+    maps = 1 + reading.simulated
+    progress(f"edges, {reading.name}", 0, maps)
     with closing(Square(lens, angular(base), predictor)) as square:
         certificates["electrons"] = square.certificate
         found |= {("electrons", number): square.found(number) for number in ROIS}
@@ -189,25 +206,44 @@ def sharpness(
         models = models_of(square, lens)
         aside = (reading.pixels - base.cols) // 2
         regions = {n: (x + aside, y + aside, *size) for n, (x, y, *size) in square.regions.items()}
-    progress(what, next(steps), total)
     if reading.simulated:  # at 3 mm it shares no PSFs with the electron map: 30 s of two cores
         with closing(Square(lens, radiometric(base), predictor)) as square:
             certificates["irradiance"] = square.certificate
             found |= {("irradiance", number): square.found(number) for number in ROIS}
-    for shift in positions:
-        progress(what, next(steps), total)
-        moved = lens.defocused(shift)
-        predictor = predictor_of(moved, base, far_px)
-        if not reading.simulated:
-            camera = Camera(lens=moved, sensor=base, title="stand-in")
-            focus.append(Focus(shift, None, predicted_mtf(SHOWN, camera, predictor)))
-            continue
-        half = TOLERANCE / 2  # a loss is the difference of two renders
-        with closing(Square(moved, base, predictor, (SHOWN,), tolerance=half)) as square:
-            certificates[f"image plane {shift:+g} um"] = square.certificate
-            one = square.found(SHOWN)
-        focus.append(Focus(shift, one.measured_mtf, one.predicted_mtf))
-    progress(what, total, total)
+            still = rendered(0.0, square)
+    else:
+        still = by_rays(0.0, lens, base, predictor)
+    progress(f"edges, {reading.name}", maps, maps)
     number = first_order(lens).f_number
     spots = opened(reading.lens)
-    return Sharpness(reading, number, found, noise, focus, models, spots, certificates, regions)
+    return Sharpness(reading, number, found, noise, [still], models, spots, certificates, regions)
+
+
+def through_focus(
+    reading: Reading,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> tuple[list[Focus], dict[str, Certified]]:
+    """Return ROI 3 with the image plane moved, with the certificates of the renders.
+
+    Rendered in a map of irradiance, as `sharpness` has it where the plane is not moved.
+
+    Parameters
+    ----------
+    reading : Reading
+    progress : callable, optional
+        Called with (what, done, total).
+    """
+    base, lens = cropped(reading), narrowed(reading)
+    found, certificates = [], {}
+    for done, shift in enumerate(SHIFTS_UM):
+        progress(f"focus, {reading.name}", done, len(SHIFTS_UM))
+        moved = lens.defocused(shift)
+        predictor = predictor_of(moved, base, reach_px(reading))
+        if not reading.simulated:
+            found.append(by_rays(shift, moved, base, predictor))
+            continue
+        with closing(Square(moved, radiometric(base), predictor, (SHOWN,))) as square:
+            certificates[f"image plane {shift:+g} um"] = square.certificate
+            found.append(rendered(shift, square))
+    progress(f"focus, {reading.name}", len(SHIFTS_UM), len(SHIFTS_UM))
+    return found, certificates

@@ -156,8 +156,8 @@ def _sharpness(sharp: list[Sharpness], charts: list[np.ndarray]) -> list[Section
         ),
         Section(
             "Through focus, as figure 14 of the paper.",
-            "The image plane is moved and the lens prepared anew; predicted by rays to the moved "
-            "plane. At 3 mm by rays alone.",
+            "The image plane is moved and the lens prepared anew, in a map of irradiance; "
+            "predicted by rays to the moved plane. At 3 mm by rays alone.",
             "focus",
             draw_focus(sharp),
             losses(sharp),

@@ -101,8 +101,6 @@ class Square:
         sensor: Sensor,
         predictor: Predictor,
         numbers: Collection[int] = tuple(ROIS),
-        *,
-        tolerance: float = TOLERANCE,
     ) -> None:
         self.sensor, self.predictor = sensor, predictor
         camera = Camera(lens=lens, sensor=sensor, title="stand-in")
@@ -114,11 +112,11 @@ class Square:
         }
         self.captures: dict[int, Capture] = {}
         self.renderer, _ = certified(
-            Accuracy(tolerance, PROBES // len(numbers)),
+            Accuracy(TOLERANCE, PROBES // len(numbers)),
             lambda accuracy: Renderer(camera, scene, accuracy, noise=True),
             self._lit,
         )
-        self.certificate = pooled(list(self.captures.values()), tolerance)
+        self.certificate = pooled(list(self.captures.values()), TOLERANCE)
         self.rates = {number: one.rate for number, one in self.captures.items()}
         brightest = max(float(rate.max()) for rate in self.rates.values())
         self.exposure_s = FILLED * sensor.full_well_e / brightest

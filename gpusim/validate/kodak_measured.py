@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
+from threadpoolctl import threadpool_limits
+
 from gpusim.validate.at_once import Progress, crew
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certificate_bar
@@ -61,7 +63,8 @@ def measured(
     with crew(progress) as workers:
         workers.begin(_squares)
         progress("predictions", 0, 1)
-        predictor = predictor_of(lens, own=own)
+        with threadpool_limits(1):  # OpenBLAS's own threads wait by spinning
+            predictor = predictor_of(lens, own=own)
         progress("predictions", 1, 1)
         for where in SHEETS:
             workers.begin(partial(_edges, predictor, where))

@@ -11,6 +11,7 @@ from gpusim.plan.tiles import (
     STRIP_PLANES,
     Rect,
     aligned,
+    enclosing,
     halves,
     strip_bytes,
     strips,
@@ -89,6 +90,11 @@ def test_strips_take_the_memory_that_is_counted_for_them(rect: Rect):
         assert all(STRIP_PLANES * 4 * height * width <= counted for _, _, height, width in parts)
         # A sixteenth, with the classes of the pool, or a single row.
         assert counted <= 1.5 * budget / 16 or {part[2] for part in parts} == {1}
+
+
+def test_the_rectangle_around_others_is_the_smallest_that_holds_them():
+    assert enclosing([(3, 5, 1, 2)]) == (3, 5, 1, 2)
+    assert enclosing([(3, 5, 1, 2), (-2, 6, 3, 8), (0, 4, 9, 1)]) == (-2, 4, 11, 10)
 
 
 def test_a_rectangle_grows_to_whole_patterns():

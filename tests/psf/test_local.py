@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from optics.made import bank, monochrome, scene, sensor
+from optics.made import StubCamera, bank, monochrome, scene, sensor
 
+from gpusim.plan import Accuracy
+from gpusim.plan.costs import LAVAPIPE
 from gpusim.psf.local import HEIGHTS, local_psfs
+from gpusim.render import Capture, Renderer
 
 
 def centroid(light: np.ndarray, side_um: float) -> np.ndarray:
@@ -48,3 +52,17 @@ def test_one_colour_is_one_picture():
     found = local_psfs(bank(), monochrome(64, 96), scene())
     assert found.light.ndim == 3
     assert 0 < found.light[0].sum() <= 1 + 1e-5
+
+
+def test_a_capture_makes_them_where_they_are_asked_for(monkeypatch):
+    made = []
+    monkeypatch.setattr(
+        sys.modules[Capture.__module__], "local_psfs", lambda *given: made.append(given) or "these"
+    )
+    camera = StubCamera(bank(), sensor(64, 96))
+    renderer = Renderer(camera, scene(), Accuracy(1e-2, 0), costs=LAVAPIPE, noise=False)
+    found = renderer.capture(0.01)
+    assert not made
+    assert found.psfs == found.psfs == "these"
+    assert made == [(renderer.core, camera.sensor, renderer.scene)]
+    renderer.release()

@@ -1,7 +1,9 @@
 """The cache of what is known of lenses: bounded, the least recently used go first."""
 
+import gc
 import os
 import time
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -91,6 +93,31 @@ def test_a_bank_that_was_used_again_outlives_one_that_was_not(tmp_path, monkeypa
     assert first.exists() and not second.exists()
     ask(1)
     assert made == [0, 1, 2, 1]
+
+
+def test_what_a_process_uses_is_read_once_and_not_kept_for_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    lens = load_prescription("double-gauss")
+
+    def ask():
+        return from_cache(Bank, lambda prescription, progress=None: made_bank(size=16), lens, {})
+
+    first = ask()
+    assert ask() is first
+    gone = weakref.ref(first)
+    del first
+    gc.collect()
+    assert gone() is None
+    (path,) = tmp_path.rglob("*.nc")
+    read, load = [], Bank.load
+
+    def counted(path, *, sealed):
+        read.append(path)
+        return load(path, sealed=sealed)
+
+    monkeypatch.setattr(Bank, "load", counted)
+    again = ask()
+    assert ask() is again and read == [path]
 
 
 def test_packed_numbers_are_refused_by_name(tmp_path):

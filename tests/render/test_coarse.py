@@ -1,10 +1,38 @@
-"""The halo's coarse renders: rectangles of one frame share their plans."""
+"""The halo's coarse renders: rectangles of one frame share their plans, or one halo."""
 
 from gpusim.camera import load_camera
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
 from gpusim.render import Renderer, planning
 from gpusim.scene import make_scene
+
+
+def test_parts_of_a_rectangle_whose_halo_is_held_have_it():
+    camera, scene = load_camera("machine-vision"), make_scene("slanted-edge")
+    made, light = [], Renderer._coarse_light
+
+    class Counted(Renderer):
+        def _coarse_light(self, *given):
+            made.append(given)
+            return light(self, *given)
+
+    def rates(of: Renderer) -> list:
+        tiles = (0, 64, 16, 16), (256, 64, 16, 16)
+        return [of.capture(0.01, tile=tile, keep=("rate",)).rate for tile in tiles]
+
+    shared, alone = (Counted(camera, scene, Accuracy(1e-2, 0), costs=LAVAPIPE) for _ in range(2))
+    shared.hold_halo((64, 0, 16, 272), lambda what, done, total: None)
+    levels = len(made)
+    held = rates(shared)
+    assert levels == len(shared.plan.halo) == len(made)
+    # No level is cut: it is a tail itself.
+    scales = [scale.name for plan in shared.coarse_plans.values() for scale in plan.scales]
+    assert scales == ["whole"] * levels
+    own = rates(alone)
+    assert len(made) == 3 * levels
+    assert all((a == b).all() for a, b in zip(held, own, strict=True))
+    shared.release()
+    alone.release()
 
 
 def test_rectangles_share_the_plans_of_the_halo(monkeypatch):

@@ -9,7 +9,7 @@ import psutil
 import pytest
 
 from gpusim.errors import UserError
-from gpusim.validate.at_once import at_once
+from gpusim.validate.at_once import at_once, crew
 
 LONG_S = 60.0  # of a part that is ended before
 
@@ -30,6 +30,11 @@ def waits_as(file, progress):
     time.sleep(LONG_S)
 
 
+def told_as(file, progress):
+    file.touch()
+    return "told"
+
+
 def fails(progress):
     raise UserError("the light is out", field="light", value=3, allowed="4")
 
@@ -40,6 +45,20 @@ def test_parts_give_their_results_in_order_from_other_processes():
     assert [number for number, _ in found] == [0, 1, 2]
     assert os.getpid() not in {process for _, process in found}
     assert sorted(told) == [("slow", 0, 1)] * 3 + [("slow", 1, 1)] * 3
+
+
+def test_parts_begin_while_the_one_who_hands_them_over_goes_on(tmp_path):
+    file = tmp_path / "process"
+    with crew(lambda *one: None) as workers:
+        workers.begin(partial(told_as, file))
+        by = time.perf_counter() + LONG_S / 2
+        while not file.exists() and time.perf_counter() < by:
+            time.sleep(0.1)
+        assert file.exists()
+        workers.begin(partial(slowly, 1))
+        first, second = workers.results()
+    assert (first, second[0]) == ("told", 1)
+    assert not active_children()
 
 
 def test_the_mistake_of_one_part_ends_all_and_is_told_whole():
