@@ -64,8 +64,20 @@ def main() -> None:
 def _refuse(error: UserError) -> None:
     from gpusim.cli.screen import show_error
 
+    if error.file is None and error.field is not None:
+        error.field = _as_typed(error.field)
     show_error(error)
     sys.exit(2)
+
+
+def _as_typed(field: str) -> str:
+    """Return a field as the option that was typed for it; as it is where none was.
+
+    An option may lack the unit at the field's end: ``temperature_c`` is ``--temperature``.
+    """
+    typed = {word.partition("=")[0] for word in sys.argv[1:] if word.startswith("--")}
+    option = "--" + field.replace("_", "-")
+    return next((one for one in (option, option.rpartition("-")[0]) if one in typed), field)
 
 
 def _version(asked: bool) -> None:

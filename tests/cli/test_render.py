@@ -439,7 +439,8 @@ def test_a_wrong_exposure_is_refused(tmp_path: Path, text: str):
 
 @pytest.mark.parametrize("text", ["-273.15", "-300", "nan"])
 def test_a_temperature_below_absolute_zero_is_refused(tmp_path: Path, text: str):
-    assert_refused(shot(tmp_path, f"--temperature={text}"), "temperature_c", "-273.15")
+    refused = shot(tmp_path, f"--temperature={text}")
+    assert_refused(refused, "--temperature\n", "-273.15")
 
 
 @pytest.mark.parametrize(
