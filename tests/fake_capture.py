@@ -18,6 +18,13 @@ from gpusim.render import Capture
 from gpusim.scene import make_scene
 from gpusim.scene.spectra import WAVELENGTHS_NM
 
+
+class Fake(Capture):
+    """A capture without a bank."""
+
+    psfs = LocalPsfs(np.zeros((1, 2)), True, np.full((1, 4, 4, 3), 1 / 16), 12.0)
+
+
 ROWS, COLS = 48, 64
 MISSING = Unknown(700.0, 1200.0, ("the <filter>",), 0.234, "R")
 STAGES = (
@@ -87,7 +94,7 @@ def fake_capture(
         sigma=0.8,
     )
     basis = SimpleNamespace(coefficients=np.eye(3))
-    capture = Capture(
+    return Fake(
         raw=raw,
         rate=plane if "rate" in keep else None,
         electrons=plane if "electrons" in keep else None,
@@ -125,7 +132,3 @@ def fake_capture(
         recipe={"camera": {"sensor": {}}, "noise": True},
         bank=None,
     )
-    # In place of what the PSFs of a lens would show.
-    light = np.full((1, 4, 4, 3), 1 / 16)
-    capture.__dict__["psfs"] = LocalPsfs(np.zeros((1, 2)), True, light, 12.0)
-    return capture
