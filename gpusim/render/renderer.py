@@ -340,7 +340,7 @@ class Renderer:
             costs=self.costs,
             noise=False,
             method="fft",
-            # A level is a tail itself: to plan where it might be cut took 2 s before photographs.
+            # A level is a tail itself: to plan where it might be cut took 2 s before a sinusoid.
             force=(WHOLE,),
         )
         self.coarse_plans[camera.level.pitch_um] = renderer.plan  # rectangles share it

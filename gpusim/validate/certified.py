@@ -168,7 +168,7 @@ def certified_lights(
     accuracy : Accuracy
     tiles : sequence of (x, y, width, height)
     like : Light or Capture, optional
-        Of the same lens and scene, whose certificate has the bank's part: nothing is traced anew.
+        Before the same lens and scene: its certificate's bank part stands, nothing is traced anew.
     """
     first, *others = (rectangle(tile, camera.sensor) for tile in tiles)
 
