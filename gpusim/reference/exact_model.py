@@ -29,17 +29,19 @@ from gpusim.reference.pixel_aperture import boxes_of, points_in, side_um_of
 from gpusim.reference.point_spread import spreads_of
 from gpusim.reference.quadrature import Zone
 
-# Zones of the sum over t: distances from the pixel, um, between which the PSF's inner part falls,
-# and cells along one sample of the bank. In the inner part lie nearly all of its energy and detail.
-# Farther out there are rings still, hardly wider than two samples: where a pixel is dark and all of
-# its light comes from there, steps of two samples would miss 1e-4 of it at f/2.8.
-FALLS_UM = (6.0, 10.0)
-CELLS = (2, 1)
-SPLITS = (8, 2)  # squares along a cell of each that an outline cuts
+# Zones of the sum over t: distances from the pixel, um, between which the PSF's inner and middle
+# parts fall, and cells along one sample of the bank. In the inner part lie nearly all of its energy
+# and detail. Farther out there are rings still, hardly wider than two samples: where a pixel is
+# dark and all of its light comes from there, steps of two samples would miss 1e-4 of it at f/2.8.
+# Beyond the middle part they miss 2e-8 RMS of pixels beside edges, a fiftieth as bright as the
+# white (the lens of `validate kodak`, f/2.3), and 1e-6 of those of `demo`.
+FALLS_UM = ((6.0, 10.0), (30.0, 40.0))
+CELLS = (2, 1, 0.5)
+SPLITS = (8, 2, 4)  # squares along a cell of each that an outline cuts
 # Degrees of the splines between the bank's samples, and between the cells. A PSF at f/2.8 has
 # detail of 0.4 cycles a sample. Cubic splines err there by a tenth: 4e-4 of the light in a dark dot
 # of 3 pixels.
-DEGREES = (5, 3)
+DEGREES = (5, 3, 3)
 # Half an aperture away the PSF is another by some 1e-4, at edges as much of the signal: of that
 # steps of a sample are enough, and beyond some um it is below 1e-6.
 CHANGE_FALLS_UM, CHANGE_SPLIT, CHANGE_DEGREE = (3.0, 6.0), 2, 3
@@ -101,23 +103,27 @@ class ExactCore:
                     break
             else:
                 self.alike.append((number, 1.0))
-        self.divided: dict[int, list[Zone]] = {}
+        self.divided: dict[tuple[int, float], list[Zone]] = {}
         self.zones = self._zones(1)
         self.outlines: Outlines | None = None
         self.squares: dict[int, tuple[Any, np.ndarray, np.ndarray]] = {}
 
-    def _zones(self, divide: int) -> list[Zone]:
-        """Return that of the change and the zones outwards, of cells divided so often each way."""
-        zones = self.divided.get(divide)
+    def _zones(self, divide: int, widest_um: float = math.inf) -> list[Zone]:
+        """Return that of the change and the zones outwards, of cells divided so often each way.
+
+        None of them is wider than `widest_um`.
+        """
+        zones = self.divided.get((divide, widest_um))
         if zones is None:
             bank, boxes = self.bank, self.boxes
             wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
             reach = bank.psf.shape[-1] * bank.pitch_um / 2 + self.margin_um
-            inner, change = (
-                tuple(wide * end for end in falls) for falls in (FALLS_UM, CHANGE_FALLS_UM)
+            change, *parts = (
+                (wide * start, wide * end) for start, end in (CHANGE_FALLS_UM, *FALLS_UM)
             )
             step = bank.pitch_um / divide
-            ends = [(-1.0, 0.0), *([inner] if 2 * inner[1] < reach else []), (reach, reach)]
+            fit = [one for one in parts if 2 * one[1] < reach]
+            ends = [(-1.0, 0.0), *fit, (reach, reach)]
             zones = [
                 Zone(
                     step,
@@ -130,12 +136,19 @@ class ExactCore:
                 )
             ]
             zones += [
-                Zone(step / cells, split, degree, rises=rises, falls=falls, boxes=boxes)
+                Zone(
+                    step / cells if step / cells <= widest_um else step,
+                    split,
+                    degree,
+                    rises=rises,
+                    falls=falls,
+                    boxes=boxes,
+                )
                 for cells, split, degree, rises, falls in zip(
                     CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
                 )
             ]
-            self.divided[divide] = zones
+            self.divided[divide, widest_um] = zones
         return zones
 
     def _inside_um(self, centre: np.ndarray) -> float:
@@ -228,16 +241,17 @@ class ExactCore:
         most = np.array([cols - 1, rows - 1])
         # No cell is wider than a sample; at the border, where the radiance goes on as it is, it has
         # a bend, and half of that is wanted.
-        divide = math.ceil(self.bank.pitch_um / CELLS[-1] / raster.pitch_um)
+        sample_um = raster.pitch_um
+        divide = math.ceil(self.bank.pitch_um / sample_um)
         out = np.zeros(len(pixels))
         for number, (row, col) in enumerate(pixels):
             centre, channel = self._position(row, col), self._channel(row, col)
             if self._inside_um(centre) < -self._reach_um():
                 continue
-            zones = self._zones(divide)
+            zones = self._zones(divide, sample_um)
             places = [self._samples(raster, centre - zone.cells) for zone in zones]
             if (places[-1] < 0).any() or (places[-1] > most).any():
-                zones = self._zones(2 * divide)
+                zones = self._zones(2 * divide, sample_um / 2)
                 places = [self._samples(raster, centre - zone.cells) for zone in zones]
             places = [np.clip(at, 0, most)[..., ::-1] for at in places]  # y before x
             ends = np.array([[at.min(axis=(0, 1, 2)), at.max(axis=(0, 1, 2))] for at in places])

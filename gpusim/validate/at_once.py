@@ -42,9 +42,7 @@ def at_once(parts: Sequence[Part], progress: Progress) -> list[Any]:
         Called with (what, done, total).
     """
     with crew(progress) as workers:
-        for part in parts:
-            workers.begin(part)
-        return workers.results()
+        return workers.results([workers.begin(part) for part in parts])
 
 
 class Crew:
@@ -54,20 +52,21 @@ class Crew:
         self._pool, self._told, self._progress = pool, told, progress
         self._made: list[Future] = []
 
-    def begin(self, part: Part) -> None:
+    def begin(self, part: Part) -> Future:
         """Hand over a part: it begins when a process is free, while the caller goes on."""
         self._made.append(self._pool.submit(_measured, part))
+        return self._made[-1]
 
-    def results(self) -> list[Any]:
-        """Wait for all parts, and return what they give; what failed ends the others."""
+    def results(self, parts: Sequence[Future]) -> list[Any]:
+        """Wait for parts that have begun, and return what they give; a failure ends all."""
         running = set(self._made)
-        while running:
+        while not all(one.done() for one in parts):
             done, running = wait(running, timeout=LOOK_S, return_when=FIRST_EXCEPTION)
             while not self._told.empty():
                 self._progress(*self._told.get())
             for one in done:
                 one.result()
-        return [one.result() for one in self._made]
+        return [one.result() for one in parts]
 
 
 @contextmanager

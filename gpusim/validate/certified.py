@@ -12,6 +12,7 @@ from gpusim.certify import Certificate, Judged, Share
 from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.library.expose import lit
 from gpusim.library.light import Light
+from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
 from gpusim.plan.tiles import enclosing
 from gpusim.render import Capture, Renderer
@@ -156,6 +157,7 @@ def certified_lights(
     tiles: Sequence[Rect],
     *,
     like: WithCertificate | None = None,
+    samples: int | None = None,
 ) -> list[Light]:
     """Return the light of rectangles, each with a certificate.
 
@@ -169,11 +171,17 @@ def certified_lights(
     tiles : sequence of (x, y, width, height)
     like : Light or Capture, optional
         Before the same lens and scene: its certificate's bank part stands, nothing is traced anew.
+    samples : int, optional
+        Samples a pixel, in place of the planner's.
     """
     first, *others = (rectangle(tile, camera.sensor) for tile in tiles)
 
     def made(asked: Accuracy) -> Renderer:
         renderer = Renderer(camera, scene, asked)
+        if samples is not None:
+            planned = renderer
+            renderer = Renderer(camera, scene, asked, plan=oversampled(planned, samples))
+            planned.release()
         renderer.judged = None if like is None else judged_as(like)
         renderer.hold_halo(enclosing([first, *others]), lambda what, done, total: None)
         return renderer

@@ -21,22 +21,27 @@ from functools import partial
 import numpy as np
 
 from gpusim.camera import Camera
+from gpusim.formats.ready import ready_lens
 from gpusim.lens.prescription import Prescription
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy, Plan
 from gpusim.render import Renderer
+from gpusim.render.look import look
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.bars import Bar
 from gpusim.validate.edges import Target, compare, cut, lit, region_of
 from gpusim.validate.kodak import (
     EXPOSURE_S,
+    LENS,
     POSITION_BAR_PX,
     REFERENCE,
     band_of,
     even_light,
     mono_sensor,
     targets,
+    three_sensors,
 )
+from gpusim.validate.kodak import TOLERANCE as EDGES_TOLERANCE
 from gpusim.validate.kodak_table import TABLE_1
 from gpusim.validate.predict import Predictor
 
@@ -112,10 +117,15 @@ def finer(sensor: Sensor, apart: int) -> Sensor:
 
 @dataclass(frozen=True, eq=False)
 class Grids:
-    """The plans of sim grids, and the errors of edges on them by place: each by N."""
+    """The plans of sim grids, and the errors of edges on them by place: each by N.
+
+    ``halos`` are the plans of their halos' levels, by the pixels' distance: those of one sensor
+    share them.
+    """
 
     plans: Mapping[int, Plan]
     errors: Mapping[int, Mapping[int, Error]]
+    halos: Mapping[int, dict[float, Plan]]
 
 
 def measure_grids(
@@ -139,6 +149,7 @@ def measure_grids(
     flat = even_light(sensor, predictor, band)
     plans: dict[int, Plan] = {}
     pictures: dict[int, list[np.ndarray]] = {}
+    halos: dict[int, dict[float, Plan]] = {}
     with ExitStack() as kept:
         planned: dict[int, Renderer] = {}
         for samples in (*SAMPLES, FINEST):
@@ -148,7 +159,9 @@ def measure_grids(
                 planned[apart] = kept.enter_context(opened(lens, target, apart))
             plans[samples] = oversampled(planned[apart], samples // apart)
             with opened(lens, target, apart, plans[samples]) as renderer:
+                renderer.coarse_plans |= halos.get(apart, {})
                 pictures[samples] = taken(renderer, apart, regions)
+                halos[apart] = dict(renderer.coarse_plans)
     progress("sim grids", len(SAMPLES) + 1, len(SAMPLES) + 1)
     del plans[FINEST]
     finest = pictures.pop(FINEST)
@@ -163,16 +176,15 @@ def measure_grids(
         samples: {place.number: error(k, own[k]) for k, place in enumerate(places)}
         for samples, own in pictures.items()
     }
-    return Grids(plans, errors)
+    return Grids(plans, errors, halos)
 
 
-def timed(
-    lens: Prescription,
-    target: Target,
-    grids: Grids,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> Costs:
-    """Time the first region on every grid, by renderers that are prepared.
+Taker = Callable[[], object]  # takes a frame
+
+
+@contextmanager
+def prepared(lens: Prescription, target: Target, grids: Grids) -> Iterator[list[Taker]]:
+    """Yield what takes the first region on each grid, by renderers that have taken it once.
 
     Parameters
     ----------
@@ -180,25 +192,41 @@ def timed(
     target : Target
         The near-vertical edges.
     grids : Grids
-    progress : callable
-        Called with (what, done, total) rounds.
     """
     first = regions_of(target)[:1]
     with ExitStack() as kept:
-        takers = []
+        takers: list[Taker] = []
         for samples, plan in grids.plans.items():
             apart = apart_for(samples)
             renderer = kept.enter_context(opened(lens, target, apart, plan))
+            renderer.coarse_plans |= grids.halos[apart]
             takers.append(partial(taken, renderer, apart, first))
-        for take in takers:  # what a region's first frame prepares is not a frame's time
+            takers[-1]()  # what a region's first frame prepares is not a frame's time
+        yield takers
+
+
+def timed(
+    takers: Sequence[Taker],
+    grids: Grids,
+    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Costs:
+    """Time frames on every grid, in turns.
+
+    Parameters
+    ----------
+    takers : sequence of callable
+        See `prepared`.
+    grids : Grids
+    progress : callable
+        Called with (what, done, total) rounds.
+    """
+    seconds: list[list[float]] = [[] for _ in takers]
+    for number in range(ROUNDS):
+        progress("sim grids, timed", number, ROUNDS)
+        for take, times in zip(takers, seconds, strict=True):
+            started = time.perf_counter()
             take()
-        seconds: list[list[float]] = [[] for _ in takers]
-        for number in range(ROUNDS):
-            progress("sim grids, timed", number, ROUNDS)
-            for take, times in zip(takers, seconds, strict=True):
-                started = time.perf_counter()
-                take()
-                times.append(time.perf_counter() - started)
+            times.append(time.perf_counter() - started)
     progress("sim grids, timed", ROUNDS, ROUNDS)
     return Costs(
         [
@@ -217,10 +245,16 @@ def apart_for(samples: int) -> int:
 def opened(
     lens: Prescription, target: Target, apart: int, plan: Plan | None = None
 ) -> Iterator[Renderer]:
-    """Yield a renderer of a target before the sensor whose pixels are so many times as close."""
+    """Yield a renderer of a target before the sensor whose pixels are so many times as close.
+
+    All have the PSFs of the report's edges: surveys for one band ask for other banks.
+    """
+    scene = lit(target.chart)
+    edges = Camera(lens=lens, sensor=three_sensors(), title="stand-in, three bands")
+    same = ready_lens(look(edges, scene, Accuracy(EDGES_TOLERANCE)).bank, "traced", LENS)
     sensor = finer(mono_sensor(REFERENCE), apart)
-    camera = Camera(lens=lens, sensor=sensor, title="stand-in, sim grids")
-    renderer = Renderer(camera, lit(target.chart), Accuracy(TOLERANCE, 0), noise=False, plan=plan)
+    camera = Camera(lens=same, sensor=sensor, title="stand-in, sim grids")
+    renderer = Renderer(camera, scene, Accuracy(TOLERANCE, 0), noise=False, plan=plan)
     try:
         yield renderer
     finally:

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 from gpusim.validate.at_once import Progress, crew
 from gpusim.validate.bars import Bar
 from gpusim.validate.certified import certificate_bar
+from gpusim.validate.edges import AXES
 from gpusim.validate.kodak import (
     REFERENCE,
     SHEETS,
@@ -20,7 +21,7 @@ from gpusim.validate.kodak import (
     stand_in,
     targets,
 )
-from gpusim.validate.kodak_cost import Costs, measure_grids, timed
+from gpusim.validate.kodak_cost import Costs, measure_grids, prepared, timed
 from gpusim.validate.kodak_effects import Effects, measure_effects
 from gpusim.validate.kodak_noise import Hues, Noises, measure_hues, measure_noises
 from gpusim.validate.kodak_psf import PointSpreads, measure_psfs
@@ -60,24 +61,30 @@ def measured(
         Whether our tracer predicts, which is not independent.
     """
     lens = stand_in()
-    with crew(progress) as workers:
-        workers.begin(_squares)
+    # OpenBLAS's own threads wait by spinning.
+    with crew(progress) as workers, threadpool_limits(1):
+        squares = workers.begin(_squares)
         progress("predictions", 0, 1)
-        with threadpool_limits(1):  # OpenBLAS's own threads wait by spinning
-            predictor = predictor_of(lens, own=own)
+        predictor = predictor_of(lens, own=own)
         progress("predictions", 1, 1)
-        for where in SHEETS:
-            workers.begin(partial(_edges, predictor, where))
-        workers.begin(partial(measure_grids, lens, predictor))
-        (effects, hues, noises), *edges, grids = workers.results()
-    psfs = measure_psfs(lens, predictor)
-    vertical = targets(predictor, mono_sensor(REFERENCE))[0]
-    costs = timed(lens, vertical, grids, progress)
+        # The first chart makes the bank of all; the sim grids' frames are prepared here meanwhile.
+        first, *others = [
+            partial(_edges, predictor, where, axis) for where in SHEETS for axis in AXES
+        ]
+        begun = [workers.begin(first)]
+        sim_grids = workers.begin(partial(measure_grids, lens, predictor))
+        begun += [workers.begin(one) for one in others]
+        psfs = measure_psfs(lens, predictor)
+        vertical = targets(predictor, mono_sensor(REFERENCE))[0]
+        (grids,) = workers.results([sim_grids])
+        with prepared(lens, vertical, grids) as takers:
+            (effects, hues, noises), *edges = workers.results([squares, *begun])
+            costs = timed(takers, grids, progress)
     return Measured(Edges.of(edges), psfs, effects, hues, noises, costs)
 
 
-def _edges(predictor: Predictor, where: str, progress: Progress) -> Edges:
-    return measure_edges(stand_in(), predictor, progress, sheets=(where,))
+def _edges(predictor: Predictor, where: str, axis: str, progress: Progress) -> Edges:
+    return measure_edges(stand_in(), predictor, progress, sheets=(where,), axes=(axis,))
 
 
 def _squares(progress: Progress) -> tuple[Effects, Hues, Noises]:

@@ -376,7 +376,7 @@ def on_outlines(lens, camera) -> np.ndarray:
     return exact(lens, camera, SHADES).chart(chart(*OUTLINES), ON_OUTLINES)
 
 
-@pytest.mark.parametrize(("size", "zones"), [(64, 1), (128, 2)])
+@pytest.mark.parametrize(("size", "zones"), [(64, 1), (128, 2), (512, 3)])
 def test_a_quarter_of_the_steps_changes_little(monkeypatch, size: int, zones: int):
     """The smallest tolerance that can be asked for is 1e-5."""
     lens, camera = bank(**REAL, size=size), sensor()
@@ -389,11 +389,11 @@ def test_a_quarter_of_the_steps_changes_little(monkeypatch, size: int, zones: in
     even = exact(lens, camera, SHADES).chart(chart(), ON_OUTLINES)
     share = found / even
     assert ((share > 0.15) & (share < 0.9)).sum() >= 3  # on outlines indeed
-    monkeypatch.setattr(module, "CELLS", (8, 4))
+    monkeypatch.setattr(module, "CELLS", (8, 4, 2))
     finer = on_outlines(lens, camera)
     assert 0 < np.sqrt(np.mean((found / finer - 1) ** 2)) < 3e-6
     assert np.abs(found / finer - 1).max() < 1e-5
-    monkeypatch.setattr(module, "CELLS", (0.5, 0.5))  # a control
+    monkeypatch.setattr(module, "CELLS", (0.5, 0.5, 0.5))  # a control
     coarser = on_outlines(lens, camera)
     assert np.abs(coarser / finer - 1).max() > 1e-4
 
@@ -431,10 +431,16 @@ def test_probes_in_threads_share_few_kernels(monkeypatch):
     assert len(shared.spread.kernels) <= 2 + 3  # one more for each other thread
 
 
-def test_light_from_the_rings_of_a_sharp_lens_is_counted():
-    """A pixel in the dark, whose light comes from 28 um away, by rings 1.1 to 2 um wide."""
-    lens, camera = bank(**PLAIN, size=256), grey_sensor()
-    at = (np.arange(256) - 128) * lens.pitch_um
+@pytest.mark.parametrize(
+    ("away_um", "size", "finest", "coarser"),
+    [(28.0, 256, (8, 8), (2, 0.5)), (50.0, 512, (2, 1, 2), (2, 1, 0.125))],
+)
+def test_light_from_the_rings_of_a_sharp_lens_is_counted(
+    away_um: float, size: int, finest: tuple[float, ...], coarser: tuple[float, ...]
+):
+    """A pixel in the dark, whose light comes from far away, by rings 1.1 to 2 um wide."""
+    lens, camera = bank(**PLAIN, size=size), grey_sensor()
+    at = (np.arange(size) - size // 2) * lens.pitch_um
     off = np.maximum(np.hypot(at[:, None], at), 1e-9)
     airy = np.stack(
         [(j1(u) / u) ** 2 for u in np.pi * off / (2.8e-3 * lens.wavelengths_nm[:, None, None])]
@@ -448,7 +454,7 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted():
         centres = (pixels[:, ::-1] + 0.5 - [64, 48]) * PITCH
         return np.concatenate(
             [
-                exact(lens, camera, dark).chart(chart(Disc(*centre, 28.0, 1)), pixel[None])
+                exact(lens, camera, dark).chart(chart(Disc(*centre, away_um, 1)), pixel[None])
                 for centre, pixel in zip(centres, pixels, strict=True)
             ]
         )
@@ -457,12 +463,12 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted():
         return float(np.abs(found() - finer).max() / even_rate(lens))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "CELLS", (8, 8))
+        patch.setattr(module, "CELLS", finest)
         finer = found()
     assert (finer < 0.03 * even_rate(lens)).all()
     assert error() < 1e-6  # a tenth of the smallest tolerance, of the white
     with pytest.MonkeyPatch.context() as patch:  # a control
-        patch.setattr(module, "CELLS", (2, 0.5))
+        patch.setattr(module, "CELLS", coarser)
         assert error() > 2e-6
 
 
@@ -478,12 +484,21 @@ def test_the_cells_are_small_enough_for_a_raster_and_its_border(
     pixels = np.array([[48, 64], [40, 60], [48 + corner - 1, 64 + corner - 1]])
     found = exact(lens, camera, FLAT[None]).raster(placed, pixels)
     coarse = exact(lens, camera, FLAT[None])
-    monkeypatch.setattr(coarse, "_zones", lambda divide: coarse.zones)
+    monkeypatch.setattr(coarse, "_zones", lambda *_: coarse.zones)
     coarser = coarse.raster(placed, pixels)
-    monkeypatch.setattr(module, "CELLS", (8, 4))
+    monkeypatch.setattr(module, "CELLS", (8, 4, 2))
     finer = exact(lens, camera, FLAT[None]).raster(placed, pixels)
     assert_close(found, finer, rtol=1e-5)  # the smallest tolerance that can be asked for
     assert np.abs(coarser / finer - 1).max() > undivided  # a control
+
+
+def test_no_cell_of_the_outer_zone_is_wider_than_a_raster_s_sample(monkeypatch):
+    """Cells of two samples of the bank, 1 um, before samples of 0.775 um and at the border."""
+    monkeypatch.setattr(module, "FALLS_UM", ((2.0, 3.0), (4.0, 6.0)))
+    zones_of = exact(bank(**REAL), sensor())._zones
+    assert [zone.step_um for zone in zones_of(1)[1:]] == [0.25, 0.5, 1.0]
+    assert [zone.step_um for zone in zones_of(1, 0.775)[1:]] == [0.25, 0.5, 0.5]
+    assert [zone.step_um for zone in zones_of(2, 0.3875)[1:]] == [0.125, 0.25, 0.25]
 
 
 def test_a_camera_twice_as_large_has_the_same_exact_model():

@@ -50,13 +50,13 @@ def test_parts_give_their_results_in_order_from_other_processes():
 def test_parts_begin_while_the_one_who_hands_them_over_goes_on(tmp_path):
     file = tmp_path / "process"
     with crew(lambda *one: None) as workers:
-        workers.begin(partial(told_as, file))
+        begun = [workers.begin(partial(told_as, file))]
         by = time.perf_counter() + LONG_S / 2
         while not file.exists() and time.perf_counter() < by:
             time.sleep(0.1)
         assert file.exists()
-        workers.begin(partial(slowly, 1))
-        first, second = workers.results()
+        begun.append(workers.begin(partial(slowly, 1)))
+        (first,), (second,) = (workers.results([one]) for one in begun)
     assert (first, second[0]) == ("told", 1)
     assert not active_children()
 
