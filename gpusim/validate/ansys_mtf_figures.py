@@ -138,7 +138,7 @@ def draw_focus(found: list[Sharpness]) -> Figure:
                 places = [at.shift_um for at in seen]
                 first.plot(places, measured, ".", markersize=6, color=colour)
             first.set(title=one.reading.name, xlabel="shift [um]", ylabel="MTF", ylim=(0, 1))
-            first.legend(loc="lower left")
+            first.legend(loc="best")
             loss = panel(figure, 4.4, bottom, 3.0, 2.2)
             for colour, (shift, (_, lost)) in zip(colours, one.losses().items(), strict=False):
                 loss.plot(f, lost, color=colour, linewidth=1, label=f"{shift:+g} um")

@@ -47,7 +47,7 @@ def draw_edges(edges: Edges) -> Figure:
                     axes.plot(at[::16], one.measured[::16], **dots)
                 axes.set(title=f"{optics.full_deg:g} deg, {TITLES[where]}", ylim=(-0.05, 1.08))
                 axes.set(xlim=(-SHOWN_PX, SHOWN_PX), xlabel="distance [px]", ylabel="ESF")
-                axes.legend(loc="lower right", title=f"largest error (bar {ESF_BAR:g})",
+                axes.legend(loc="upper left", title=f"largest error (bar {ESF_BAR:g})",
                             title_fontsize=7.5)  # fmt: skip
     return figure
 
