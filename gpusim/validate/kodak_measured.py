@@ -67,7 +67,7 @@ def measured(
         progress("predictions", 0, 1)
         predictor = predictor_of(lens, own=own)
         progress("predictions", 1, 1)
-        # The first chart makes the bank of all; the sim grids' frames are prepared here meanwhile.
+        # The first chart makes the edges' bank; sim grids' frames are prepared here meanwhile.
         first, *others = [
             partial(_edges, predictor, where, axis) for where in SHEETS for axis in AXES
         ]
