@@ -17,15 +17,13 @@ class Compiled:
         The stage name.
     overrides : dict
         Every override with its value.
-    wall_s, cpu_s : float
-        Time that passed, and that of all threads of this process. A kernel that the driver finds in
-        its cache takes next to nothing.
+    wall_s : float
+        One that the driver finds in its cache takes next to nothing.
     """
 
     path: str
     overrides: Mapping[str, bool | int | float]
     wall_s: float
-    cpu_s: float
 
 
 _told: list[Callable[[int, int], None]] = []

@@ -73,6 +73,9 @@ class Device:
         Nothing works on it any more.
     compiled : dict of object to Compiled
         What each kernel that has run took to compile, by the kernel's key.
+    shares_code : bool
+        Whether the driver has the code of kernels that another device has compiled: taken for
+        granted until it turns out not to be so.
     """
 
     def __init__(self, adapter: wgpu.GPUAdapter, budget: int) -> None:
@@ -88,6 +91,7 @@ class Device:
         self.pipelines: dict[object, object] = {}  # filled and read by kernel.py
         self.double_float: dict[str, bool] | None = None  # not tested yet: see exact.py
         self.compiled: dict[object, Compiled] = {}  # by run.py, in order of time
+        self.shares_code = True
         self._on_the_way = 0  # bytes of uploads
         self._fence = self.gpu.create_buffer(label="fence", size=16, usage=Use.READBACK.value)
         self._ticks: wgpu.GPUQuerySet | None = None
@@ -110,6 +114,15 @@ class Device:
             No usable adapter, or none of that name.
         """
         return cls(choose(adapter), budget)
+
+    @contextmanager
+    def another(self) -> Iterator[Device]:
+        """Open a further device of the same adapter, for as long as the body runs."""
+        device = Device(self._adapter, self.pool.budget)
+        try:
+            yield device
+        finally:
+            device.gpu.destroy()
 
     def report(self) -> dict[str, object]:
         """Return what runs here: adapter, driver, backend, versions, clock, limits, budget."""

@@ -189,6 +189,10 @@ class Kernel:
                     f"{other} and {name} are the same buffer {array.label!r}, and one is written"
                 )
 
+    def least_bytes(self, name: str) -> int:
+        """Return the fewest bytes that the binding ``name`` takes; of an open one, an element."""
+        return max(self._types[name].size, self._types[name].stride)
+
     def writes(self, name: str) -> bool:
         """Return whether the binding ``name`` is read_write."""
         return self.buffers[name].kind == "storage"

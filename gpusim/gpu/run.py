@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .ahead import Ahead, popped
 from .arrays import Array, Resident
 from .commands import Clear, Command, Copy, Dispatch, Download, Proxy, Upload
 from .compiling import Compiled, tell_compiling
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     import wgpu
 
     from .pool import Memory
+
+LONG_S = 0.3  # to compile a kernel: Mesa's driver takes a third of it for one whose code it has
 
 
 class Run:
@@ -58,27 +61,36 @@ class Run:
         del self._held[first:]
 
     def compile(self, first_uses: Sequence[Dispatch]) -> None:
-        """Compile the kernels of these dispatches, one after another, and tell of each.
+        """Compile the kernels of these dispatches, and tell of each.
 
-        Software drivers compile at a pipeline's first dispatch: one of no workgroups, over the
-        buffers that the kernel will have, makes them do so here and not amid the work.
+        One after another; once one takes long, further cores take part where that helps.
         """
-        device = self._device
-        for number, command in enumerate(first_uses):
-            tell_compiling(number, len(first_uses))
-            wall, cpu = time.perf_counter(), time.process_time()
-            encoder = device.gpu.create_command_encoder(label="compile")
-            compute = encoder.begin_compute_pass(label=command.kernel.path)
-            self._bind(compute, command)
-            compute.dispatch_workgroups(0, 0, 0)
-            compute.end()
-            device.gpu.queue.submit([encoder.finish()])
-            device.wait()
-            spent = time.perf_counter() - wall, time.process_time() - cpu
-            kernel = command.kernel
-            device.compiled[kernel.key] = Compiled(kernel.path, kernel.overrides, *spent)
+        left, total = deque(first_uses), len(first_uses)
+        ahead = None
+        try:
+            for number, command in enumerate(popped(left.popleft)):
+                tell_compiling(number, total)
+                spent_s = compile_one(self._device, command)
+                if spent_s > LONG_S and ahead is None and self._device.shares_code:
+                    ahead = Ahead(self._device, compile_one, left)
+            if ahead is not None:
+                self._take_over(*ahead.taken(), total)
+        finally:
+            if ahead is not None:
+                ahead.stop()
         if first_uses:
-            tell_compiling(len(first_uses), len(first_uses))
+            tell_compiling(total, total)
+
+    def _take_over(
+        self, others: Sequence[Dispatch], compiled: Mapping[object, Compiled], total: int
+    ) -> None:
+        """Compile what further devices have compiled: the driver has the code of it."""
+        own_s, spent_s = 0.0, sum(one.wall_s for one in compiled.values())
+        for number, command in enumerate(others, start=total - len(others)):
+            tell_compiling(number, total)
+            own_s += compile_one(self._device, command)
+        self._device.shares_code = own_s < max(spent_s / 2, LONG_S)
+        self._device.compiled |= compiled
 
     def segment(self, commands: Sequence[Command]) -> None:
         """Submit the commands of one segment, wait, and fetch its downloads."""
@@ -223,6 +235,29 @@ class Run:
             spans = [(stage, elapsed_s / len(spans)) for stage, _ in spans]
         for stage, span in spans:
             self.times_s[stage] += span
+
+
+def compile_one(device: Device, command: Dispatch) -> float:
+    """Compile the kernel of a dispatch, and return the seconds that it took.
+
+    Software drivers compile at a pipeline's first dispatch: one of no workgroups, over buffers as
+    small as the kernel takes, makes them do so here and not amid the work.
+    """
+    kernel = command.kernel
+    buffers = {
+        name: Proxy(name, kernel.least_bytes(name) // 4, np.float32, array.use)
+        for name, array in command.buffers.items()
+    }
+    run = Run(device)
+    try:
+        run.allocate(buffers, bytes(kernel.params.size))
+        started = time.perf_counter()
+        run.segment([Dispatch(kernel, (0, 0, 0), 0, buffers)])
+        wall_s = time.perf_counter() - started
+    finally:
+        run.release()
+    device.compiled[kernel.key] = Compiled(kernel.path, kernel.overrides, wall_s)
+    return wall_s
 
 
 def _bound(memory: Memory, nbytes: int) -> Memory | dict[str, object]:

@@ -32,7 +32,7 @@ def test_kernels_are_compiled_once_and_written_down(device: Device):
     assert rec.run()["found"] == 3  # the dispatch that compiles adds nothing
     new = list(device.compiled.values())[before:]
     assert [one.path for one in new] == ["compiling/a", "compiling/b"]
-    assert all(one.wall_s > 0 and one.cpu_s >= 0 for one in new)
+    assert all(one.wall_s > 0 for one in new)
     assert rec.run()["found"] == 3
     assert len(device.compiled) == before + 2
 
