@@ -247,7 +247,7 @@ def _length_rates(device: Device, ns: dict[str, float]) -> Mapping[int, float]:
 
 def other_rates(device: Device) -> dict[str | int, float]:
     """Time the forward pass of modes, and the direct sum."""
-    grid, sites = _grid(512, 2), [0, 1, 1, 2]
+    grid, sites = _grid(256, 2), [0, 1, 1, 2]
     size = (2, 1, 3, 2 * grid.half_size, 2 * grid.half_size)
     two = Decomposition(np.zeros(size, np.float32), np.ones((2, 2, 2)), np.ones(2), np.zeros(2))
     modes = Modes(device, _scale(grid, 3), {(0, 0): 1}, 1.0, sites, decomposition=two)
