@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from gpusim.camera import Camera
+from gpusim.gpu import default_device
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import build
 from gpusim.plan import Accuracy
 from gpusim.plan.band import Band, band_of
 from gpusim.plan.density import AnyDensity
+from gpusim.psf.compute import bank_of
 from gpusim.psf.field_bank import FieldBank, seen_as
+from gpusim.psf.generator import Generator
+from gpusim.psf.sampling import window
 from gpusim.render.axis_survey import bank_density
 from gpusim.render.plane_survey import plane_bank_density
 from gpusim.scene.scene import Scene
@@ -47,3 +52,35 @@ def look(
     sampling = {} if density is None else density.sampling
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
     return Look(band, scene.before(bank.principal_distance_mm), density, bank)
+
+
+def through_focus(
+    camera: Camera, scene: Scene, accuracy: Accuracy, shifts_um: Sequence[float]
+) -> Iterator[Look]:
+    """Yield what a camera sees of a scene with its image plane moved, one position after another.
+
+    The lens is surveyed where its image plane stands, and traced once: fields and lines are the
+    same for all positions. Whether they suffice for the others too, certificates say.
+
+    Parameters
+    ----------
+    camera : Camera
+        Its lens has an axis.
+    scene : Scene
+    accuracy : Accuracy
+    shifts_um : sequence of float
+        > 0 away from the lens.
+    """
+    lens = camera.lens
+    still = look(camera, scene, accuracy)
+    system, lines = build(lens), still.bank.wavelengths_nm
+    size, pitch_um = window(system, lines)
+    fields = still.density.sampling["field_deg"]
+    given = {"pitch_um": pitch_um, "size": size}
+    generator = Generator(default_device(), system, lines, fields, **given)
+    try:
+        for shift_um in shifts_um:
+            bank = seen_as(bank_of(generator, focus_um=shift_um), scene.projection)
+            yield still._replace(bank=bank)
+    finally:
+        generator.release()

@@ -77,6 +77,7 @@ def planning(
     method: str | None = None,
     force: Collection[str] = (),
     exposure_s: float = math.inf,
+    seen: Look | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Planning:
     """Choose what a render samples, and trace the lens where it is not known yet.
@@ -90,6 +91,8 @@ def planning(
         As of `gpusim.plan.plan_optics`.
     method, force
         Of the plans by which a time is made a tolerance.
+    seen : Look, optional
+        What the camera sees of the scene, where that is known.
     progress : callable, optional
         Called with (done, total) while the lens is traced.
 
@@ -98,6 +101,8 @@ def planning(
     UserError
         When the tolerance cannot be met, or no plan is as fast as was asked for.
     """
+    if seen is not None:
+        return Planning(camera.sensor, seen, accuracy, "", costs, noise, exposure_s)
     given = {"noise": noise, "method": method, "force": force, "exposure_s": exposure_s}
     accuracy, afforded = resolved(camera, scene, accuracy, costs, **given, progress=progress)
     seen = look(camera, scene, accuracy.planned, exposure_s, progress)

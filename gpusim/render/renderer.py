@@ -31,6 +31,7 @@ from gpusim.render.certificate import certified
 from gpusim.render.checks import check_planned, check_shot, rectangle
 from gpusim.render.coarse import CoarseCamera, coarse_halo
 from gpusim.render.lighting import Lighting, planes_on
+from gpusim.render.look import Look
 from gpusim.render.on_device import OnDevice, Progress
 from gpusim.render.planning import planning
 from gpusim.render.reading import Reader, Reading, reading_of
@@ -66,6 +67,9 @@ class Renderer:
         Longest exposure that will be captured. It matters only to a tolerance in sigmas: the plan
         then counts on the noise of the brightest signal that the scene makes in it, and without it
         on that of the full well, which suffices for all exposures.
+    seen : Look, optional
+        What the camera sees of the scene, where that is known: the lens is not asked. See
+        `gpusim.render.look.through_focus`.
     plan : Plan, optional
         Use this one: the planner is not asked.
     costs : Costs, optional
@@ -93,6 +97,7 @@ class Renderer:
         *,
         memory_bytes: int | None = None,
         exposure_s: float | None = None,
+        seen: Look | None = None,
         plan: Plan | None = None,
         costs: Costs | None = None,
         noise: bool = True,
@@ -120,13 +125,15 @@ class Renderer:
         # of a core that what follows needs.
         with pool.within(self.memory_bytes), threadpool_limits(1):
             try:
-                self._prepare(report, costs, plan)
+                self._prepare(report, costs, seen, plan)
             except BaseException:
                 self.release()
                 raise
             self.peak_bytes = pool.peak
 
-    def _prepare(self, report: Progress, costs: Costs, plan: Plan | None) -> None:
+    def _prepare(
+        self, report: Progress, costs: Costs, seen: Look | None, plan: Plan | None
+    ) -> None:
         """Plan, and place the scene on the sensor."""
         camera, started = self.camera, time.perf_counter()
         self.planning = planning(
@@ -138,6 +145,7 @@ class Renderer:
             method=self.method,
             force=self._force,
             exposure_s=self.longest_s,
+            seen=seen,
             progress=lambda *done: report("lens", *done),
         )
         self.accuracy, seen = self.planning.accuracy, self.planning.seen

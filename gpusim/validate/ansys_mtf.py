@@ -6,7 +6,7 @@ angle), for the paper's simulation in a map of irradiance too, and predicted fro
 transfer function times the pixel's.
 
 **Focus.** What a shift of the image plane takes from the MTF of ROI 3, by rays and, for the paper's
-simulation, rendered: each position takes a lens of its own, 45 s of a core.
+simulation, rendered. The lens is surveyed and traced once for all positions.
 
 **What the reduced-order model costs**, of ROI 3: `gpusim.validate.ansys_models`.
 """
@@ -14,7 +14,7 @@ simulation, rendered: each position takes a lens of its own, 45 s of a core.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -23,6 +23,9 @@ import numpy as np
 from gpusim.camera import Camera
 from gpusim.lens.prescription import Prescription
 from gpusim.lens.system import first_order
+from gpusim.plan import Accuracy
+from gpusim.render.look import Look
+from gpusim.render.look import through_focus as looks
 from gpusim.scene import make_scene
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys import Reading
@@ -33,8 +36,10 @@ from gpusim.validate.ansys_pixel import angular, radiometric
 from gpusim.validate.ansys_square import (
     LAMP,
     ROIS,
+    TOLERANCE,
     Square,
     band_of,
+    before_chart,
     predicted_mtf,
     predictor_of,
 )
@@ -235,14 +240,18 @@ def through_focus(
     """
     base, lens = cropped(reading), narrowed(reading)
     found, certificates = [], {}
-    for done, shift in enumerate(SHIFTS_UM):
+    seen: Iterable[Look | None] = [None] * len(SHIFTS_UM)
+    if reading.simulated:
+        sensor = radiometric(base)
+        seen = looks(*before_chart(lens, sensor), Accuracy(TOLERANCE), SHIFTS_UM)
+    for done, (shift, one) in enumerate(zip(SHIFTS_UM, seen, strict=True)):
         progress(f"focus, {reading.name}", done, len(SHIFTS_UM))
         moved = lens.defocused(shift)
         predictor = predictor_of(moved, base, reach_px(reading))
-        if not reading.simulated:
+        if one is None:
             found.append(by_rays(shift, moved, base, predictor))
             continue
-        with closing(Square(moved, radiometric(base), predictor, (SHOWN,))) as square:
+        with closing(Square(moved, sensor, predictor, (SHOWN,), one)) as square:
             certificates[f"image plane {shift:+g} um"] = square.certificate
             found.append(rendered(shift, square))
     progress(f"focus, {reading.name}", len(SHIFTS_UM), len(SHIFTS_UM))

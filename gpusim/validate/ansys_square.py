@@ -18,6 +18,8 @@ from gpusim.metrics.edge import samples_of
 from gpusim.metrics.sfr import FREQUENCIES_CY_PX, measure_sfr
 from gpusim.plan import Accuracy
 from gpusim.render import Capture, Renderer
+from gpusim.render.look import Look
+from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
 from gpusim.validate.ansys import BAND_NM, EXPOSURE_S, PROBES, weights
 from gpusim.validate.ansys_noise import Noise, sfr_covariance
@@ -92,8 +94,17 @@ def even_light(sensor: Sensor, predictor: Predictor, band: Band, region: tuple) 
     return predictor.flat_field(away_px * sensor.pixel_pitch_um, band)
 
 
+def before_chart(lens: Prescription, sensor: Sensor) -> tuple[Camera, Scene]:
+    """Return a camera and the chart before it."""
+    camera = Camera(lens=lens, sensor=sensor, title="stand-in")
+    return camera, chart(camera.frame, LAMP)
+
+
 class Square:
-    """Renders of the square's edges before a sensor."""
+    """Renders of the square's edges before a sensor.
+
+    ``seen``: what the camera sees of the chart, where that is known.
+    """
 
     def __init__(
         self,
@@ -101,10 +112,10 @@ class Square:
         sensor: Sensor,
         predictor: Predictor,
         numbers: Collection[int] = tuple(ROIS),
+        seen: Look | None = None,
     ) -> None:
         self.sensor, self.predictor = sensor, predictor
-        camera = Camera(lens=lens, sensor=sensor, title="stand-in")
-        scene = chart(camera.frame, LAMP)
+        camera, scene = before_chart(lens, sensor)
         self.edges = {number: edge_of(number, camera, predictor) for number in numbers}
         self.regions = {
             number: region_of(place, target.axis, sensor)
@@ -113,7 +124,7 @@ class Square:
         self.captures: dict[int, Capture] = {}
         self.renderer, _ = certified(
             Accuracy(TOLERANCE, PROBES // len(numbers)),
-            lambda accuracy: Renderer(camera, scene, accuracy, noise=True),
+            lambda accuracy: Renderer(camera, scene, accuracy, noise=True, seen=seen),
             self._lit,
         )
         self.certificate = pooled(list(self.captures.values()), TOLERANCE)
