@@ -69,7 +69,7 @@ def draw_curves(found: list[Sharpness], charts: Sequence[np.ndarray]) -> Figure:
             model = one.models["Gaussian, no colour"]
             axes.plot(f, model, color=GREEN, linestyle=DASHED, label="Gaussian, no colour")
             _cycles(axes, "MTF", ylim=(0, 1.05))
-            axes.legend(loc="upper right")
+            axes.legend(loc="best")
             rest = panel(figure, 8.1, bottom, 2.8, 2.4)
             for (name, number), edge in one.found.items():
                 look = "-" if number == SHOWN else DASHED
@@ -78,7 +78,7 @@ def draw_curves(found: list[Sharpness], charts: Sequence[np.ndarray]) -> Figure:
                 rest.plot(f, error, color=MAPS[name], linestyle=look, linewidth=1, label=label)
             _bar(rest, SFR_BAR)
             _cycles(rest, "Measured less predicted")
-            rest.legend(loc="lower left")
+            rest.legend(loc="best")
     return figure
 
 
@@ -134,11 +134,11 @@ def draw_focus(found: list[Sharpness]) -> Figure:
             for colour, frequency in zip(colours, FOCUS_CY_PX, strict=False):
                 predicted = [np.interp(frequency, f, at.predicted) for at in one.focus]
                 measured = [np.interp(frequency, f, at.measured) for at in seen]
-                first.plot(at_um, predicted, color=colour, label=f"{frequency:g} cycles/px")
+                first.plot(at_um, predicted, color=colour, label=f"{frequency:g}")
                 places = [at.shift_um for at in seen]
                 first.plot(places, measured, ".", markersize=6, color=colour)
-            first.set(title=one.reading.name, xlabel="shift [um]", ylabel="MTF", ylim=(0, 1))
-            first.legend(loc="best")
+            first.set(title=one.reading.name, xlabel="shift [um]", ylabel="MTF", ylim=(0, 1.25))
+            first.legend(loc="upper right", ncol=3, title="cycles/px")
             loss = panel(figure, 4.4, bottom, 3.0, 2.2)
             for colour, (shift, (_, lost)) in zip(colours, one.losses().items(), strict=False):
                 loss.plot(f, lost, color=colour, linewidth=1, label=f"{shift:+g} um")
@@ -169,5 +169,5 @@ def draw_models(found: list[Sharpness]) -> Figure:
                 axes.plot(f, one.models[name] - true, color=colour, label=name)
             axes.axhline(0, color=SOFT, linewidth=0.9)
             _cycles(axes, one.reading.name, ylabel="MTF, model less lens" if col == 0 else "")
-            axes.legend(loc="upper right")
+            axes.legend(loc="best")
     return figure

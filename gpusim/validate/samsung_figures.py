@@ -74,6 +74,7 @@ def draw_corners(corners: Corners) -> Figure:
             if own:
                 title += f": {corners.rms_px(optics):.4f} px RMS (bar {CORNER_BAR_PX:g})"
             axes.set(title=title, xlim=(-300, 2300), ylim=(1500, -300), xlabel="x [px]")
+            axes.set_ylabel("y [px]" if col == 0 else "")
             axes.set_aspect("equal")
     return figure
 
