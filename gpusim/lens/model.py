@@ -25,6 +25,8 @@ from gpusim.lens.surface import Coating, Surface
 APERTURES = ("f_number", "entrance_pupil_diameter_mm", "stop_semi_diameter_mm", "object_na")
 LENGTHS = (*APERTURES[1:3], "object_distance_mm", "focus_distance_mm")
 
+MOVED = "image plane moved"  # a step of a lens's history begins so
+
 Positive = Annotated[float, Field(gt=0)]
 
 
@@ -221,6 +223,12 @@ class LensModel(Strict):
                 allowed="a finite number of um",
             )
         return self.derived(
-            f"image plane moved by {shift_um:g} um away from the lens",
+            f"{MOVED} by {shift_um:g} um away from the lens",
             focus_shift_um=self.focus_shift_um + shift_um,
         )
+
+    def focused(self) -> Self:
+        """Return the lens with its image plane in its focus: as if nobody had moved it."""
+        copy = self.model_copy(update={"focus_shift_um": 0.0})
+        copy._history = tuple(step for step in self._history if not step.startswith(MOVED))
+        return copy

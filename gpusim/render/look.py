@@ -48,6 +48,12 @@ def look(
     scene = scene.on(band.wavelengths_nm)
     plane = isinstance(lens, Prescription) and not lens.is_centred
     of_lens = plane_bank_density if plane else bank_density
+    # One survey serves all positions of the image plane. Between the fields and lines that 1e-3
+    # asks for in best focus, line spreads of a Tessar, a double Gauss at f/2, a phone's lens and
+    # the lens of `validate kodak`, 10 to 150 um out of it, erred by 2.5e-4 and 2.9e-4 at most,
+    # where 2.5e-4 and 4e-4 are allowed. Another focus may lie far from the best.
+    if isinstance(lens, Prescription) and lens.is_centred and lens.focus == "best":
+        lens = lens.focused()
     density = of_lens(lens, sensor, scene, accuracy, exposure_s=exposure_s, progress=progress)
     sampling = {} if density is None else density.sampling
     bank = seen_as(camera.bank(progress=progress, **sampling), scene.projection)
@@ -59,8 +65,8 @@ def through_focus(
 ) -> Iterator[Look]:
     """Yield what a camera sees of a scene with its image plane moved, one position after another.
 
-    The lens is surveyed where its image plane stands, and traced once: fields and lines are the
-    same for all positions. Whether they suffice for the others too, certificates say.
+    The lens is traced once, and surveyed where its image plane stands: fields and lines are the
+    same for all positions.
 
     Parameters
     ----------

@@ -87,6 +87,9 @@ def test_the_image_plane_moves_from_any_focus_and_with_the_size(double_gauss):
     moved = double_gauss.defocused(30.0)
     assert build(moved).image_z_mm == pytest.approx(at + 0.03, abs=1e-12)
     assert build(moved.defocused(-30.0)).image_z_mm == pytest.approx(at, abs=1e-12)
+    scaled = double_gauss.scaled(12.0)
+    undone = scaled.defocused(30.0).defocused(-7.0).focused()
+    assert (undone, undone.history) == (scaled, scaled.history)
     assert moved.history == ("image plane moved by 30 um away from the lens",)
     paraxial = double_gauss.model_copy(update={"focus": "paraxial"})
     away = build(paraxial.defocused(-50.0)).image_z_mm - build(paraxial).image_z_mm

@@ -67,6 +67,26 @@ def test_the_lens_is_surveyed_once(surveys, seen):
     assert first.density is second.density
 
 
+def test_all_positions_of_the_image_plane_share_a_survey_in_best_focus(monkeypatch, camera, scene):
+    asked = []
+
+    class AskedError(Exception):
+        pass
+
+    def survey(lens, *given, **more):
+        asked.append(lens)
+        raise AskedError
+
+    monkeypatch.setattr(look, "bank_density", survey)
+    moved = camera.lens.defocused(25.0).defocused(-40.0)
+    given = moved.model_copy(update={"focus": "paraxial"})
+    for lens in (camera.lens, moved, given):
+        with pytest.raises(AskedError):
+            look.look(replace(camera, lens=lens), scene, ASKED)
+    assert asked == [camera.lens, camera.lens, given]
+    assert [one.history for one in asked] == [one.history for one in (camera.lens,) * 2 + (given,)]
+
+
 def test_a_renderer_that_is_told_what_is_seen_asks_no_lens(camera, scene, seen, monkeypatch):
     monkeypatch.setattr(planning, "look", lambda *given: pytest.fail("the lens was asked"))
     moved = replace(camera, lens=camera.lens.defocused(SHIFTS_UM[1]))
