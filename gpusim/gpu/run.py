@@ -92,6 +92,16 @@ class Run:
         self._device.shares_code = own_s < max(spent_s / 2, LONG_S)
         self._device.compiled |= compiled
 
+    def dispatch_nothing(self, command: Dispatch) -> None:
+        """Dispatch a kernel with no workgroups, untimed, and wait for it."""
+        encoder = self._device.gpu.create_command_encoder(label="compile")
+        compute = encoder.begin_compute_pass(label=command.kernel.path)
+        self._bind(compute, command)
+        compute.dispatch_workgroups(0, 0, 0)
+        compute.end()
+        self._device.gpu.queue.submit([encoder.finish()])
+        self._device.wait()
+
     def segment(self, commands: Sequence[Command]) -> None:
         """Submit the commands of one segment, wait, and fetch its downloads."""
         held = len(self._held)
@@ -241,7 +251,7 @@ def compile_one(device: Device, command: Dispatch) -> float:
     """Compile the kernel of a dispatch, and return the seconds that it took.
 
     Software drivers compile at a pipeline's first dispatch: one of no workgroups, over buffers as
-    small as the kernel takes, makes them do so here and not amid the work.
+    small as the kernel takes, makes them do so now and not amid the work.
     """
     kernel = command.kernel
     buffers = {
@@ -252,7 +262,7 @@ def compile_one(device: Device, command: Dispatch) -> float:
     try:
         run.allocate(buffers, bytes(kernel.params.size))
         started = time.perf_counter()
-        run.segment([Dispatch(kernel, (0, 0, 0), 0, buffers)])
+        run.dispatch_nothing(Dispatch(kernel, command.groups, 0, buffers))
         wall_s = time.perf_counter() - started
     finally:
         run.release()
