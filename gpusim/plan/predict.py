@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
@@ -19,7 +18,7 @@ from gpusim.optics.kernels import (
     sharpened,
 )
 from gpusim.optics.sampling import node_kernels, sampled_kernels
-from gpusim.psf.places import Blend
+from gpusim.psf.places import Blends
 from gpusim.sensor.aperture import transfer_along
 from gpusim.sensor.sensor import Sensor
 
@@ -30,6 +29,7 @@ POWERS = 2.0, 4.0  # of the spacing, between which errors go
 LOOKS = 1  # at the spacing that the power leads to
 SAME = 0.05  # of the logarithm of two spacings: too near to each other to tell a power
 EVEN = 128  # places over the sensor at which even scenes are looked at
+AROUND = np.moveaxis(np.indices((3, 3)), 0, -1) - 1  # steps (3, 3, 2) to a place and those about it
 PLASTIC = 1.3247179572447460  # the real root of x^3 = x + 1
 # Sim samples around the kernels: room for the pixel's aperture, half a sample to its centre, and
 # the ringing of the band's end.
@@ -188,44 +188,44 @@ def even_error(
         of_fields[:, 1:] = 0.0
     first = -np.array(sides_um) / 2
 
-    @cache
-    def at(x: float, y: float) -> np.ndarray:
-        return _turned(of_fields, kernels.places.at(x, y))
-
-    @cache
-    def node(col: int, row: int) -> np.ndarray:
-        return node_kernels(lambda dx, dy: at(*(first + step * (col + dx, row + dy))))
-
-    def slopes(around: Callable[[int, int], np.ndarray], way: np.ndarray) -> np.ndarray:
-        """Return the light of an even scene from moments at 3 x 3 places so far apart."""
-        shown = around(0, 0)[0]
-        for axis, (dx, dy) in enumerate(((1, 0), (0, 1))):
-            more, less = around(dx, dy), around(-dx, -dy)
-            shown = shown - (more - less)[1 + axis] / (2 * way[axis])
-            shown += (more - 2 * around(0, 0) + less)[3 + axis] / (2 * way[axis] ** 2)
-        mixed = around(1, 1) - around(1, -1) - around(-1, 1) + around(-1, -1)
-        return shown + mixed[5] / (4 * way[0] * way[1])
+    def at(points_um: np.ndarray) -> np.ndarray:
+        """Return moments (..., 6, C) at points (..., 2)."""
+        blends = kernels.places.blends(*points_um.reshape(-1, 2).T)
+        return _turned(of_fields, blends).reshape(*points_um.shape[:-1], 6, -1)
 
     # Additive recurrence with powers of the plastic number (Roberts 2018): spread evenly, and in
     # step with no number of cells.
     places = (np.arange(1, EVEN + 1)[:, None] / PLASTIC ** np.array([1, 2])) % 1.0
-    squares = []
-    for place in (2 * places - 1) * half_um:
-        true = slopes(lambda dx, dy, p=place: at(*(p + (dx, dy) * step / 8)), step / 8)
-        low = np.floor((place - first) / step).astype(int)
-        u, v = (place - first) / step - low
-        corners = [[node(low[0] + i, low[1] + j) for i in (0, 1)] for j in (0, 1)]
+    places = (2 * places - 1) * half_um
+    true = _shown(at(places[:, None, None] + AROUND * step / 8), step / 8)
+    low = np.floor((places - first) / step)
+    # Two nodes both ways, and those around them.
+    nodes = at(first + step * (low[:, None, None] + np.moveaxis(np.indices((4, 4)), 0, -1) - 1))
+    nodes = node_kernels(lambda dx, dy: nodes[:, 1 + dx : 3 + dx, 1 + dy : 3 + dy])
+    within = ((places - first) / step - low)[:, None, None] + AROUND / 8
+    x, y = np.moveaxis(within, -1, 0)[..., None, None]
+    # The plane through the cell's corners goes on beyond it: slopes are those at the place.
+    corners = nodes[:, None, None]
+    rows = [(1 - x) * corners[..., 0, j, :, :] + x * corners[..., 1, j, :, :] for j in (0, 1)]
+    made = _shown((1 - y) * rows[0] + y * rows[1], step / 8)
+    # A halo's level may hold nothing at a place.
+    squares = np.square((made - true) / np.where(true != 0, true, np.inf))
+    return float(np.sqrt(squares.mean(axis=0).max()))
 
-        def straight(dx: int, dy: int, u=u, v=v, corners=corners) -> np.ndarray:
-            # The plane through the cell's corners goes on beyond it: slopes are those at the place.
-            (a, b), (c, d) = corners
-            x, y = u + dx / 8, v + dy / 8
-            return (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
 
-        made = slopes(straight, step / 8)
-        # A halo's level may hold nothing at a place.
-        squares.append(np.square((made - true) / np.where(true != 0, true, np.inf)))
-    return float(np.sqrt(np.mean(squares, axis=0).max()))
+def _shown(around: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """Return the light (P, C) of an even scene from moments (P, 3, 3, 6, C), x first, so far apart.
+
+    The differences are those of the middle.
+    """
+    middle = around[:, 1, 1]
+    shown = middle[:, 0]
+    sides = (around[:, 2, 1], around[:, 0, 1]), (around[:, 1, 2], around[:, 1, 0])
+    for axis, (more, less) in enumerate(sides):
+        shown = shown - (more - less)[:, 1 + axis] / (2 * way[axis])
+        shown = shown + (more - 2 * middle + less)[:, 3 + axis] / (2 * way[axis] ** 2)
+    mixed = around[:, 2, 2] - around[:, 2, 0] - around[:, 0, 2] + around[:, 0, 0]
+    return shown + mixed[:, 5] / (4 * way[0] * way[1])
 
 
 def _moments(kernels: FieldKernels) -> np.ndarray:
@@ -248,20 +248,20 @@ def _moments(kernels: FieldKernels) -> np.ndarray:
     return np.stack([*parts, mixed], axis=1)
 
 
-def _turned(of_fields: np.ndarray, blend: Blend) -> np.ndarray:
-    """Return moments (6, C) at a place, along the sensor's x and y."""
-    one, x, y, xx, yy, xy = np.tensordot(blend.weights, of_fields[list(blend.fields)], axes=1)
-    c, s = blend.cos, blend.sin
-    return np.stack(
-        [
-            one,
-            c * x - s * y,
-            s * x + c * y,
-            c * c * xx + s * s * yy - 2 * c * s * xy,
-            s * s * xx + c * c * yy + 2 * c * s * xy,
-            c * s * (xx - yy) + (c * c - s * s) * xy,
-        ]
-    )
+def _turned(of_fields: np.ndarray, blends: Blends) -> np.ndarray:
+    """Return moments (P, 6, C) at points, along the sensor's x and y."""
+    moments = np.einsum("pk,pkmc->mpc", blends.weights, of_fields[blends.fields], optimize=True)
+    one, x, y, xx, yy, xy = moments
+    c, s = blends.cos[:, None], blends.sin[:, None]
+    turned = [
+        one,
+        c * x - s * y,
+        s * x + c * y,
+        c * c * xx + s * s * yy - 2 * c * s * xy,
+        s * s * xx + c * c * yy + 2 * c * s * xy,
+        c * s * (xx - yy) + (c * c - s * s) * xy,
+    ]
+    return np.stack(turned, axis=1)
 
 
 def cells_within(
