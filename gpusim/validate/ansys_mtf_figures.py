@@ -77,8 +77,8 @@ def draw_curves(found: list[Sharpness], charts: Sequence[np.ndarray]) -> Figure:
                 label = f"{name}, ROI {number}"
                 rest.plot(f, error, color=MAPS[name], linestyle=look, linewidth=1, label=label)
             _bar(rest, SFR_BAR)
-            _cycles(rest, "Measured less predicted")
-            rest.legend(loc="best")
+            _cycles(rest, "Measured less predicted", ylim=(-1.1 * SFR_BAR, 1.8 * SFR_BAR))
+            rest.legend(loc="upper right")
     return figure
 
 
