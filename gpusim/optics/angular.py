@@ -25,7 +25,7 @@ from scipy.interpolate import CubicSpline
 from gpusim.errors import UserError
 from gpusim.psf.field_bank import FieldBank
 from gpusim.psf.lines import line_shares
-from gpusim.psf.places import Blend, Heights, Places
+from gpusim.psf.places import Blend, Blends, Heights, Places
 from gpusim.scene.spectra import WAVELENGTHS_NM
 from gpusim.sensor.filters_model import passed
 from gpusim.sensor.sensor import Sensor
@@ -217,6 +217,21 @@ class TurnedHeights:
         ]
         fields, weights = zip(*parts, strict=True)
         return Blend(fields, weights, blend.cos, blend.sin)
+
+    def blends(self, x_um: np.ndarray, y_um: np.ndarray) -> Blends:
+        """Return the same at many points (N,)."""
+        fields, weights, cos, sin = self.heights.blends(x_um, y_um)
+        azimuth = np.arctan2(sin, cos) % (2 * np.pi)
+        gains = np.array([gain(azimuth) for gain in self.gains])  # (F, N, terms)
+        own = gains[fields, np.arange(len(fields))[:, None]]
+        terms = len(self.gains) * np.arange(own.shape[-1])
+        flat = len(fields), -1
+        return Blends(
+            (fields[..., None] + terms).reshape(flat),
+            (weights[..., None] * own).reshape(flat),
+            cos,
+            sin,
+        )
 
 
 class PlaceWeights:

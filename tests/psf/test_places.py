@@ -4,12 +4,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from gpusim.formats.ready import load_ready
-from gpusim.psf.places import FieldGrid, Heights, half_turned, lagrange
+from gpusim.optics.angular import TurnedHeights
+from gpusim.psf.places import FieldGrid, Heights, Places, half_turned, lagrange
 
 RADIUS = np.array([0.0, 30.0, 70.0, 100.0, 160.0, 200.0])
 GRID = FieldGrid(np.linspace(-2, 2, 7), np.linspace(-1, 1, 5), lambda x, y: (x / 100, y / 150))
+TURN = np.linspace(0, 2 * np.pi, 9)
+# Three terms of each of the seven fields, that at -r among them, by azimuth.
+TERMS = np.random.default_rng(3).normal(size=(7, 9, 3))
+TERMS[:, -1] = TERMS[:, 0]
+TURNED = TurnedHeights(
+    Heights(RADIUS), tuple(CubicSpline(TURN, one, bc_type="periodic") for one in TERMS)
+)
 
 
 def test_cubics_come_out_as_they_are_and_the_nearest_four_make_them():
@@ -40,8 +49,8 @@ def test_heights_hold_what_is_even_and_what_is_odd(count: int):
     assert heights.opposite == (count,)
 
 
-@pytest.mark.parametrize("places", [Heights(RADIUS), Heights(RADIUS[:2]), GRID])
-def test_many_points_at_once_are_the_same_one_by_one(places: Heights | FieldGrid):
+@pytest.mark.parametrize("places", [Heights(RADIUS), Heights(RADIUS[:2]), GRID, TURNED])
+def test_many_points_at_once_are_the_same_one_by_one(places: Places):
     """The axis, the fields themselves, and points beyond the last among them."""
     rng = np.random.default_rng(2)
     x, y = np.concatenate([rng.uniform(-250, 250, (60, 2)), [[0, 0], [30, 0], [0, -70]]]).T
