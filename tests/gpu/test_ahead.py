@@ -5,29 +5,10 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from adding import TEXT, recorded
 
-from gpusim.gpu import Compiled, Device, Kernel, Recording, ShaderError, ahead, run
+from gpusim.gpu import Compiled, Device, ShaderError, ahead, run
 from gpusim.gpu.device import Device as Opened
-
-TEXT = """
-struct Params { number: u32 }
-@group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read_write> found: array<u32>;
-@compute @workgroup_size(1, 1, 1)
-fn main() { found[0] += params.number; }
-"""
-
-
-def recorded(device: Device, names: list[str]) -> Recording:
-    """Return a recording that adds one for each name, by a kernel of a text of its own."""
-    rec = Recording(device)
-    found = rec.buffer("found", 1, "u4")
-    rec.clear(found)
-    for name in names:
-        kernel = Kernel.from_text(name, f"// {name}\n{TEXT}")
-        kernel.record(rec, (1, 1, 1), {"number": 1}, found=found)
-    rec.download(found)
-    return rec
 
 
 @pytest.fixture
@@ -89,10 +70,7 @@ def test_a_further_device_that_fails_leaves_all_to_the_caller(device: Device, mo
 
 def test_a_shader_that_does_not_compile_is_told_by_the_caller(device: Device, opened):
     names = [f"ahead/wrong {n}" for n in range(5)]
-    rec = recorded(device, names[:-1])
-    wrong = Kernel.from_text(names[-1], TEXT.replace("+=", "+= true +"))
-    found = next(iter(rec._proxies.values()))
-    wrong.record(rec, (1, 1, 1), {"number": 1}, found=found)
+    rec = recorded(device, names, TEXT.replace("+=", "+= true +"))
     with pytest.raises(ShaderError, match="does not compile"):
         rec.run()
 

@@ -1,34 +1,15 @@
 """Compiling is a phase of its own: before the work, once a kernel, told and written down."""
 
+from adding import recorded
 from rich.console import Console
 
 from gpusim.cli import screen
-from gpusim.gpu import Device, Kernel, Recording, compiling
-
-TEXT = """
-struct Params { number: u32 }
-@group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read_write> found: array<u32>;
-@compute @workgroup_size(1, 1, 1)
-fn main() { found[0] += params.number; }
-"""
-
-
-def recorded(device: Device, *names: str) -> Recording:
-    """Return a recording that adds one for each name, by a kernel of a text of its own."""
-    rec = Recording(device)
-    found = rec.buffer("found", 1, "u4")
-    rec.clear(found)
-    for name in names:
-        kernel = Kernel.from_text(name, f"// {name}\n{TEXT}")
-        kernel.record(rec, (1, 1, 1), {"number": 1}, found=found)
-    rec.download(found)
-    return rec
+from gpusim.gpu import Device, compiling
 
 
 def test_kernels_are_compiled_once_and_written_down(device: Device):
     before = len(device.compiled)
-    rec = recorded(device, "compiling/a", "compiling/b", "compiling/a")
+    rec = recorded(device, ["compiling/a", "compiling/b", "compiling/a"])
     assert rec.run()["found"] == 3  # the dispatch that compiles adds nothing
     new = list(device.compiled.values())[before:]
     assert [one.path for one in new] == ["compiling/a", "compiling/b"]
@@ -40,10 +21,10 @@ def test_kernels_are_compiled_once_and_written_down(device: Device):
 def test_those_who_listen_hear_of_all_recordings_together(device: Device):
     told = []
     with compiling(lambda *step: told.append(step)):
-        recorded(device, "compiling/c", "compiling/d").run()
-        recorded(device, "compiling/c").run()  # nothing new: nothing is told
-        recorded(device, "compiling/e").run()
-    recorded(device, "compiling/f").run()
+        recorded(device, ["compiling/c", "compiling/d"]).run()
+        recorded(device, ["compiling/c"]).run()  # nothing new: nothing is told
+        recorded(device, ["compiling/e"]).run()
+    recorded(device, ["compiling/f"]).run()
     assert told == [(0, 2), (1, 2), (2, 2), (2, 3), (3, 3)]
 
 
@@ -51,7 +32,7 @@ def test_the_screen_has_a_bar_for_it(device: Device, monkeypatch):
     shown = Console(force_terminal=True, width=80, record=True)
     monkeypatch.setattr(screen, "Console", lambda **more: shown)
     with screen.progress_bar():
-        recorded(device, "compiling/g").run()
+        recorded(device, ["compiling/g"]).run()
         with shown.capture():
             pass
     assert "compile" in shown.export_text()

@@ -56,7 +56,10 @@ def test_psfs_are_those_of_the_lens_with_its_plane_there(camera, seen):
         # a tenth of the peak and more.
         assert np.abs(bank.psf[few] - own.psf).max() < 1e-5 * own.psf.max()
         assert np.abs(bank.halo[:, few] - own.halo).sum() < 1e-5 * own.halo.sum()
-        np.testing.assert_allclose(bank.real_height_um[few], own.real_height_um, atol=1e-6)
+        # Chief rays are traced in float64 and go on along straight lines: paths of some 100 mm are
+        # rounded to 1e-16 of them at each of 7 surfaces, 1e-10 um, which slopes may enlarge.
+        heights = bank.real_height_um[few], own.real_height_um
+        np.testing.assert_allclose(*heights, rtol=0, atol=1e-7)
     before, behind = (one.bank.psf[0, 0] for one in seen)
     assert np.abs(before - behind).max() > 0.1 * before.max()
 
