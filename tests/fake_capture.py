@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.camera import load_camera
 from gpusim.certify import Certificate, Probe
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.optics.grid import SimGrid
 from gpusim.plan import Accuracy, PlanStage
 from gpusim.plan.band import Band, Unknown

@@ -44,7 +44,7 @@ from gpusim.heap import trim_heap
 from gpusim.isp.develop import _read as read_development
 from gpusim.isp.dng import write_dng
 from gpusim.isp.files import write_picture
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.isp.settings import read_settings
 from gpusim.library.again import read_recipe
 from gpusim.library.expose import expose

@@ -26,8 +26,8 @@ from gpusim.certify import ExactModel, Measure, Placed, certify
 from gpusim.formats.lens_file import load_prescription
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
+from gpusim.plan.choice import alias_of
 from gpusim.plan.costs import LAVAPIPE
-from gpusim.plan.optics import alias_of
 from gpusim.psf.field_bank import FieldBank
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect

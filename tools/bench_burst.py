@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gpusim.gpu import Device
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.library.light import Light
 from gpusim.sensor.load import load_sensor
 from gpusim.sensor.planes import planes_of

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from gpusim.cache import cache_folder
-from gpusim.calibrate.optics import (
+from gpusim.calibrate.optics_rates import (
     host_rates,
     other_rates,
     point_source_rates,
     source_rates,
     transform_rates,
 )
-from gpusim.calibrate.sensor import ccd_rates, dispatch_rates, sensor_rates
+from gpusim.calibrate.sensor_rates import ccd_rates, dispatch_rates, sensor_rates
 from gpusim.config.text import read_json
 from gpusim.disk import whole
 from gpusim.errors import UserError

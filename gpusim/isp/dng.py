@@ -13,6 +13,7 @@ import numpy as np
 import gpusim
 from gpusim.isp import tiff
 from gpusim.isp.colour import LIGHT_SOURCE, colour_matrix, forward_matrix, response
+from gpusim.isp.lens_tags import Optics, opcodes
 from gpusim.isp.levels import (
     iso_speed,
     linear_dn,
@@ -20,7 +21,6 @@ from gpusim.isp.levels import (
     noise_profile,
     saturation_dn,
 )
-from gpusim.isp.optics import Optics, opcodes
 from gpusim.isp.tiff import ASCII, BYTE, DOUBLE, LONG, RATIONAL, SHORT, SRATIONAL, UNDEFINED
 from gpusim.sensor.cfa import CFA_LETTERS
 from gpusim.sensor.frame import Rect

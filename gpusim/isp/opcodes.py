@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gpusim.isp.optics import FIX_VIGNETTE_RADIAL, WARP_RECTILINEAR
+from gpusim.isp.lens_tags import FIX_VIGNETTE_RADIAL, WARP_RECTILINEAR
 from gpusim.isp.rectify import Rectification
 from gpusim.isp.shading import Shading
 

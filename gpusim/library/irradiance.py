@@ -21,7 +21,7 @@ import numpy as np
 from gpusim.config.arrays import MOST_BYTES, read_npz
 from gpusim.errors import UserError
 from gpusim.gpu import default_device
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.library.expose import expose
 from gpusim.library.light import Light
 from gpusim.plan.stages import sensor_runs

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from gpusim.certify import Certificate
-    from gpusim.isp.optics import Optics
+    from gpusim.isp.lens_tags import Optics
     from gpusim.library.burst import Burst
     from gpusim.sensor.sensor import Sensor
 

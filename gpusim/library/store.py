@@ -16,7 +16,7 @@ from gpusim.config.mistakes import checked
 from gpusim.config.text import json_of
 from gpusim.disk import whole
 from gpusim.errors import UserError
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.library.sensor import Sensor
 
 if TYPE_CHECKING:

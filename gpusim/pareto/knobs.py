@@ -16,8 +16,8 @@ from gpusim.optics.kernels import core_window, distances_um, field_kernels
 from gpusim.optics.methods import METHODS
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.blocks import TRANSFORMS
+from gpusim.plan.choice import alias_of
 from gpusim.plan.deadline import predicted_parts
-from gpusim.plan.optics import alias_of
 from gpusim.plan.predict import GUARD, cut_error
 from gpusim.plan.problem import CUTS_UM as PLANNED_CUTS_UM
 from gpusim.plan.ways import LARGEST_STRIDE, held_um

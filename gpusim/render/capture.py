@@ -10,7 +10,7 @@ import numpy as np
 
 from gpusim.camera import Camera
 from gpusim.certify import Certificate
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.band import Band
 from gpusim.plan.costs import Costs

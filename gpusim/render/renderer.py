@@ -18,7 +18,7 @@ from gpusim.camera import Camera
 from gpusim.certify import Judged
 from gpusim.gpu import Device, Recording, Resident, Result, default_device
 from gpusim.heap import trim_heap
-from gpusim.isp.optics import Optics, correction_notes, optics_of
+from gpusim.isp.lens_tags import Optics, correction_notes, optics_of
 from gpusim.optics.flare import veiling_glare
 from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import Costs

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpusim.lens.layout import Element, beam, elements
 from gpusim.lens.samples import sample_rays
+from gpusim.lens.section import Element, beam, elements
 from gpusim.lens.system import System
 from gpusim.lens.wavefront import Pupil
 from gpusim.parallel import each
@@ -74,7 +74,7 @@ class LensPage(BankPage):
     system : System
     elements : list of Element
     beams : list of ndarray
-        One for each of CURVE_FIELDS, see :func:`gpusim.lens.layout.beam`.
+        One for each of CURVE_FIELDS, see :func:`gpusim.lens.section.beam`.
     focus_frequency : float
         Cycles/mm of the through-focus curves.
     focus_mm : ndarray, shape (Z,)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.lens.layout import Element, beam, elements
+from gpusim.lens.section import Element, beam, elements
 from gpusim.lens.system import System
 from gpusim.psf import otf
 from gpusim.psf.plane_bank import PlaneBank

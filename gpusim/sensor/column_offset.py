@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from gpusim.gpu import Array, Kernel, Recording
+from gpusim.sensor.philox import quads, words
 from gpusim.sensor.sensor import Sensor
-from gpusim.sensor.words import quads, words
 
 
 def record_column_offset(

@@ -11,8 +11,8 @@ from gpusim.errors import UserError
 from gpusim.gpu import Array, Kernel, Recording
 from gpusim.sensor.effects import switches
 from gpusim.sensor.noise_model import LineNoise
+from gpusim.sensor.philox import quads, words
 from gpusim.sensor.sensor import Sensor
-from gpusim.sensor.words import quads, words
 
 
 def record_exposure(

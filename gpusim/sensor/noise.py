@@ -9,8 +9,8 @@ import numpy as np
 from gpusim.gpu import Array, Kernel, Recording
 from gpusim.sensor.effects import switches
 from gpusim.sensor.noise_model import LineNoise
+from gpusim.sensor.philox import quads, words
 from gpusim.sensor.sensor import Sensor
-from gpusim.sensor.words import quads, words
 
 QUANTILES, REACH = 1025, 6.5  # of the table in the stage
 

@@ -12,9 +12,9 @@ from gpusim.stress import (
     angle,
     ccd,
     data_sheet,
+    imaging,
     levels,
     noise,
-    optics,
     pixel,
     readout,
     sensor_files,
@@ -24,7 +24,7 @@ from gpusim.stress.table import Case, Row, judged
 # In the order that light takes. A new part of the chain brings a module with its own table and a
 # line here.
 CASES: tuple[Case, ...] = (
-    *optics.CASES,
+    *imaging.CASES,
     *angle.CASES,
     *pixel.CASES,
     *noise.CASES,

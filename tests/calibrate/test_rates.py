@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import gpusim
 
-from gpusim.calibrate import optics, rates, timing
+from gpusim.calibrate import optics_rates, rates, timing
 from gpusim.errors import UserError
 from gpusim.gpu import Device
 from gpusim.plan.blocks import TRANSFORMS
@@ -62,14 +62,14 @@ def test_long_transforms_are_timed_where_their_kernels_compile_fast(
 
     def convolved(device: Device, length: int, channels: int, planes: int) -> dict[str, float]:
         asked.add(length)
-        alike = units.transforms(optics._grid(length, 2), channels, np.array([planes]))
+        alike = units.transforms(optics_rates._grid(length, 2), channels, np.array([planes]))
         return {
             stage: (1.0 if length == 256 else 2.0) * seconds for stage, seconds in alike.items()
         }
 
-    monkeypatch.setattr(optics, "_convolved", convolved)
+    monkeypatch.setattr(optics_rates, "_convolved", convolved)
     monkeypatch.setattr(Device, "report", lambda self: {"type": kind})
-    found = optics.transform_rates(device)
+    found = optics_rates.transform_rates(device)
     # The FFT of columns' three rates are held to the numbers that each moves: 3.4 % of the sum.
     assert found[512] == pytest.approx(slower, rel=0.04)
     assert asked == ({256} if kind == "CPU" else set(TRANSFORMS))

@@ -16,8 +16,8 @@ from gpusim.errors import UserError
 from gpusim.isp import colour
 from gpusim.isp.develop import develop
 from gpusim.isp.dng import BLACK_IS_ZERO, CFA, LINEAR_RAW, TAGS, has_dng, photometric, write_dng
+from gpusim.isp.lens_tags import Optics
 from gpusim.isp.levels import linearization_table, noise_profile, saturation_dn, span_dn
-from gpusim.isp.optics import Optics
 from gpusim.isp.quad import write_bayer
 from gpusim.isp.rawfile import read_raw
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz

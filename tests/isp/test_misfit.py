@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpusim.formats.lens_file import load_prescription, presets
-from gpusim.isp.optics import HEIGHTS, Optics, correction_notes, misfit_um, warp
+from gpusim.isp.lens_tags import HEIGHTS, Optics, correction_notes, misfit_um, warp
 from gpusim.lens.samples import sample_rays
 from gpusim.lens.system import build
 from gpusim.psf.field_map import FieldMap

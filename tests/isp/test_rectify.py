@@ -10,7 +10,7 @@ from isp.stages import F32, ULP, through
 from gpusim.gpu import Device
 from gpusim.isp import pipeline
 from gpusim.isp.colour import response
-from gpusim.isp.optics import Optics, colour_shifts, opcodes, warp
+from gpusim.isp.lens_tags import Optics, colour_shifts, opcodes, warp
 from gpusim.isp.pipeline import develop_source
 from gpusim.isp.rectify import Rectification, record_rectify
 from gpusim.isp.settings import Settings

@@ -19,8 +19,8 @@ from gpusim.gpu import Device
 from gpusim.optics.chief_ray import chief_ray_map
 from gpusim.pareto.knobs import oversampled
 from gpusim.plan import Accuracy
+from gpusim.plan.choice import alias_of
 from gpusim.plan.costs import LAVAPIPE
-from gpusim.plan.optics import alias_of
 from gpusim.render import Renderer
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.raster import Raster

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gpusim.isp.optics import Optics
+from gpusim.isp.lens_tags import Optics
 from gpusim.report.patches import INNER, patch_facts, patches_html
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, encode_srgb, rgb_to_xyz
 from gpusim.scene.make import make_scene

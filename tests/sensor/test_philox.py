@@ -11,6 +11,7 @@ from harness import assert_close, wgsl_eval
 
 from gpusim.gpu.wgsl import shaders_root
 from gpusim.reference import philox as reference
+from gpusim.sensor.philox import quads, words
 
 # Random123, kat_vectors: philox4x32 10: counter, key, words.
 KNOWN = [
@@ -61,3 +62,14 @@ def test_purposes_are_those_of_the_reference_and_all_unlike():
     assert {name: int(value, 16) for name, value in found.items()} == {
         name: value << 16 for name, value in vars(reference).items() if name.isupper()
     }
+
+
+def test_keys_are_split_into_words():
+    assert words(0x123456789ABCDEF0) == (0x9ABCDEF0, 0x12345678)
+
+
+@pytest.mark.parametrize(
+    ("col0", "cols", "count"), [(0, 1, 1), (0, 4, 1), (0, 5, 2), (3, 1, 1), (3, 2, 2), (6, 6, 2)]
+)
+def test_quads_touched(col0: int, cols: int, count: int):
+    assert quads(col0, cols) == count

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from gpusim.lens.layout import beam, elements
+from gpusim.lens.section import beam, elements
 from gpusim.report.drawing import SOFT, panel
 from gpusim.report.lens.colours import PALETTE, wavelength_colour
 from gpusim.report.lens.frame import (

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from gpusim.lens.layout import Element, section
+from gpusim.lens.section import Element, section
 from gpusim.lens.system import System
 from gpusim.report.drawing import INK, SOFT
 from gpusim.report.lens.colours import PALETTE

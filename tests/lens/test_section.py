@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lens.made import lens, model
 
-from gpusim.lens.layout import beam, elements, section
+from gpusim.lens.section import beam, elements, section
 from gpusim.lens.system import build, geometry_of
 
 
