@@ -67,7 +67,7 @@ def tracked(folder: str, *suffixes: str) -> set[str]:
 def test_every_shader_and_data_file_is_in_the_wheel(wheel: Path):
     names = set(zipfile.ZipFile(wheel).namelist())
     shaders = {f"gpusim/{name}" for name in tracked("shaders", ".wgsl")}
-    data = tracked("gpusim", ".py", ".css", ".yaml", ".csv", ".zmx")
+    data = tracked("gpusim", ".py", ".css", ".js", ".html", ".yaml", ".csv", ".zmx")
     assert shaders and data
     assert shaders | data <= names
 

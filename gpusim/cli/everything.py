@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from html import escape
 from pathlib import Path
 
 from gpusim.cli.colour import colour
@@ -19,7 +18,7 @@ from gpusim.cli.spectra import spectra
 from gpusim.cli.texture import texture
 from gpusim.errors import UserError
 from gpusim.metrics.picture import read_picture
-from gpusim.report.page import body_of, document
+from gpusim.report.template import filled
 
 ILLUMINANT = "D65"
 Measure = Callable[[Path, Path], object]
@@ -83,16 +82,13 @@ def everything(
 
 
 def _page(title: str, out: Path, shown: list[str], missing: dict[str, str]) -> str:
-    links = ", ".join(f'<a href="#{name}">{name}</a>' for name in shown) or "nothing"
-    sections = [
-        f'<section id="{name}"><h2>{name}</h2>'
-        f"{body_of((out / f'{name}.html').read_text())}</section>"
-        for name in shown
-    ]
-    if missing:
-        items = "".join(f"<li>{name}: {escape(why)}</li>" for name, why in missing.items())
-        sections.append(f"<section><h2>Left out</h2><ul>{items}</ul></section>")
-    return document(escape(title), f"What it shows: {links}.", *sections)
+    pages = {name: _body((out / f"{name}.html").read_text()) for name in shown}
+    return filled("cli/everything.html", title=title, shown=pages, missing=missing)
+
+
+def _body(page: str) -> str:
+    """Return what a page shows below its title: to stand in another one."""
+    return page.partition("</h1>")[2].partition("</body>")[0]
 
 
 def _done(name: str, measure: Measure, path: Path, folder: Path) -> str | None:

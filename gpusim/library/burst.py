@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.errors import UserError
 from gpusim.gpu import held
 from gpusim.library.frame import Frame, histogram_curves, spoken_s, truth_dn
-from gpusim.library.notebook import facts, figure, picture
+from gpusim.library.notebook import abreast, facts, figure, picture
 from gpusim.library.together import read_raws
 from gpusim.sensor.readout import Shot
 
@@ -84,11 +84,11 @@ class Burst:
             frame = self[number]
             what = f"frame {number}", {"": spoken_s(exposure_s), "gain": f"{gain:g}"}
             shown = picture(frame.develop(), SHOWN_PX), facts(*what), histogram_curves(frame)
-            cells.append(f"<td style='vertical-align:top'>{figure(*shown)}</td>")
+            cells.append(figure(*shown))
         told = {"": repr(self)[6:-1]}
         if len(first) > MOST_SHOWN:
             told["shown"] = f"{MOST_SHOWN} of {len(first)} settings"
-        return figure(facts("Burst", told), f"<table><tr>{''.join(cells)}</tr></table>")
+        return figure(facts("Burst", told), abreast(*cells))
 
     @property
     def exposure_s(self) -> np.ndarray:

@@ -6,13 +6,13 @@ Texts have the notebook's own colour, and lines colours between light and dark: 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from html import escape
 
 import numpy as np
 from PIL import Image
 
-from gpusim.report.embedded import embedded
+from gpusim.report.template import macros
 
+TEMPLATE = "library/notebook.html"
 SHOWN_PX = 960  # longest side of a frame's picture
 CURVES_PX = 480, 80  # of a figure of curves
 # Legible on white and on black, 4 : 1 or nearly; W: a photosite without a filter.
@@ -30,7 +30,7 @@ COLOURS = {
 def picture(image: Image.Image, longest_px: int = SHOWN_PX) -> str:
     """Return an image element, scaled down to a longest side; the image given is scaled too."""
     image.thumbnail((longest_px, longest_px))
-    return f"<img src='{embedded(image, 'PNG')}' style='max-width:100%'>"
+    return macros(TEMPLATE).picture(image)
 
 
 def curves(of_letter: Iterable[tuple[str, Sequence[float] | np.ndarray]]) -> str:
@@ -38,26 +38,29 @@ def curves(of_letter: Iterable[tuple[str, Sequence[float] | np.ndarray]]) -> str
     width, height = CURVES_PX
     given = [(letter, np.asarray(values, float)) for letter, values in of_letter]
     top = max((float(values.max()) for _, values in given), default=0.0) or 1.0
-    lines = "".join(
-        f"<polyline fill='none' stroke='{COLOURS.get(letter, '#888')}' points='"
-        + " ".join(
-            f"{k * width / len(values):.1f},{height - 2 - (height - 4) * one / top:.1f}"
-            for k, one in enumerate(values)
+    lines = [
+        (
+            COLOURS.get(letter, "#888"),
+            " ".join(
+                f"{k * width / len(values):.1f},{height - 2 - (height - 4) * one / top:.1f}"
+                for k, one in enumerate(values)
+            ),
         )
-        + "'/>"
         for letter, values in given
-    )
-    return (
-        f"<svg viewBox='0 0 {width} {height}' style='width:100%;max-width:{width}px'>{lines}</svg>"
-    )
+    ]
+    return macros(TEMPLATE).curves(lines, width, height)
 
 
 def facts(title: str, of_name: Mapping[str, object]) -> str:
     """Return a title and a line of facts."""
-    told = " · ".join(f"{name} {escape(str(one))}" for name, one in of_name.items())
-    return f"<figcaption><b>{escape(title)}</b><br>{told}</figcaption>"
+    return macros(TEMPLATE).facts(title, of_name)
 
 
 def figure(*parts: str) -> str:
     """Return one element of several."""
-    return f"<figure style='margin:0'>{''.join(parts)}</figure>"
+    return macros(TEMPLATE).figure(parts)
+
+
+def abreast(*figures: str) -> str:
+    """Return figures side by side."""
+    return macros(TEMPLATE).abreast(figures)

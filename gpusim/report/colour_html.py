@@ -8,7 +8,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from gpusim.metrics.colour import METHODS
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 KINDS = {"as_is": "as it is", "through_matrix": "by the matrix"}
 
@@ -18,12 +18,12 @@ def colour_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     kinds = list(facts["summary"])
     head = ["", *(f"mean Delta E {key}" for key in METHODS)]
     head += [*(f"largest {key}" for key in METHODS), "mean xy", "largest xy"]
-    summary = table(
+    summary = Table(
         "Differences from the chart",
         head,
         [[KINDS[kind], *facts["summary"][kind].values()] for kind in kinds],
     )
-    patches = table(
+    patches = Table(
         "Patches",
         [
             "Patch", "R", "G", "B", "chart x", "chart y",
@@ -42,7 +42,7 @@ def colour_html(facts: Mapping[str, Any], drawn: Figure) -> str:
         ],
     )  # fmt: skip
     rows = [[name, *row] for name, row in zip("XYZ", facts["matrix_rgb_to_xyz"], strict=True)]
-    matrix = table("Matrix from the picture's channels to XYZ", ["", "R", "G", "B"], rows)
+    matrix = Table("Matrix from the picture's channels to XYZ", ["", "R", "G", "B"], rows)
     said = f"Colours by gpusim {facts['gpusim']}; chart under {facts['illuminant']}; "
     shows = "Places of the patches, patches side by side, chromaticities, differences"
     return sheet(

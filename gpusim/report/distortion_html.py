@@ -7,18 +7,18 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 
 def distortion_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     """Return the page as an HTML document that needs no other file."""
     tables = [
-        table(
+        Table(
             "Local geometric distortion",
             ("r_d", "LGD, %", "u (k = 1), %"),
             [(one["radius"], one["value"], one["u"]) for one in facts["lgd_percent"]],
         ),
-        table(
+        Table(
             "Models",
             ("Model", "Coefficients", "Misses, px RMS", "Worst, px"),
             [
@@ -34,7 +34,7 @@ def distortion_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     ]
     if facts["lateral_colour"]:
         tables.append(
-            table(
+            Table(
                 f"Lateral colour against {facts['reference']}",
                 ("Channel", "RMS, px", "Largest, outwards, px", "% of the way to the corner"),
                 [

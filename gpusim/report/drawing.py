@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import io
-from html import escape
 
 import matplotlib
 import numpy as np
@@ -63,19 +61,6 @@ def svg(figure: Figure) -> str:
     """Return a page as SVG, letters as outlines: it looks the same anywhere."""
     metadata = {"Date": None, "Creator": None}
     return _rendered(figure, "svg", metadata=metadata).decode()
-
-
-def card(figure: Figure, shows: str) -> str:
-    """Return a figure as part of a document: as wide as there is room, on white at any hour.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    shows : str
-        What it shows, for those who cannot see it.
-    """
-    picture = base64.b64encode(svg(figure).encode()).decode()
-    return f'<img class="sheet" src="data:image/svg+xml;base64,{picture}" alt="{escape(shows)}">'
 
 
 def _rendered(figure: Figure, form: str, **options: object) -> bytes:

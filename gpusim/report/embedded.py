@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import base64
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PIL import Image
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def embedded(image: Image.Image, form: str, **options: Any) -> str:
@@ -22,4 +25,16 @@ def embedded(image: Image.Image, form: str, **options: Any) -> str:
     """
     file = io.BytesIO()
     image.save(file, form, **options)
-    return f"data:image/{form.lower()};base64,{base64.b64encode(file.getvalue()).decode()}"
+    return data_url(file.getvalue(), f"image/{form.lower()}")
+
+
+def drawn(figure: Figure) -> str:
+    """Return a figure as a data URL: SVG."""
+    from gpusim.report.drawing import svg
+
+    return data_url(svg(figure).encode(), "image/svg+xml")
+
+
+def data_url(data: bytes, kind: str) -> str:
+    """Return a file as a data URL by its media type."""
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 
 from gpusim.metrics.glare import Spot
 from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 UNITS = (
     "veiling glare index (ISO 9358, integral method): the middle of a black spot over the field "
@@ -104,5 +104,5 @@ def glare_html(facts: Mapping[str, Any], drawn: Figure) -> str:
         f"Veiling glare by gpusim {facts['gpusim']}; {facts['units']}.",
         drawn,
         "Where the spots lie, and the veiling glare index of each",
-        table("Spots", head, rows),
+        Table("Spots", head, rows),
     )

@@ -1,16 +1,16 @@
-"""The raw's histogram by channel: its facts, and its figure as SVG."""
+"""The raw's histogram by channel: its facts, and its part of a page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.isp.histogram import channel_values
 from gpusim.isp.levels import noise_profile, saturation_dn, span_dn
+from gpusim.report.template import filled
 
 if TYPE_CHECKING:
     from gpusim.render import Capture
@@ -19,6 +19,7 @@ BINS = 128
 WIDTH, HEIGHT, LEFT = 640, 150, 6  # of the figure, px
 TALL = HEIGHT - 8  # of the highest bin
 COLOURS = {"R": "#d0443a", "G": "#2f9a55", "B": "#3b74d6"}
+OF_OTHERS = "#8a8f98"
 
 
 def histogram_facts(capture: Capture) -> dict[str, Any]:
@@ -49,42 +50,24 @@ def histogram_html(facts: Mapping[str, Any]) -> str:
     """Return the figure, and a table of the channels."""
     channels, last = facts["channels"], facts["edges_dn"][-1]
     most = max((math.sqrt(max(one["counts"])) for one in channels.values()), default=1.0) or 1.0
-    lines = ""
-    for letter, one in channels.items():
-        points = " ".join(
-            f"{LEFT + (n + 0.5) * WIDTH / BINS:.1f},{HEIGHT - TALL * math.sqrt(k) / most:.1f}"
-            for n, k in enumerate(one["counts"])
-        )
-        lines += (
-            f'<polyline fill="none" stroke="{_colour(letter)}" stroke-width="1.6" '
-            f'points="{points}"/>'
-        )
-    at = LEFT + WIDTH * facts["saturation_dn"] / last
-    rows = "".join(
-        f'<tr><td><i class="dot" style="background:{_colour(letter)}"></i>{escape(letter)}</td>'
-        f'<td class="number">{one["median_dn"]:.0f}</td>'
-        f'<td class="number">{_decibels(one["median_snr_db"])}</td>'
-        f'<td class="number">{one["saturated_share"]:.2%}</td></tr>'
+    shown = [
+        {
+            **one,
+            "letter": letter,
+            "colour": COLOURS.get(letter, OF_OTHERS),
+            "points": " ".join(
+                f"{LEFT + (n + 0.5) * WIDTH / BINS:.1f},{HEIGHT - TALL * math.sqrt(k) / most:.1f}"
+                for n, k in enumerate(one["counts"])
+            ),
+        }
         for letter, one in channels.items()
+    ]
+    return filled(
+        "report/templates/histogram.html",
+        channels=shown,
+        saturation=LEFT + WIDTH * facts["saturation_dn"] / last,
+        last_dn=last - 1,
+        width=WIDTH,
+        height=HEIGHT,
+        left=LEFT,
     )
-    return f"""<h2>The raw</h2>
-<figure><svg class="map narrow" viewBox="0 0 {WIDTH + 2 * LEFT} {HEIGHT + 24}" role="img"
-aria-label="Histogram of the raw by channel">{lines}
-<line x1="{at:.1f}" x2="{at:.1f}" y1="0" y2="{HEIGHT}" stroke="var(--bad)" stroke-dasharray="4 3"/>
-<line x1="{LEFT}" x2="{WIDTH + LEFT}" y1="{HEIGHT}" y2="{HEIGHT}" stroke="var(--line)"/>
-<g fill="var(--soft)" font-size="18"><text x="{LEFT}" y="{HEIGHT + 20}">0 DN</text>
-<text x="{WIDTH + LEFT}" y="{HEIGHT + 20}" text-anchor="end">{last - 1:.0f} DN</text></g></svg>
-<figcaption>Pixels by digital number, square-root counts; the dashed line is saturation. SNR
-is that of the median.
-</figcaption></figure><div class="scroll"><table><thead><tr>
-<th>Channel</th><th class="number">Median [DN]</th>
-<th class="number">SNR [dB]</th><th class="number">Saturated</th></tr></thead>
-<tbody>{rows}</tbody></table></div>"""
-
-
-def _colour(letter: str) -> str:
-    return COLOURS.get(letter, "#8a8f98")
-
-
-def _decibels(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f}"

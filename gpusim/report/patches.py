@@ -7,13 +7,13 @@ the scene's white. Its exposure is free: one factor is fitted to the luminances.
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.metrics.colour import Colours, compared
+from gpusim.report.template import filled
 from gpusim.scene.chart import Chart, Rect
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, adaptation, encode_srgb, rgb_to_xyz
 from gpusim.scene.encoded import linear
@@ -148,26 +148,16 @@ def patches_html(found: dict[str, Any] | None) -> str:
         # A new row begins where a patch lies to the left of the one before it.
         if not rows or left <= rows[-1][-1]["box_px"][0] or top > rows[-1][-1]["box_px"][3]:
             rows.append([])
-        rows[-1].append(one)
-    lines = "".join(f'<div class="patch-row">{"".join(map(_swatch, row))}</div>' for row in rows)
-    many = " many" if max(map(len, rows)) > MANY else ""  # no room for figures on a phone
-    clipped = sum(one["clipped"] for one in found["patches"])
-    without = f" Not counted: {clipped} at an end of what sRGB shows." if clipped else ""
-    return f"""<h2>Colours</h2>
-<p>Mean &Delta;E2000 <strong>{found["mean_delta_e_2000"]:.2f}</strong>, largest
-{found["largest_delta_e_2000"]:.2f}, of {len(found["patches"])} patches under
-{escape(found["illuminant"])}.{without}</p>
-<figure><div class="patches{many}">{lines}</div>
-<figcaption>Around: the chart's colour; within: the developed picture's, its exposure fitted. The
-number is &Delta;E2000.</figcaption></figure>"""
-
-
-def _swatch(one: dict[str, Any]) -> str:
-    dark = sum(int(one["chart_srgb"][at : at + 2], 16) for at in (1, 3, 5)) < 3 * 110
-    said = f"{one['name']}: Delta E2000 {one['delta_e_2000']:.2f}"
-    said += ", clipped" if one["clipped"] else ""
-    return (
-        f'<span class="patch" style="background:{one["chart_srgb"]};'
-        f'color:{"#fff" if dark else "#000"}" title="{escape(said)}">'
-        f'<i style="background:{one["srgb"]}"></i>{one["delta_e_2000"]:.1f}</span>'
+        rows[-1].append({**one, "dark": _dark(one["chart_srgb"])})
+    return filled(
+        "report/templates/patches.html",
+        found=found,
+        rows=rows,
+        many=max(map(len, rows)) > MANY,  # no room for figures on a phone
+        clipped=sum(one["clipped"] for one in found["patches"]),
     )
+
+
+def _dark(code: str) -> bool:
+    """Return whether white letters go with a colour: its channels lie below 110 on average."""
+    return sum(int(code[at : at + 2], 16) for at in (1, 3, 5)) < 3 * 110

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from gpusim.report.template import filled
 from gpusim.report.words import error
 
 # Viridis (van der Walt and Smith 2015) at 0, 1/4 ... 1: even in lightness, safe for the
@@ -27,41 +28,25 @@ def probe_map(probes: Sequence[Mapping[str, Any]], capture: Mapping[str, Any]) -
         ``rows`` and ``cols`` of the sensor or of the rectangle of it that was rendered, which
         begins at ``first_row`` and ``first_col``.
     """
-    cols, rows = capture["cols"], capture["rows"]
     top, left = capture["first_row"], capture["first_col"]
-    unit = max(cols, rows) / 100
-    dots = "".join(
-        f'<circle cx="{probe["col"] - left + 0.5}" cy="{probe["row"] - top + 0.5}" r="{unit:.2f}" '
-        f'fill="{_colour(probe["relative"])}">'
-        f"<title>row {probe['row']}, column {probe['col']}: {error(probe['relative'])}</title>"
-        "</circle>"
-        for probe in reversed(probes)
-    )
-    worst = probes[0]
-    return f"""<svg class="map" viewBox="0 0 {cols} {rows + 8 * unit:.2f}" role="img"
-aria-label="Map of probes"><rect width="{cols}" height="{rows}" fill="var(--map)"/>
-<g stroke="var(--page)" stroke-width="{unit / 6:.2f}">{dots}</g>
-<circle cx="{worst["col"] - left + 0.5}" cy="{worst["row"] - top + 0.5}" r="{2 * unit:.2f}"
-fill="none" stroke="var(--bad)" stroke-width="{unit / 2:.2f}"/>
-{_scale(cols, rows + 2 * unit, unit)}</svg>"""
-
-
-def _scale(width: float, top: float, unit: float) -> str:
-    """Return the colour scale, `width` wide, from `top` down."""
     steps = _STEPS_A_DECADE * (_HIGH - _LOW)
-    scale = "".join(
-        f'<rect x="{k * width / (steps + 1):.2f}" y="{top:.2f}" width="{width / (steps + 1):.2f}" '
-        f'height="{1.5 * unit:.2f}" fill="{_colour(10 ** (_LOW + k / _STEPS_A_DECADE))}"/>'
-        for k in range(steps + 1)
+    return filled(
+        "report/templates/probes.html",
+        cols=capture["cols"],
+        rows=capture["rows"],
+        unit=max(capture["cols"], capture["rows"]) / 100,
+        dots=[
+            {
+                "x": probe["col"] - left + 0.5,
+                "y": probe["row"] - top + 0.5,
+                "colour": _colour(probe["relative"]),
+                "said": f"row {probe['row']}, column {probe['col']}: {error(probe['relative'])}",
+            }
+            for probe in probes
+        ],
+        scale=[_colour(10 ** (_LOW + k / _STEPS_A_DECADE)) for k in range(steps + 1)],
+        decades=range(_LOW, _HIGH + 1),
     )
-    for decade in range(_LOW, _HIGH + 1):
-        anchor = {_LOW: "start", _HIGH: "end"}.get(decade, "middle")
-        scale += (
-            f'<text x="{(decade - _LOW) / (_HIGH - _LOW) * width:.2f}" y="{top + 5 * unit:.2f}" '
-            f'font-size="{3.3 * unit:.2f}" text-anchor="{anchor}" fill="currentColor">'
-            f"1e{decade}</text>"
-        )
-    return scale
 
 
 def _colour(relative: float | None) -> str:

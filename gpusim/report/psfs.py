@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from html import escape
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from gpusim.psf.local import LocalPsfs
-from gpusim.report.embedded import embedded
+from gpusim.report.template import filled
 
 SHOWN_PX = 240
 TINY = np.finfo(float).tiny
@@ -41,11 +40,11 @@ def psfs_html(found: LocalPsfs, facts: dict[str, Any]) -> str:
             sensor["rows"] / 2 - capture["first_row"],
         ],
     }
-    given = escape(json.dumps(data))
-    turned = ", turned as it lies there" if found.turned else ""
-    return f"""<h2>PSF at a place</h2>
-<div class="psf"><canvas width="{SHOWN_PX}" height="{SHOWN_PX}" data-psf="{given}"
- data-strip="{embedded(strip, "PNG")}"></canvas>
-<p class="soft"><span class="psf-at">Click into the picture.</span> The light of the scene's white
-as the sensor's colours see it, fourth root; the lines are the edges of pixels. The nearest of
-{len(found.light)} places is shown{turned}.</p></div>"""
+    return filled(
+        "report/templates/psfs.html",
+        data=json.dumps(data),
+        strip=strip,
+        shown_px=SHOWN_PX,
+        count=len(found.light),
+        turned=found.turned,
+    )

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from gpusim.metrics.shading import Shading
 from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 CORNERS = ("upper left", "upper right", "lower left", "lower right")
 UNITS = "means of 15 x 21 blocks over that of the middle one; standard uncertainties (k = 1)"
@@ -110,7 +110,7 @@ def _profiles(axes: Axes, found: Sequence[Shading], size: tuple[int, int]) -> No
 def shading_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     """Return the page as an HTML document that needs no other file."""
     tables = [
-        table(
+        Table(
             "Shading, % of the middle",
             ("Channel", *CORNERS, "Unevenness, %", "u of a block, %", ""),
             [
@@ -124,7 +124,7 @@ def shading_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     ]  # fmt: skip
     if facts["colour_shading"]:
         tables.append(
-            table(
+            Table(
                 "Colour shading, % from the middle's",
                 ("Ratio", "Lowest", "Highest"),
                 [

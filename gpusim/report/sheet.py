@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from gpusim.report.drawing import card
-from gpusim.report.page import document
+from gpusim.report.template import filled
 
 
-def sheet(title: str, summary: str, drawn: Figure, shows: str, *tables: str) -> str:
+@dataclass(frozen=True)
+class Table:
+    """A table with a title above.
+
+    Attributes
+    ----------
+    title : str
+    head : sequence of str
+    rows : sequence of sequences
+        Texts; numbers, shown with five digits to the right.
+    styles : sequence of str
+        Classes of the columns from the left, where they are not all plain: ``number`` stands right.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | float]]
+    styles: Sequence[str] = ()
+
+
+def sheet(title: str, summary: str, drawn: Figure, shows: str, *tables: Table) -> str:
     """Return the document, which needs no other file.
 
     Parameters
@@ -20,38 +39,7 @@ def sheet(title: str, summary: str, drawn: Figure, shows: str, *tables: str) -> 
     drawn : matplotlib.figure.Figure
     shows : str
         What the figure shows, for those who cannot see it.
-    *tables : str
-        HTML, as `table` returns it.
+    *tables : Table
     """
-    plots = f"<figure>{card(drawn, shows)}</figure>"
-    return document(escape(title), escape(summary), plots, *tables)
-
-
-def table(title: str, head: Sequence[str], rows: Iterable[Sequence[str | float]]) -> str:
-    """Return a table as HTML; numbers stand to the right.
-
-    Parameters
-    ----------
-    title : str
-    head : sequence of str
-    rows : iterable of sequences
-        Texts; numbers, shown with five digits.
-    """
-    body, number = "", [False] * len(head)
-    for row in rows:
-        number = [not isinstance(one, str) for one in row]
-        body += f"<tr>{''.join(_cell(one) for one in row)}</tr>"
-    names = "".join(
-        f'<th class="number">{escape(name)}</th>' if right else f"<th>{escape(name)}</th>"
-        for name, right in zip(head, number, strict=True)
-    )
-    return (
-        f'<h2>{escape(title)}</h2><div class="scroll"><table><thead><tr>{names}</tr></thead>'
-        f"<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _cell(value: str | float) -> str:
-    if isinstance(value, str):
-        return f"<td>{escape(value)}</td>"
-    return f'<td class="number">{value:.5g}</td>'
+    values = {"title": title, "summary": summary, "figure": drawn, "shows": shows}
+    return filled("report/templates/sheet.html", **values, tables=tables)

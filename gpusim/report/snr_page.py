@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 
 from gpusim.metrics.snr import Range
 from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 UNITS = (
     "signal and noise in the picture's linear unit; the noise of one picture, temporal and fixed; "
@@ -161,6 +161,6 @@ def snr_html(facts: Mapping[str, Any], drawn: Figure) -> str:
         f"Signal-to-noise ratio by gpusim {facts['gpusim']}; {facts['units']}.",
         drawn,
         "Patches, noise over signal, SNR over signal",
-        table("Dynamic range", ("Channel", "dB", "From SNR 1 to"), ranges),
-        table("Patches", ("Channel", "Patch", "Signal", "Noise", "u", "SNR, dB", ""), patches),
+        Table("Dynamic range", ("Channel", "dB", "From SNR 1 to"), ranges),
+        Table("Patches", ("Channel", "Patch", "Signal", "Noise", "u", "SNR, dB", ""), patches),
     )

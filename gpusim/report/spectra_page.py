@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from gpusim.metrics import figure as figures
 from gpusim.metrics.sinusoid import Sinusoid
 from gpusim.report.drawing import INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 COLOURS = ("#2456b8", "#d2691e", "#1b8a6b", "#7a3fa0", "#c0342b", INK)
 UNITS = (
@@ -171,5 +171,5 @@ def spectra_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     ]  # fmt: skip
     said = f"Sinusoids by gpusim {facts['gpusim']}; {facts['units']}."
     more = [name for key, name in STRAIGHT.items() if key in facts["waves"][0]]
-    waves = table("Waves", (*head, "Modulation", "Second harmonic", *more), rows)
+    waves = Table("Waves", (*head, "Modulation", "Second harmonic", *more), rows)
     return sheet(facts["picture"], said, drawn, "Regions, waves by phase, spectra", waves)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from gpusim.metrics.texture import Texture
 from gpusim.report.drawing import COLOURS, INK, SOFT, STYLE, panel, titles, write
-from gpusim.report.sheet import sheet, table
+from gpusim.report.sheet import Table, sheet
 
 UNITS = "MTF of dead leaves, 1 at low frequencies; cycles per pixel; standard uncertainties (k = 1)"
 SHOWN = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)  # cycles per pixel, in the table
@@ -100,4 +100,4 @@ def texture_html(facts: Mapping[str, Any], drawn: Figure) -> str:
     said = f"Texture by gpusim {facts['gpusim']}: leaves of {low:g} to {high:g} pixels, noise "
     said += f"{facts['noise']}; {facts['units']}."
     shows = "Texture MTF, power spectra, the region"
-    return sheet(facts["picture"], said, drawn, shows, table("Texture MTF", head, rows))
+    return sheet(facts["picture"], said, drawn, shows, Table("Texture MTF", head, rows))

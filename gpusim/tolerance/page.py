@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import matplotlib
@@ -10,14 +9,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gpusim.report.drawing import STYLE, card
-from gpusim.report.page import document
+from gpusim.report.drawing import STYLE
+from gpusim.report.template import filled
 from gpusim.tolerance.found import Found
 from gpusim.tolerance.rendered import Rendered
 
 Raws = tuple[Rendered, Rendered]  # of the design, and of the camera below which five percent lie
 OFFENDERS_SHOWN = 15
-CAMERAS_SHOWN = "Yield over the MTF50 of the worst edge, MTF50 by place, worst offenders"
 
 
 def facts_of(found: Found, raws: Raws | None) -> dict[str, Any]:
@@ -159,44 +157,19 @@ def _offenders(axes: Axes, found: Found) -> None:
     axes.set(title="Worst offenders, one standard deviation", xlabel="worst edge loses [cycles/px]")
 
 
-def _raws(found: Found, raws: Raws) -> str:
-    shown = "Developed pieces of both cameras, and MTF50 in their raws against the study's"
-    return f"<section><h2>Raws</h2>{card(raws_figure(found, raws), shown)}</section>"
-
-
 def page_of(found: Found, raws: Raws | None) -> str:
     """Return the page as HTML."""
     facts = facts_of(found, raws)
     budget = found.study.budget
     passed = f"; yield {facts['yield']['share']:.1%}" if "yield" in facts else ""
-    summary = (
-        f"{escape(found.study.camera.title)}: {budget.samples} lenses, {len(found.study.names)} "
+    return filled(
+        "tolerance/page.html",
+        title="Tolerances",
+        summary=f"{found.study.camera.title}: {budget.samples} lenses, {len(found.study.names)} "
         f"tolerances; MTF50 of the worst edge: design {found.design.min():.3f}, median "
         f"{facts['worst_edge_mtf50_cy_px']['p50']:.3f}, 5th percentile "
-        f"{facts['worst_edge_mtf50_cy_px']['p5']:.3f} cycles/px{passed}"
+        f"{facts['worst_edge_mtf50_cy_px']['p5']:.3f} cycles/px{passed}",
+        cameras=figure_of(found),
+        raws=None if raws is None else raws_figure(found, raws),
+        facts=facts,
     )
-    return document(
-        "Tolerances",
-        summary,
-        f"<section><h2>Cameras</h2>{card(figure_of(found), CAMERAS_SHOWN)}</section>",
-        "" if raws is None else _raws(found, raws),
-        _agreement(facts),
-    )
-
-
-def _agreement(facts: dict[str, Any]) -> str:
-    rows = []
-    own = facts["agreement"]
-    if own["traced"]:
-        rows.append(
-            f"differentials against {own['traced']} traced lenses: MTF50 within "
-            f"{own['mtf50_most_cy_px']:.4f} cycles/px (RMS {own['mtf50_rms_cy_px']:.4f}), "
-            f"wavefront within {own['wavefront_rms_waves']:.3f} waves RMS"
-        )
-    rows += [
-        f"edges in the raw of {one['camera']}: MTF50 within {one['apart_most_cy_px']:.4f} "
-        f"cycles/px of the study; certificate {one['certificate_total_rms']:.1e} RMS"
-        for one in facts.get("raws", ())
-    ]
-    items = "".join(f"<li>{escape(row)}</li>" for row in rows)
-    return f"<section><h2>Agreement</h2><ul>{items}</ul></section>" if rows else ""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any
 
-from gpusim.report.page import document
+from gpusim.report.template import filled
 from gpusim.validate.bars import Bar
 
 if TYPE_CHECKING:
@@ -81,30 +79,15 @@ class Report:
 
     def html(self, pictures: Mapping[str, bytes]) -> str:
         """Return a page that needs no other file; ``pictures`` are PNG files by section's name."""
-        verdicts = [("good", "held") if bar.held else ("bad", "NOT HELD") for bar in self.bars]
-        cells = [
-            f"<td>{escape(bar.name)}</td>{_cell(f'{bar.value:.4g}')}{_cell(f'{bar.bound:.4g}')}"
-            f'<td>{escape(bar.unit)}</td><td class="{look}">{said}</td>'
-            for bar, (look, said) in zip(self.bars, verdicts, strict=True)
-        ]
-        head = "<th>What</th>" + "".join(f'<th class="number">{n}</th>' for n in ("Worst", "Bar"))
-        parts = [
-            f"<p>{escape(self.text)}</p><h2>Bars</h2>",
-            _html_rows(f"<tr>{head}<th></th><th></th></tr>", cells),
-        ]
-        for section in self.sections:
-            parts.append(f"<h2>{escape(section.title)}</h2>")
-            if section.text:
-                parts.append(f"<p>{escape(section.text)}</p>")
-            if section.figure is not None:
-                data = base64.b64encode(pictures[section.name]).decode()
-                parts.append(
-                    f'<figure><img class="sheet" src="data:image/png;base64,{data}" '
-                    f'alt="{escape(section.title)}"></figure>'
-                )
-            if section.rows is not None:
-                parts.append(_html_table(section.rows))
-        return document(escape(self.title), escape(self.paper), *parts)
+        return filled(
+            "validate/report.html",
+            title=self.title,
+            summary=self.paper,
+            text=self.text,
+            bars=self.bars,
+            sections=self.sections,
+            pictures=pictures,
+        )
 
     def markdown(self, names: Mapping[str, str]) -> str:
         """Return the page as Markdown; ``names`` are the files of the figures by section's name."""
@@ -131,19 +114,3 @@ class Report:
 def known(value: float) -> float | None:
     """Return a number for JSON, which has none for what is no number."""
     return None if math.isnan(value) else value
-
-
-def _cell(text: str) -> str:
-    return f'<td class="number">{escape(text)}</td>'
-
-
-def _html_rows(head: str, cells: Sequence[str]) -> str:
-    body = "".join(f"<tr>{row}</tr>" for row in cells)
-    return f'<div class="scroll"><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
-
-
-def _html_table(rows: Rows) -> str:
-    top = "".join(f'<th colspan="{count}">{escape(name)}</th>' for count, name in rows.groups)
-    names = "".join(f'<th class="number">{escape(name)}</th>' for name in rows.head)
-    head = (f"<tr>{top}</tr>" if top else "") + f"<tr>{names}</tr>"
-    return _html_rows(head, ["".join(map(_cell, row)) for row in rows.body])
