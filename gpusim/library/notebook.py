@@ -53,7 +53,8 @@ def curves(of_letter: Iterable[tuple[str, Sequence[float] | np.ndarray]]) -> str
 
 def facts(title: str, of_name: Mapping[str, object]) -> str:
     """Return a title and a line of facts."""
-    return macros(TEMPLATE).facts(title, of_name)
+    told = [f"{name} {one}" for name, one in of_name.items()]
+    return macros(TEMPLATE).facts(title, told)
 
 
 def figure(*parts: str) -> str:

@@ -24,7 +24,7 @@ def noise_html(found: Characterisation, rows: Sequence[Row] | None, title: str, 
     title, how : str
         What was measured, and on which frames.
     """
-    tables = []
+    tables = [] if rows is None else [_verdicts(rows)]
     for one in found.channels:
         light = "" if one.wavelength_nm is None else f", light of {one.wavelength_nm:g} nm"
         tables.append(_table(f"Channel {one.name}{light}", one.figures, OF_A_CHANNEL))
@@ -33,30 +33,41 @@ def noise_html(found: Characterisation, rows: Sequence[Row] | None, title: str, 
         "report/templates/noise.html",
         title=title,
         summary=f"{how}. EMVA 1288 R3.1; rows, columns and pixels by R4.0 Linear.",
-        rows=rows,
+        within=None if rows is None else [row.within for row in rows],
         coverage=COVERAGE,
-        to_uncertainty=number,
-        two_digits=two_digits,
         tables=tables,
         notes=found.notes,
         figure=draw_noise(found, title, how, titled=False),
     )
 
 
+def _verdicts(rows: Sequence[Row]) -> Table:
+    """Return parameter, data sheet, recovered, uncertainty and verdict."""
+    head = ["Parameter", "Data sheet", "Expected", "Recovered", f"U (k = {COVERAGE})"]
+    head += ["Unit", "Verdict", "Why another is expected"]
+    cells = [
+        (
+            row.parameter, f"{row.data_sheet:.6g}", number(row.expected, row.uncertainty),
+            number(row.recovered, row.uncertainty), two_digits(row.uncertainty), _unit(row.unit),
+            ("within", "good") if row.within else ("outside", "bad"), (row.reason, "reason"),
+        )
+        for row in rows
+    ]  # fmt: skip
+    return Table("The sensor file and what was measured", head, cells, ("", *["number"] * 4))
+
+
 def _table(
     title: str, figures: Mapping[str, Figure], names: Mapping[str, tuple[str, str, str]]
 ) -> Table:
     """Return figures with their standard uncertainties."""
+    shown = [(*names[key], figures[key]) for key in names if key in figures]
     rows = [
-        (
-            name,
-            symbol,
-            number(figures[key].value, figures[key].u),
-            two_digits(figures[key].u),
-            "" if unit == "1" else unit,
-        )
-        for key, (name, symbol, unit) in names.items()
-        if key in figures
+        (name, symbol, number(one.value, one.u), two_digits(one.u), _unit(unit))
+        for name, symbol, unit, one in shown
     ]
     head = ("Figure", "Symbol", "Value", "u (k = 1)", "Unit")
-    return Table(title, head, rows, ("", "", "number", "number", ""))
+    return Table(title, head, rows, ("", "", "number", "number"))
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else unit

@@ -19,11 +19,9 @@ from gpusim.report.patches import patches_html
 from gpusim.report.probes import probe_map
 from gpusim.report.psfs import psfs_html
 from gpusim.report.template import filled
-from gpusim.report.words import duration, error, exposure, saturated, sigmas, tolerance
+from gpusim.report.words import duration, error, exposure, saturated, tolerance
 
-# The overview shows no single pixel, so a JPEG serves: 0.3 MB where a PNG of a noisy capture has 3.
 _OVERVIEW_PX = 1400
-_OVERVIEW_QUALITY = 88
 _CROP_PX = 320
 # Where on the way from the centre to the upper right corner each crop lies.
 _CROPS = {"Centre": 0.0, "Half field": 0.5, "Corner": 1.0}
@@ -59,14 +57,15 @@ def page(facts: Mapping[str, Any], developed: np.ndarray, psfs: LocalPsfs | None
         facts=facts,
         **_pictures(developed),
         saturated=saturated(facts),
+        tolerance=tolerance(capture),
         rim=RIM,
+        qe=_quantum_efficiency(facts["qe_by_place"]),
+        parameters=_parameters(facts),
         patches=patches_html(facts.get("patches")),
         psfs="" if psfs is None else psfs_html(psfs, facts),
         histogram=histogram_html(facts["histogram"]),
-        cards=_cards(facts),
         **_certificate(facts),
-        **_quantum_efficiency(facts),
-        parameters=_parameters(facts),
+        **_times(facts),
     )
 
 
@@ -76,36 +75,6 @@ def _place(facts: Mapping[str, Any]) -> str:
     if (capture["rows"], capture["cols"]) == (sensor["rows"], sensor["cols"]):
         return ""
     return f" at ({capture['first_col']}, {capture['first_row']}) of a larger frame"
-
-
-def _cards(facts: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the four figures that matter most: style, value, text."""
-    capture, certificate = facts["capture"], facts["certificate"]
-    if certificate is None:
-        cards = [("", "not certified", "no probes were asked for")]
-    else:
-        style, met = ("good", "within") if certificate["met"] else ("bad", "beyond")
-        unit = capture["tolerance_unit"]
-        say = sigmas if unit == "sigma" else error
-        of = "in sigmas of the noise" if unit == "sigma" else "of the local signal"
-        row, col = certificate["worst_position"]
-        cards = [
-            (
-                style,
-                say(certificate["total_rms"]),
-                f"RMS error {of}, all parts, {met} the tolerance of {tolerance(capture)}",
-            ),
-            (
-                style,
-                say(certificate["total_worst"]),
-                f"worst of {certificate['probes']} probes, at row {row}, column {col}",
-            ),
-        ]
-    cards += [
-        ("", duration(capture["wall_s"]), "for the render, wall clock"),
-        ("", facts["device"]["adapter"], "adapter"),
-    ]
-    return cards
 
 
 def _pictures(developed: np.ndarray) -> dict[str, Any]:
@@ -121,51 +90,48 @@ def _pictures(developed: np.ndarray) -> dict[str, Any]:
         crop = Image.fromarray(developed[top : top + height, left : left + width])
         crops.append({"name": name, "top": top, "left": left, "picture": crop})
     overview = Image.fromarray(developed).resize(size, Image.Resampling.BOX)
-    return {
-        "rows": rows,
-        "cols": cols,
-        "overview": overview,
-        "overview_quality": _OVERVIEW_QUALITY,
-        "crops": crops,
-    }
+    return {"rows": rows, "cols": cols, "overview": overview, "crops": crops}
 
 
 def _certificate(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parts of the certificate's error, its worst probes, and its map of probes."""
+    """Return the certificate, the parts of its error, its worst probes and their map."""
     certificate = facts["certificate"]
     if certificate is None:
-        return {}
+        return {"certificate": None}
     probes = sorted(certificate["points"], key=lambda probe: -(probe["relative"] or 0.0))
     worst = [
         (
-            str(probe["row"]),
-            str(probe["col"]),
-            f"{probe['truth']:.6g}",
-            f"{probe['render']:.6g}",
-            error(probe["relative"]),
-            error(probe["sigma"]),
+            str(one["row"]), str(one["col"]), f"{one['truth']:.6g}", f"{one['render']:.6g}",
+            error(one["relative"]), error(one["sigma"]),
         )
-        for probe in probes[:_WORST_SHOWN]
-    ]
+        for one in probes[:_WORST_SHOWN]
+    ]  # fmt: skip
     parts = [
         (what, error(certificate[f"{part}_rms"]), error(certificate[f"{part}_worst"]))
         for part, what in _PARTS.items()
     ]
     parts.insert(-1, ("window: light that no PSF holds", error(certificate["window"]), ""))
     drawn = probe_map(probes, facts["capture"])
-    told = tolerance(facts["capture"])
-    return {"tolerance": told, "parts": parts, "worst": worst, "probe_map": drawn}
+    return {"certificate": certificate, "parts": parts, "worst": worst, "probe_map": drawn}
 
 
-def _quantum_efficiency(facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the quantum efficiency over the field; nothing where it is the same everywhere."""
-    found = facts["qe_by_place"]
+def _times(facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the longest time of a stage, and what went before."""
+    times = facts["times_s"]
+    prepared = ", ".join(f"{name} {duration(s)}" for name, s in facts["prepare_s"].items())
+    if "kernels" in times:
+        prepared += f"; kernels within the render, tile by tile: {duration(times['kernels'])}"
+    return {"longest": max(times.values(), default=0.0) or 1.0, "prepared": prepared}
+
+
+def _quantum_efficiency(found: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """Return the quantum efficiency over the field; None where it is the same everywhere."""
     if found is None:
-        return {}
+        return None
     from gpusim.report.qe_figure import draw, labels
 
     shown = f"Quantum efficiency over the field: {', '.join(labels(found).values())}"
-    return {"qe": {"figure": draw(found), "shown": shown}}
+    return {"figure": draw(found), "shown": shown}
 
 
 def _parameters(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:

@@ -33,16 +33,13 @@ def _table(edges: list[Mapping[str, Any]]) -> Table:
     head += ["10 to 90 %, px", "Angle, deg"]
     rows = [
         (
-            str(edge["edge"]),
-            edge["channel"],
-            ", ".join(map(str, edge["region"])),
+            str(edge["edge"]), edge["channel"], ", ".join(map(str, edge["region"])),
             *(_shown(edge["figures"][key]) for key in FIGURES),
-            *(f"{edge[key]:.4g}" for key in more),
-            f"{edge['rise_px']:.2f}",
+            *(f"{edge[key]:.4g}" for key in more), f"{edge['rise_px']:.2f}",
             f"{_shown(edge['angle_deg'], 2)} {edge['nearer_to']}",
         )
         for edge in edges
-    ]
+    ]  # fmt: skip
     return Table("Figures", head, rows, ["", "", "", *["number"] * (len(head) - 3)])
 
 

@@ -19,14 +19,14 @@ class Table:
     title : str
     head : sequence of str
     rows : sequence of sequences
-        Texts; numbers, shown with five digits to the right.
+        Texts; numbers, shown with five digits to the right; pairs of a text and its class.
     styles : sequence of str
         Classes of the columns from the left, where they are not all plain: ``number`` stands right.
     """
 
     title: str
     head: Sequence[str]
-    rows: Sequence[Sequence[str | float]]
+    rows: Sequence[Sequence[str | float | tuple[str, str]]]
     styles: Sequence[str] = ()
 
 

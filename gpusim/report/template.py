@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gpusim.report.embedded import data_url, drawn, embedded
-from gpusim.report.words import duration, error, mebibytes
+from gpusim.report.words import duration, error, mebibytes, sigmas
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -23,6 +23,7 @@ FILTERS = {
     "error": error,
     "mebibytes": mebibytes,
     "number": format,
+    "sigmas": sigmas,
 }
 
 
@@ -32,7 +33,7 @@ def filled(name: str, **values: Any) -> str:
     Parameters
     ----------
     name : str
-        The template's file, within the package: ``report/templates/sfr.html``.
+        The template's file, within the package: ``report/templates/sheet.html``.
     **values
         By the names that the template knows them by.
     """

@@ -79,12 +79,17 @@ class Report:
 
     def html(self, pictures: Mapping[str, bytes]) -> str:
         """Return a page that needs no other file; ``pictures`` are PNG files by section's name."""
+        verdicts = {True: ("held", "good"), False: ("NOT HELD", "bad")}
+        bars = [
+            (bar.name, f"{bar.value:.4g}", f"{bar.bound:.4g}", bar.unit, verdicts[bar.held])
+            for bar in self.bars
+        ]
         return filled(
             "validate/report.html",
             title=self.title,
             summary=self.paper,
             text=self.text,
-            bars=self.bars,
+            bars=bars,
             sections=self.sections,
             pictures=pictures,
         )

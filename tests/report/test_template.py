@@ -28,7 +28,7 @@ TEMPLATES = {
     if file.parent != PACKAGE / "web/page"  # for browsers as it is
 }
 MARKUP = """<script>alert(1)</script>&"'"""
-TABLE = Table(MARKUP, [MARKUP, "n"], [[MARKUP, 1.0]])
+TABLE = Table(MARKUP, [MARKUP, "n"], [[(MARKUP, "good"), 1.0], [MARKUP, 1.0]])
 FIGURE = Figure(figsize=(1, 1))
 
 
@@ -47,11 +47,8 @@ def report_page() -> str:
 
 
 def noise_page() -> str:
-    row = {"parameter": MARKUP, "unit": MARKUP, "reason": MARKUP, "within": False}
-    numbers = dict.fromkeys(("data_sheet", "expected", "recovered", "uncertainty"), 1.0)
-    texts = {"to_uncertainty": "{}{}".format, "two_digits": str, "notes": [MARKUP]}
-    page = {"title": MARKUP, "summary": MARKUP, "figure": FIGURE, "tables": [TABLE]}
-    return filled("report/templates/noise.html", rows=[row | numbers], coverage=3, **page, **texts)
+    page = {"title": MARKUP, "summary": MARKUP, "figure": FIGURE, "notes": [MARKUP]}
+    return filled("report/templates/noise.html", **page, tables=[TABLE], within=None)
 
 
 def lens_page() -> str:
