@@ -280,7 +280,7 @@ def _changes(
         for level in range(len(exact.bank.levels)):
             ours, (theirs, fields) = pairs[number](level)
             given = theirs, exact.sensor, scene.spectra, scene.wavelengths_nm
-            banks = {"fields": fields, "less": ours}
+            banks = {"fields": fields, "less": ours, "landings": exact.landings}
             if level:
                 changes[own] += Wide(*given, **banks).at(placed, pixels[own])
             else:

@@ -25,7 +25,10 @@ from gpusim.certify.budget import (
 from gpusim.certify.probes import FEWEST, MOST, beyond_circle, choose_probes, rounds
 from gpusim.parallel import each
 from gpusim.psf.field_bank import FieldBank
+from gpusim.psf.plane_bank import PlaneBank
 from gpusim.reference.exact_model import ExactCore
+from gpusim.reference.fields import Grid, Heights
+from gpusim.reference.landing import Landings
 from gpusim.reference.wide import Wide
 from gpusim.scene.chart import Chart
 from gpusim.scene.raster import PlacedRaster
@@ -56,9 +59,14 @@ class ExactModel:
         """What the core and each level of the halo bring."""
         core, *halo = self.bank.levels
         given = self.sensor, self.scene.spectra, self.scene.wavelengths_nm
-        exact = ExactCore(core, *given)
+        exact = ExactCore(core, *given, landings=self.landings)
         first = exact.chart if isinstance(self.placed, Chart) else exact.raster
-        return [first, *(Wide(level, *given).at for level in halo)]
+        return [first, *(Wide(level, *given, landings=self.landings).at for level in halo)]
+
+    @cached_property
+    def landings(self) -> Landings:
+        """Where the scene's highlights land: all levels have one map."""
+        return Landings((Grid if isinstance(self.bank, PlaneBank) else Heights)(self.bank))
 
     def rates(
         self, pixels: np.ndarray, progress: Callable[[int, int], None] | None = None

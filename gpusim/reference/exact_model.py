@@ -17,15 +17,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
+from gpusim.reference.b_splines import values
 from gpusim.reference.fields import Grid, Heights, lateral_um
-from gpusim.reference.landing import landed
+from gpusim.reference.landing import Landings
 from gpusim.reference.outlines import Outlines
-from gpusim.reference.pixel_aperture import boxes_of, points_in, side_um_of
+from gpusim.reference.pixel_aperture import Box, boxes_of, points_in, side_um_of
 from gpusim.reference.point_spread import spreads_of
 from gpusim.reference.quadrature import Zone
 
@@ -71,6 +72,8 @@ class ExactCore:
         In place of the bank's own.
     less : (bank, Heights or Grid), optional
         A bank of the same pitch and size, and its fields: what the first one brings more than it.
+    landings : Landings, optional
+        Of a model with the same map.
     """
 
     def __init__(
@@ -82,10 +85,12 @@ class ExactCore:
         *,
         fields: Heights | Grid | None = None,
         less: tuple[Any, Heights | Grid] | None = None,
+        landings: Landings | None = None,
     ) -> None:
         self.bank = bank
         self.sensor = sensor
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
+        self.landings = landings or Landings(self.fields)
         self.spreads = spreads_of(sensor, spectra, wavelengths_nm, (bank, self.fields), less)
         self.spread = self.spreads[0][1]
         of_all = [self.fields, *([] if less is None else [less[1]])]
@@ -103,53 +108,18 @@ class ExactCore:
                     break
             else:
                 self.alike.append((number, 1.0))
-        self.divided: dict[tuple[int, float], list[Zone]] = {}
         self.zones = self._zones(1)
         self.outlines: Outlines | None = None
-        self.squares: dict[int, tuple[Any, np.ndarray, np.ndarray]] = {}
 
     def _zones(self, divide: int, widest_um: float = math.inf) -> list[Zone]:
         """Return that of the change and the zones outwards, of cells divided so often each way.
 
         None of them is wider than `widest_um`.
         """
-        zones = self.divided.get((divide, widest_um))
-        if zones is None:
-            bank, boxes = self.bank, self.boxes
-            wide = max(1.0, bank.pitch_um / FINE_PITCH_UM)
-            reach = bank.psf.shape[-1] * bank.pitch_um / 2 + self.margin_um
-            change, *parts = (
-                (wide * start, wide * end) for start, end in (CHANGE_FALLS_UM, *FALLS_UM)
-            )
-            step = bank.pitch_um / divide
-            fit = [one for one in parts if 2 * one[1] < reach]
-            ends = [(-1.0, 0.0), *fit, (reach, reach)]
-            zones = [
-                Zone(
-                    step,
-                    CHANGE_SPLIT,
-                    CHANGE_DEGREE,
-                    rises=ends[0],
-                    falls=change,
-                    boxes=boxes,
-                    change=True,
-                )
-            ]
-            zones += [
-                Zone(
-                    step / cells if step / cells <= widest_um else step,
-                    split,
-                    degree,
-                    rises=rises,
-                    falls=falls,
-                    boxes=boxes,
-                )
-                for cells, split, degree, rises, falls in zip(
-                    CELLS, SPLITS, DEGREES, ends[:-1], ends[1:], strict=False
-                )
-            ]
-            self.divided[divide, widest_um] = zones
-        return zones
+        reach = self.bank.psf.shape[-1] * self.bank.pitch_um / 2 + self.margin_um
+        parts = tuple(zip(CELLS, SPLITS, DEGREES, (*FALLS_UM, None), strict=False))
+        given = {"parts": parts, "divide": divide, "widest_um": widest_um}
+        return _zones(self.bank.pitch_um, reach, tuple(self.boxes), **given)
 
     def _inside_um(self, centre: np.ndarray) -> float:
         """Return how far within the image circle's rim a pixel lies; beyond it, negative."""
@@ -259,11 +229,11 @@ class ExactCore:
             last = np.minimum(ends.max(axis=(0, 1)).astype(int) + 3, [rows, cols])
             splines = raster.spline_in(*(range(*pair) for pair in zip(first, last, strict=True)))
             for zone, at in zip(zones, places, strict=True):
-                y_x = np.moveaxis(at - first, -1, 0)
+                y, x = np.moveaxis(at - first, -1, 0)
                 areas = zone.step_um**2 * self._lit(centre, zone.cells, zone.step_um)
                 all_rings = self._rings(zone, channel, planes, centre)
-                for spline, rings in zip(splines, all_rings, strict=True):
-                    radiance = map_coordinates(spline, y_x, order=3, prefilter=False, mode="mirror")
+                all_radiance = np.moveaxis(values(splines, y, x), -1, 0)
+                for radiance, rings in zip(all_radiance, all_rings, strict=True):
                     # Smooth times smooth: the sum over middles is the integral.
                     out[number] += np.sum(zone.in_middles(rings) * radiance * areas)
         return out + self.highlights(raster.highlights, pixels)
@@ -320,22 +290,13 @@ class ExactCore:
 
     def _squares(self, highlights: Any, order: int) -> tuple[np.ndarray, np.ndarray]:
         """Return points of squares on the real plane (N, I, 2), with their areas (N, I)."""
-        found = self.squares.get(order)
-        if found is None or found[0] is not highlights:
-            line, share = np.polynomial.legendre.leggauss(order)
-            nodes = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2) / 2
-            shares = np.outer(share, share).ravel() / 4
-            # A square may be larger than the PSF: it has the nodes for each part.
-            cuts = int(np.ceil(highlights.size_um / self.side_um))
-            cell = highlights.size_um / cuts
-            corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
-            corners = np.stack(np.meshgrid(corner, corner), axis=-1).reshape(-1, 2)
-            inner = (corners[:, None] + nodes * cell).reshape(-1, 2)
-            ideal = highlights.centre_um[:, None] + inner
-            real, stretch = landed(self.fields, ideal.reshape(-1, 2))
-            areas = np.tile(shares, len(corners)) * cell**2 * stretch.reshape(ideal.shape[:2])
-            found = self.squares[order] = (highlights, real.reshape(ideal.shape), areas)
-        return found[1:]
+        line, share = np.polynomial.legendre.leggauss(order)
+        # A square may be larger than the PSF: it has the nodes for each part.
+        cuts = int(np.ceil(highlights.size_um / self.side_um))
+        cell = highlights.size_um / cuts
+        corner = (np.arange(cuts) - (cuts - 1) / 2) * cell
+        nodes = (corner[:, None] + line / 2 * cell).ravel()
+        return self.landings.of(highlights, nodes, np.tile(share / 2 * cell, cuts))
 
     def _position(self, row: int, col: int) -> np.ndarray:
         pitch = self.sensor.pixel_pitch_um
@@ -347,3 +308,33 @@ class ExactCore:
         pattern = self.sensor.cfa.pattern
         name = pattern[row % len(pattern)][col % len(pattern[0])]
         return list(self.sensor.channels).index(name)
+
+
+@lru_cache(maxsize=16)  # judging a bank makes a model for each of its heights
+def _zones(
+    pitch_um: float,
+    reach_um: float,
+    boxes: tuple[Box, ...],
+    *,
+    parts: tuple[tuple[float, int, int, tuple[float, float] | None], ...],
+    divide: int,
+    widest_um: float,
+) -> list[Zone]:
+    """Return the zones for PSFs of a pitch that reach so far: see `ExactCore._zones`.
+
+    `parts`: cells along a sample, squares along a cell, degree, and where the zone falls.
+    """
+    wide = max(1.0, pitch_um / FINE_PITCH_UM)
+    step, start, end = pitch_um / divide, *(wide * at for at in CHANGE_FALLS_UM)
+    rises = (-1.0, 0.0)
+    given = {"rises": rises, "falls": (start, end), "boxes": boxes, "change": True}
+    zones = [Zone(step, CHANGE_SPLIT, CHANGE_DEGREE, **given)]
+    for cells, split, degree, fall in parts:
+        last = fall is None or 2 * wide * fall[1] >= reach_um
+        falls = (reach_um, reach_um) if last else (wide * fall[0], wide * fall[1])
+        side_um = step / cells if step / cells <= widest_um else step
+        zones.append(Zone(side_um, split, degree, rises=rises, falls=falls, boxes=boxes))
+        rises = falls
+        if last:
+            break
+    return zones

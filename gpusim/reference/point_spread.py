@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from scipy.ndimage import shift, spline_filter
+from scipy.ndimage import spline_filter
 
-from gpusim.reference.b_splines import between, moved_by
+from gpusim.reference.b_splines import TOGETHER, between, moved, moved_by
 from gpusim.reference.fields import Grid, Heights, lateral_um
 from gpusim.reference.quadrature import Zone
 from gpusim.reference.rates import Rates
@@ -29,7 +29,6 @@ KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
 KEPT_LAMPS = 48  # of 6 MiB each, with three filters and three spectra
 KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
-TOGETHER = 8192  # points of a sparse matrix: some MiB, which stay in the processor's cache
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 DEGREE = 5  # of splines under highlights: see DEGREES in `gpusim.reference.exact_model`
 
@@ -176,12 +175,16 @@ class PointSpread:
                 ],
                 axis=-1,
             )
+            shares = np.stack([share for *_, share in parts])
+            if (shares == shares[:, :1]).all():  # one place for all points: its fields are mixed
+                mixed = kernels.reshape(len(kernels), len(parts), -1)
+                kernels, shares = shares[:, 0] @ mixed, np.ones((1, len(source)))
             for first in range(0, len(source), TOGETHER):
                 part = slice(first, first + TOGETHER)
                 there = (way * at[part] + side // 2 for at in (y, x))
                 found = between(*there, side=side, degree=zone.degree, count=len(kernels)) @ kernels
-                found = found.reshape(-1, len(parts), len(spectra))
-                for number, (*_, share) in enumerate(parts):
+                found = found.reshape(-1, len(shares), len(spectra))
+                for number, share in enumerate(shares):
                     result[part] += share[part, None] * found[:, number]
         return result.T
 
@@ -208,16 +211,14 @@ class PointSpread:
         for way, parts in seen.items():
             if not parts:
                 continue
-            count = len(parts[0][0])
-            side = math.isqrt(count)
+            tables, light = (np.concatenate(one, axis=1) for one in zip(*parts, strict=True))
+            side = math.isqrt(len(tables))
             for first in range(0, len(rows), step):
                 part = slice(first, first + step)
                 there = (way * at.reshape(rows.shape)[part] + side // 2 for at in (y, x))
-                taken = between(*there, side=side, degree=DEGREE, count=count)
-                result.reshape(rows.shape)[part] += sum(
-                    np.einsum("apm,pm->ap", (taken @ table).reshape(-1, *light.shape), light)
-                    for table, light in parts
-                )
+                taken = between(*there, side=side, degree=DEGREE, count=len(tables)) @ tables
+                found = np.einsum("apm,pm->ap", taken.reshape(-1, *light.shape), light)
+                result.reshape(rows.shape)[part] += found
         return result
 
     def wide(
@@ -295,8 +296,7 @@ class PointSpread:
                 image = np.pad(psf * np.float64(illumination / pitch**2), self.spline_pad)
                 if self.sigma:
                     image = scipy.fft.irfft2(scipy.fft.rfft2(image) * averaged, image.shape)
-                if x or y:
-                    image = shift(image, (y / pitch, x / pitch), order=DEGREE)
+                image = moved(image, (y / pitch, x / pitch), DEGREE)
                 total += weights[..., line, None, None] * image
             splines = [[spline_filter(one, order=DEGREE) for one in row] for row in total]
             found = np.moveaxis(np.reshape(splines, (*weights.shape[:2], -1)), 1, -1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.ndimage import correlate1d, map_coordinates, spline_filter
@@ -30,7 +32,7 @@ class Zone:
     rises, falls : (float, float)
         Distances from the middle between which the ring's window rises from 0 to 1, and falls
         from 1 to 0.
-    boxes : list of (x0, x1, y0, y1, response)
+    boxes : sequence of (x0, x1, y0, y1, response)
         Ends of the aperture's rectangles, um from the pixel's middle, and what they count for.
     change : bool
         Whether its rings are the PSF's rates of change with the source's x and y, in place of the
@@ -54,7 +56,7 @@ class Zone:
         *,
         rises: tuple[float, float],
         falls: tuple[float, float],
-        boxes: list[tuple[float, float, float, float, float]],
+        boxes: Sequence[tuple[float, float, float, float, float]],
         change: bool = False,
     ) -> None:
         self.step_um, self.split, self.degree = step_um, split, degree
@@ -120,7 +122,7 @@ class Zone:
 
 
 def _all_taps(
-    boxes: list[tuple[float, float, float, float, float]],
+    boxes: Sequence[tuple[float, float, float, float, float]],
     step_um: float,
     degree: int,
     over_cells: bool,

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from gpusim.reference.fields import Grid, Heights
-from gpusim.reference.landing import landed
+from gpusim.reference.landing import Landings
 from gpusim.reference.point_spread import spreads_of
 
 # Side of a cell in samples of the level, and points along it: where the level holds little light,
@@ -48,9 +48,11 @@ class Wide:
         *,
         fields: Heights | Grid | None = None,
         less: tuple[Any, Heights | Grid] | None = None,
+        landings: Landings | None = None,
     ) -> None:
         self.bank, self.sensor = bank, sensor
         self.fields = fields or (Grid(bank) if hasattr(bank, "field_x_deg") else Heights(bank))
+        self.landings = landings or Landings(self.fields)
         aperture_um = sensor.pixel_pitch_um * np.sqrt(sensor.fill_factor)
         given = sensor, spectra, wavelengths_nm, (bank, self.fields), less
         self.spreads = spreads_of(*given, aperture_um=aperture_um)
@@ -64,7 +66,6 @@ class Wide:
         self.point_um = self.step_um / points
         self.of_samples = self._cells(min(step, SAMPLED))
         self.summed: tuple[Any, np.ndarray] | None = None
-        self.lamps: tuple[Any, np.ndarray, np.ndarray] | None = None
         self.area_um2 = sensor.pixel_pitch_um**2 * sensor.fill_factor
 
     def _cells(self, step: float) -> tuple[float, np.ndarray]:
@@ -178,21 +179,16 @@ class Wide:
         """Return the electrons/s that a photograph's highlights bring to a pixel, one by one."""
         if not len(highlights.centre_um):
             return 0.0
-        if self.lamps is None or self.lamps[0] is not highlights:
-            # As many points as the level has samples there.
-            count = int(np.ceil(highlights.size_um / self.bank.pitch_um))
-            line = ((np.arange(count) + 0.5) / count - 0.5) * highlights.size_um
-            inner = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-            ideal = (highlights.centre_um[:, None] + inner).reshape(-1, 2)
-            real, stretch = landed(self.fields, ideal)
-            areas = stretch * (highlights.size_um / count) ** 2
-            light = np.repeat(highlights.excess, count**2, axis=0) * areas[:, None]
-            self.lamps = highlights, real, light
-        _, real, light = self.lamps
-        near = np.hypot(*(middle - real).T) < self.reach_um
+        # As many points as the level has samples there.
+        count = int(np.ceil(highlights.size_um / self.bank.pitch_um))
+        line = ((np.arange(count) + 0.5) / count - 0.5) * highlights.size_um
+        shares = np.full(count, highlights.size_um / count)
+        real, areas = self.landings.of(highlights, line, shares)
+        near = np.hypot(*np.moveaxis(middle - real, -1, 0)) < self.reach_um
         if not near.any():
             return 0.0
-        given = channel, light[near], middle - real[near], real[near]
+        light = highlights.excess[np.nonzero(near)[0]] * areas[near][:, None]
+        given = channel, light, middle - real[near], real[near]
         found = sum(sign * spread.at(*given).sum() for sign, spread in self.spreads)
         return float(found * self.area_um2)
 

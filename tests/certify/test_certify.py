@@ -99,7 +99,7 @@ def test_rounds_hold_every_probe_once_and_edges_in_proportion(count: int, first:
 class FakeCore:
     """1000 electrons/s plus ten times the row, whatever the scene; black in column 0."""
 
-    def __init__(self, *given: object) -> None:
+    def __init__(self, *given: object, **more: object) -> None:
         pass
 
     def chart(self, chart: object, pixels: np.ndarray) -> np.ndarray:
