@@ -27,6 +27,7 @@ from scipy.special import ndtr
 
 from gpusim.optics.chief_ray import ChiefRayMap
 from gpusim.optics.kernels import low_pass
+from gpusim.parallel import each
 from gpusim.plan.steep import steep_places
 from gpusim.psf.places import Places
 from gpusim.scene.chart import Chart
@@ -84,7 +85,7 @@ class Alias:
         """
         if not self._sites:
             return 0.0
-        found = [self._at(place, oversampling) for place, _ in self._sites]
+        found = each(lambda site: self._at(site[0], oversampling), self._sites)
         counts = [count for _, count in self._sites]
         return float(np.sqrt(np.average(np.square(found), weights=counts)))
 
@@ -104,7 +105,7 @@ class Alias:
         for channel, rates in enumerate(self._rates):
             values = np.tensordot(rates, shares, axes=1)
             mean = float(values.mean())
-            spectrum = scipy.fft.fft2(_window(fine) * (values - mean), workers=2) / fine**2
+            spectrum = scipy.fft.fft2(_window(fine) * (values - mean)) / fine**2
             spectrum *= turn * turn[:, None]
             if isinstance(self.placed, Chart):
                 blur = np.exp(2 * (np.pi * FINE_SIGMA * step * f) ** 2)
@@ -154,9 +155,9 @@ class Alias:
             image = self.images[number, 0, channel].astype(np.float64)
             n = len(image)
             padded = np.pad(image / image.sum(), n // 2)
-            self._kept[number, channel] = scipy.fft.fft2(
-                scipy.fft.ifftshift(padded), workers=2
-            ).astype(np.complex64)
+            self._kept[number, channel] = scipy.fft.fft2(scipy.fft.ifftshift(padded)).astype(
+                np.complex64
+            )
         return self._kept[number, channel]
 
     @cached_property
