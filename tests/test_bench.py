@@ -322,6 +322,7 @@ def test_tolerances_are_certified_and_what_is_not_met_is_counted(jobs, own_devic
     assert job.error["worst"] == max(e / t for e, t in zip(errors, jobs.TOLERANCES, strict=True))
 
 
+@pytest.mark.slow
 def test_the_regret_of_each_scene_and_lens_is_in_the_table(jobs, own_device, monkeypatch):
     regret = sys.modules["bench_regret"]
     everything = [v.name for v in regret.variants(regret.Accuracy(1e-3, 6), 1)]

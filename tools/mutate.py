@@ -127,9 +127,13 @@ class Mutant:
 
 
 def blanked(text: str) -> str:
-    """Return the text with comments as spaces, so that every position stays."""
+    """Return the text with comments and directives as spaces, so that every position stays.
+
+    What ``#repeat`` fills in stands there as a name.
+    """
     spaces = lambda found: re.sub(r"[^\n]", " ", found[0])  # noqa: E731
-    return re.sub(r"//[^\n]*|/\*.*?\*/", spaces, text, flags=re.DOTALL)
+    code = re.sub(r"//[^\n]*|/\*.*?\*/|^ *#[^\n]*", spaces, text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"\$\{[^}]*\}", lambda found: "k" * len(found[0]), code)
 
 
 def bodies(code: str) -> Iterator[tuple[int, int]]:

@@ -70,6 +70,9 @@ class Source:
 
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"\s*$')
+_REPEAT = re.compile(r"^\s*#repeat\s+(\w+)\s+(\d+)\s*$")
+_END = re.compile(r"^\s*#end\s*$")
+_FILLED = re.compile(r"\$\{([^}]+)\}")
 
 
 _HELD: dict[tuple, dict[str, object]] = {}
@@ -112,13 +115,23 @@ def load(path: str) -> Source:
 
 
 def compose(name: str, text: str) -> Source:
-    """Replace each ``#include "x"`` by ``common/x.wgsl``, once each, and keep the line origins."""
+    """Compose a shader of its directives, and keep the line origins.
+
+    ``#include "x"`` stands for ``common/x.wgsl``, the first time. Lines from ``#repeat k 16`` to
+    ``#end`` stand there 16 times, for k from 0 to 15, with ``${2 * k}`` and the like worked out:
+    what must be unrolled, for the numbers to stay in registers, is written once.
+
+    Raises
+    ------
+    ShaderError
+        A directive that is none, an unknown include, an include cycle, ``#repeat`` without end.
+    """
     lines: list[str] = []
     origins: list[tuple[str, int]] = []
     done: set[str] = set()
 
     def paste(origin: str, content: str, chain: tuple[str, ...]) -> None:
-        for number, line in enumerate(content.removesuffix("\n").split("\n"), start=1):
+        for number, line in _unrolled(origin, content):
             found = _INCLUDE.match(line)
             if found is None:
                 if line.lstrip().startswith("#"):
@@ -141,6 +154,33 @@ def compose(name: str, text: str) -> Source:
 
     paste(f"{name}.wgsl", text, ())
     return Source(name, "\n".join(lines), tuple(origins))
+
+
+def _unrolled(origin: str, content: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines with their numbers, those between ``#repeat`` and ``#end`` so many times."""
+    lines = enumerate(content.removesuffix("\n").split("\n"), start=1)
+    for number, line in lines:
+        found = _REPEAT.match(line)
+        if found is None:
+            yield number, line
+            continue
+        block: list[tuple[int, str]] = []
+        for inner in lines:
+            if _END.match(inner[1]):
+                break
+            block.append(inner)
+        else:
+            raise ShaderError(f"{origin}:{number}: #repeat without #end")
+        for value in range(int(found[2])):
+            for place, text in block:
+                yield place, _filled(text, Names({found[1]: value}), f"{origin}:{place}")
+
+
+def _filled(text: str, names: Names, where: str) -> str:
+    try:
+        return _FILLED.sub(lambda found: str(names.evaluate(found[1])), text)
+    except ShaderError as error:
+        raise ShaderError(f"{where}: {error}") from None
 
 
 @dataclass(frozen=True)

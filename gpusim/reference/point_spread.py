@@ -28,7 +28,9 @@ KERNEL_PAD = 16  # samples around a zone: splines forget where they end by 0.43 
 # grid.
 KEPT_KERNELS, KEPT_HEIGHTS, KEPT_FIELDS = 600, 10, 24
 KEPT_LAMPS = 48  # of 6 MiB each, with three filters and three spectra
-KEPT_DENSITIES = 24  # of 0.8 MiB: what the zones of one probe share
+# Of 0.8 MiB: what the zones of a probe share, and probes beside it: four heights' for three filters
+# and three spectra on each of two threads.
+KEPT_DENSITIES = 72
 SPLINE_PAD = 4  # samples around PSFs, in which their splines come down to zero
 DEGREE = 5  # of splines under highlights: see DEGREES in `gpusim.reference.exact_model`
 

@@ -10,11 +10,15 @@ import numpy as np
 
 from gpusim.optics.halo import Halo, coarse_grid
 from gpusim.optics.halo import needed as coarse_rects
-from gpusim.plan import Accuracy
+from gpusim.parallel import each
+from gpusim.plan import Accuracy, Plan
+from gpusim.plan.costs import Costs
 from gpusim.plan.fringes import lone_points
 from gpusim.plan.tiles import Rect
+from gpusim.plan.ways import WHOLE
 from gpusim.psf.field_bank import FieldBank
 from gpusim.render.on_device import Progress
+from gpusim.render.planning import planning
 from gpusim.scene.chart import Chart
 from gpusim.scene.scene import Scene
 from gpusim.sensor.sensor import Sensor
@@ -51,6 +55,12 @@ def seen_by(scene: Scene, sensor: Sensor, coarse: Sensor, level_um: float) -> Sc
     return replace(scene, source=replace(source, half_um=covered, whole=whole))
 
 
+def coarse_plan(camera: CoarseCamera, scene: Scene, accuracy: Accuracy, costs: Costs) -> Plan:
+    """Return the plan of a level before a coarse sensor."""
+    # A level is a tail itself: to plan where it might be cut took 2 s before a sinusoid.
+    return planning(camera, scene, accuracy, costs, noise=False).plan("fft", (WHOLE,))
+
+
 def coarse_halo(
     renderer: Renderer,
     rect: Rect,
@@ -77,12 +87,23 @@ def coarse_halo(
         coarse_grid(bank, sensor, edges, first=level.number == 1 and not lone)
         for level, bank in zip(renderer.plan.halo, banks, strict=True)
     ]
+    levels = [
+        (
+            CoarseCamera(bank, grid.sensor),
+            seen_by(renderer.scene, sensor, grid.sensor, bank.pitch_um),
+            level.accuracy,
+        )
+        for level, bank, grid in zip(renderer.plan.halo, banks, grids, strict=True)
+    ]
+    report("halo", 0, len(levels))
+    # Rectangles share the plans.
+    new = [one for one in levels if one[0].level.pitch_um not in renderer.coarse_plans]
+    plans = each(lambda one: coarse_plan(*one, renderer.costs), new)
+    for (camera, *_), plan in zip(new, plans, strict=True):
+        renderer.coarse_plans[camera.level.pitch_um] = plan
     light = []
-    for done, (level, bank, grid, part) in enumerate(
-        zip(renderer.plan.halo, banks, grids, coarse_rects(grids, rect), strict=True)
-    ):
-        report("halo", done, len(banks))
-        seen = seen_by(renderer.scene, sensor, grid.sensor, bank.pitch_um)
-        light.append(lit(CoarseCamera(bank, grid.sensor), seen, level.accuracy, part))
-    report("halo", len(banks), len(banks))
+    for done, (level, part) in enumerate(zip(levels, coarse_rects(grids, rect), strict=True)):
+        report("halo", done, len(levels))
+        light.append(lit(*level, part))
+    report("halo", len(levels), len(levels))
     return Halo(renderer.device, sensor, grids, light, rect)

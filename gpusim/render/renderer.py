@@ -24,7 +24,6 @@ from gpusim.plan import Accuracy, Plan
 from gpusim.plan.costs import Costs
 from gpusim.plan.signal import white_rates
 from gpusim.plan.tiles import Rect, aligned
-from gpusim.plan.ways import WHOLE
 from gpusim.psf.field_bank import FieldBank
 from gpusim.render.capture import Capture, captured
 from gpusim.render.certificate import certified
@@ -344,14 +343,10 @@ class Renderer:
             accuracy,
             self.device,
             memory_bytes=self.memory_bytes,
-            plan=self.coarse_plans.get(camera.level.pitch_um),
+            plan=self.coarse_plans[camera.level.pitch_um],
             costs=self.costs,
             noise=False,
-            method="fft",
-            # A level is a tail itself: to plan where it might be cut took 2 s before a sinusoid.
-            force=(WHOLE,),
         )
-        self.coarse_plans[camera.level.pitch_um] = renderer.plan  # rectangles share it
         try:
             return planes_on(renderer, rect)
         finally:

@@ -14,14 +14,9 @@ fn line_fft(x: Octet, t: u32, base: u32, n: u32, first: u32) -> Octet {
     if (first == 8u) {
         let y = fft8(x);
         let d = base + 8u * t;
-        sh_line[d] = y.v0;
-        sh_line[d + 1u] = y.v1;
-        sh_line[d + 2u] = y.v2;
-        sh_line[d + 3u] = y.v3;
-        sh_line[d + 4u] = y.v4;
-        sh_line[d + 5u] = y.v5;
-        sh_line[d + 6u] = y.v6;
-        sh_line[d + 7u] = y.v7;
+        #repeat k 8
+        sh_line[d + ${k}u] = y.v${k};
+        #end
     } else if (first == 4u) {
         let y = fft4(x.v0, x.v2, x.v4, x.v6);
         let z = fft4(x.v1, x.v3, x.v5, x.v7);
@@ -72,14 +67,9 @@ fn line_fft(x: Octet, t: u32, base: u32, n: u32, first: u32) -> Octet {
         workgroupBarrier();
         if (ns < lanes) {
             let d = base + (t - k) * 8u + k;
-            sh_line[d] = v.v0;
-            sh_line[d + ns] = v.v1;
-            sh_line[d + 2u * ns] = v.v2;
-            sh_line[d + 3u * ns] = v.v3;
-            sh_line[d + 4u * ns] = v.v4;
-            sh_line[d + 5u * ns] = v.v5;
-            sh_line[d + 6u * ns] = v.v6;
-            sh_line[d + 7u * ns] = v.v7;
+            #repeat k 8
+            sh_line[d + ${k}u * ns] = v.v${k};
+            #end
         }
     }
     return v;

@@ -8,10 +8,9 @@
 alias Sixteen = array<vec4f, 16>;
 
 fn sixteen(v: ptr<function, Sixteen>) {
-    let x0 = fft4((*v)[0], (*v)[4], (*v)[8], (*v)[12]);
-    let x1 = fft4((*v)[1], (*v)[5], (*v)[9], (*v)[13]);
-    let x2 = fft4((*v)[2], (*v)[6], (*v)[10], (*v)[14]);
-    let x3 = fft4((*v)[3], (*v)[7], (*v)[11], (*v)[15]);
+    #repeat k 4
+    let x${k} = fft4((*v)[${k}], (*v)[${k + 4}], (*v)[${k + 8}], (*v)[${k + 12}]);
+    #end
     let y0 = fft4(x0.v0, x1.v0, x2.v0, x3.v0);
     let y1 = fft4(
         x0.v1,
@@ -31,41 +30,18 @@ fn sixteen(v: ptr<function, Sixteen>) {
         pair_mul(x2.v3, vec2f(-0.7071067812, -0.7071067812)),
         pair_mul(x3.v3, vec2f(-0.9238795325, 0.3826834324)),
     );
-    (*v)[0] = y0.v0;
-    (*v)[4] = y0.v1;
-    (*v)[8] = y0.v2;
-    (*v)[12] = y0.v3;
-    (*v)[1] = y1.v0;
-    (*v)[5] = y1.v1;
-    (*v)[9] = y1.v2;
-    (*v)[13] = y1.v3;
-    (*v)[2] = y2.v0;
-    (*v)[6] = y2.v1;
-    (*v)[10] = y2.v2;
-    (*v)[14] = y2.v3;
-    (*v)[3] = y3.v0;
-    (*v)[7] = y3.v1;
-    (*v)[11] = y3.v2;
-    (*v)[15] = y3.v3;
+    #repeat k 4
+    (*v)[${k}] = y${k}.v0;
+    (*v)[${k + 4}] = y${k}.v1;
+    (*v)[${k + 8}] = y${k}.v2;
+    (*v)[${k + 12}] = y${k}.v3;
+    #end
 }
 
 fn exchange(v: ptr<function, Sixteen>) {
-    (*v)[0] = (*v)[0].yxwz;
-    (*v)[1] = (*v)[1].yxwz;
-    (*v)[2] = (*v)[2].yxwz;
-    (*v)[3] = (*v)[3].yxwz;
-    (*v)[4] = (*v)[4].yxwz;
-    (*v)[5] = (*v)[5].yxwz;
-    (*v)[6] = (*v)[6].yxwz;
-    (*v)[7] = (*v)[7].yxwz;
-    (*v)[8] = (*v)[8].yxwz;
-    (*v)[9] = (*v)[9].yxwz;
-    (*v)[10] = (*v)[10].yxwz;
-    (*v)[11] = (*v)[11].yxwz;
-    (*v)[12] = (*v)[12].yxwz;
-    (*v)[13] = (*v)[13].yxwz;
-    (*v)[14] = (*v)[14].yxwz;
-    (*v)[15] = (*v)[15].yxwz;
+    #repeat k 16
+    (*v)[${k}] = (*v)[${k}].yxwz;
+    #end
 }
 
 fn sixteen_back(v: ptr<function, Sixteen>) {

@@ -113,14 +113,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
     let start = i32(STRIDE / 4u * n) + first_group - i32(R / 4u);
     let first = u32(max(0, -top));
     let last = u32(clamp(i32(BY) - top, 0, i32(LINES)));
-    var sum_0 = vec4f(0.0);
-    var sum_1 = vec4f(0.0);
-    var sum_2 = vec4f(0.0);
-    var sum_3 = vec4f(0.0);
-    var sum_4 = vec4f(0.0);
-    var sum_5 = vec4f(0.0);
-    var sum_6 = vec4f(0.0);
-    var sum_7 = vec4f(0.0);
+    #repeat k 8
+    var sum_${k} = vec4f(0.0);
+    #end
     for (var j = 0u; j < params.planes; j++) {
         for (var line = first; line < last; line++) {
             let y = u32(top + i32(line));
@@ -130,12 +125,9 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
             for (var part = 0u; part < STRIDE / 4u; part++) {
                 let v = start + i32(part);
                 var a0 = source(from_block, v);
-                var a1 = source(from_block, v + i32(STRIDE / 4u));
-                var a2 = source(from_block, v + i32(2u * STRIDE / 4u));
-                var a3 = source(from_block, v + i32(3u * STRIDE / 4u));
-                var a4 = source(from_block, v + i32(4u * STRIDE / 4u));
-                var a5 = source(from_block, v + i32(5u * STRIDE / 4u));
-                var a6 = source(from_block, v + i32(6u * STRIDE / 4u));
+                #repeat k 6
+                var a${k + 1} = source(from_block, v + i32(${k + 1}u * STRIDE / 4u));
+                #end
                 for (var g = part; g < GROUPS; g += STRIDE / 4u) {
                     let a7 = source(from_block, start + i32(g + 7u * STRIDE / 4u));
                     let i = (weights + g) * COLUMNS;
@@ -145,31 +137,17 @@ fn main(@builtin(global_invocation_id) id: vec3u) {
                     if (COLUMNS == 2u) {
                         z = taps(i + 1u, t, e);
                     }
-                    sum_0 += gathered(a0, x, z);
-                    sum_1 += gathered(a1, x, z);
-                    sum_2 += gathered(a2, x, z);
-                    sum_3 += gathered(a3, x, z);
-                    sum_4 += gathered(a4, x, z);
-                    sum_5 += gathered(a5, x, z);
-                    sum_6 += gathered(a6, x, z);
-                    sum_7 += gathered(a7, x, z);
-                    a0 = a1;
-                    a1 = a2;
-                    a2 = a3;
-                    a3 = a4;
-                    a4 = a5;
-                    a5 = a6;
-                    a6 = a7;
+                    #repeat k 8
+                    sum_${k} += gathered(a${k}, x, z);
+                    #end
+                    #repeat k 7
+                    a${k} = a${k + 1};
+                    #end
                 }
             }
         }
     }
-    put(place, row, n, m, sum_0);
-    put(place, row, n + 1u, m, sum_1);
-    put(place, row, n + 2u, m, sum_2);
-    put(place, row, n + 3u, m, sum_3);
-    put(place, row, n + 4u, m, sum_4);
-    put(place, row, n + 5u, m, sum_5);
-    put(place, row, n + 6u, m, sum_6);
-    put(place, row, n + 7u, m, sum_7);
+    #repeat k 8
+    put(place, row, n + ${k}u, m, sum_${k});
+    #end
 }

@@ -125,35 +125,22 @@ fn put(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, r: u32, j: 
 
 // Adds the rows y + 16 r.
 fn put_all(upper: ptr<function, Sixteen>, lower: ptr<function, Sixteen>, j: u32, kx: u32, y: u32, g: u32, beyond: vec2f) {
-    put(upper, lower, 0u, j, kx, y, g, beyond); put(upper, lower, 1u, j, kx, y + 16u, g, beyond);
-    put(upper, lower, 2u, j, kx, y + 32u, g, beyond); put(upper, lower, 3u, j, kx, y + 48u, g, beyond);
-    put(upper, lower, 4u, j, kx, y + 64u, g, beyond); put(upper, lower, 5u, j, kx, y + 80u, g, beyond);
-    put(upper, lower, 6u, j, kx, y + 96u, g, beyond); put(upper, lower, 7u, j, kx, y + 112u, g, beyond);
-    put(upper, lower, 8u, j, kx, y + 128u, g, beyond); put(upper, lower, 9u, j, kx, y + 144u, g, beyond);
-    put(upper, lower, 10u, j, kx, y + 160u, g, beyond); put(upper, lower, 11u, j, kx, y + 176u, g, beyond);
-    put(upper, lower, 12u, j, kx, y + 192u, g, beyond); put(upper, lower, 13u, j, kx, y + 208u, g, beyond);
-    put(upper, lower, 14u, j, kx, y + 224u, g, beyond); put(upper, lower, 15u, j, kx, y + 240u, g, beyond);
+    #repeat k 16
+    put(upper, lower, ${k}u, j, kx, y + ${16 * k}u, g, beyond);
+    #end
 }
 
 // Sixteen numbers, `step` slots apart.
 fn keep(v: ptr<function, Sixteen>, at: u32, step: u32) {
-    lines[at + 0u * step * 8u] = (*v)[0]; lines[at + 1u * step * 8u] = (*v)[1]; lines[at + 2u * step * 8u] = (*v)[2];
-    lines[at + 3u * step * 8u] = (*v)[3]; lines[at + 4u * step * 8u] = (*v)[4]; lines[at + 5u * step * 8u] = (*v)[5];
-    lines[at + 6u * step * 8u] = (*v)[6]; lines[at + 7u * step * 8u] = (*v)[7]; lines[at + 8u * step * 8u] = (*v)[8];
-    lines[at + 9u * step * 8u] = (*v)[9]; lines[at + 10u * step * 8u] = (*v)[10];
-    lines[at + 11u * step * 8u] = (*v)[11]; lines[at + 12u * step * 8u] = (*v)[12];
-    lines[at + 13u * step * 8u] = (*v)[13]; lines[at + 14u * step * 8u] = (*v)[14];
-    lines[at + 15u * step * 8u] = (*v)[15];
+    #repeat k 16
+    lines[at + ${k}u * step * 8u] = (*v)[${k}];
+    #end
 }
 
 fn load(v: ptr<function, Sixteen>, at: u32, step: u32) {
-    (*v)[0] = lines[at + 0u * step * 8u]; (*v)[1] = lines[at + 1u * step * 8u]; (*v)[2] = lines[at + 2u * step * 8u];
-    (*v)[3] = lines[at + 3u * step * 8u]; (*v)[4] = lines[at + 4u * step * 8u]; (*v)[5] = lines[at + 5u * step * 8u];
-    (*v)[6] = lines[at + 6u * step * 8u]; (*v)[7] = lines[at + 7u * step * 8u]; (*v)[8] = lines[at + 8u * step * 8u];
-    (*v)[9] = lines[at + 9u * step * 8u]; (*v)[10] = lines[at + 10u * step * 8u];
-    (*v)[11] = lines[at + 11u * step * 8u]; (*v)[12] = lines[at + 12u * step * 8u];
-    (*v)[13] = lines[at + 13u * step * 8u]; (*v)[14] = lines[at + 14u * step * 8u];
-    (*v)[15] = lines[at + 15u * step * 8u];
+    #repeat k 16
+    (*v)[${k}] = lines[at + ${k}u * step * 8u];
+    #end
 }
 
 // Frequencies q and q + 1 of (left, right), times their kernels.
@@ -170,35 +157,22 @@ fn right_upper(i: u32) -> vec4f {
 }
 
 fn add_upper(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
-    add(sum, x, 0u, texel(kernels_00, i + 0u * 8u), right_upper(i + 0u * 8u));
-    add(sum, x, 2u, texel(kernels_00, i + 1u * 8u), right_upper(i + 1u * 8u));
-    add(sum, x, 4u, texel(kernels_00, i + 2u * 8u), right_upper(i + 2u * 8u));
-    add(sum, x, 6u, texel(kernels_00, i + 3u * 8u), right_upper(i + 3u * 8u));
-    add(sum, x, 8u, texel(kernels_00, i + 4u * 8u), right_upper(i + 4u * 8u));
-    add(sum, x, 10u, texel(kernels_00, i + 5u * 8u), right_upper(i + 5u * 8u));
-    add(sum, x, 12u, texel(kernels_00, i + 6u * 8u), right_upper(i + 6u * 8u));
-    add(sum, x, 14u, texel(kernels_00, i + 7u * 8u), right_upper(i + 7u * 8u));
+    #repeat k 8
+    add(sum, x, ${2 * k}u, texel(kernels_00, i + ${k}u * 8u), right_upper(i + ${k}u * 8u));
+    #end
 }
 
 fn add_lower(sum: ptr<function, Sum>, x: ptr<function, Sixteen>, i: u32) {
-    add(sum, x, 0u, texel(kernels_01, i + 0u * 8u), texel(kernels_11, i + 0u * 8u));
-    add(sum, x, 2u, texel(kernels_01, i + 1u * 8u), texel(kernels_11, i + 1u * 8u));
-    add(sum, x, 4u, texel(kernels_01, i + 2u * 8u), texel(kernels_11, i + 2u * 8u));
-    add(sum, x, 6u, texel(kernels_01, i + 3u * 8u), texel(kernels_11, i + 3u * 8u));
-    add(sum, x, 8u, texel(kernels_01, i + 4u * 8u), texel(kernels_11, i + 4u * 8u));
-    add(sum, x, 10u, texel(kernels_01, i + 5u * 8u), texel(kernels_11, i + 5u * 8u));
-    add(sum, x, 12u, texel(kernels_01, i + 6u * 8u), texel(kernels_11, i + 6u * 8u));
-    add(sum, x, 14u, texel(kernels_01, i + 7u * 8u), texel(kernels_11, i + 7u * 8u));
+    #repeat k 8
+    add(sum, x, ${2 * k}u, texel(kernels_01, i + ${k}u * 8u), texel(kernels_11, i + ${k}u * 8u));
+    #end
 }
 
 // Two channels side by side.
 fn pair_up(v: ptr<function, Sixteen>, a: ptr<function, Sum>, b: ptr<function, Sum>) {
-    (*v)[0] = vec4f((*a)[0], (*b)[0]); (*v)[1] = vec4f((*a)[1], (*b)[1]); (*v)[2] = vec4f((*a)[2], (*b)[2]);
-    (*v)[3] = vec4f((*a)[3], (*b)[3]); (*v)[4] = vec4f((*a)[4], (*b)[4]); (*v)[5] = vec4f((*a)[5], (*b)[5]);
-    (*v)[6] = vec4f((*a)[6], (*b)[6]); (*v)[7] = vec4f((*a)[7], (*b)[7]); (*v)[8] = vec4f((*a)[8], (*b)[8]);
-    (*v)[9] = vec4f((*a)[9], (*b)[9]); (*v)[10] = vec4f((*a)[10], (*b)[10]); (*v)[11] = vec4f((*a)[11], (*b)[11]);
-    (*v)[12] = vec4f((*a)[12], (*b)[12]); (*v)[13] = vec4f((*a)[13], (*b)[13]); (*v)[14] = vec4f((*a)[14], (*b)[14]);
-    (*v)[15] = vec4f((*a)[15], (*b)[15]);
+    #repeat k 16
+    (*v)[${k}] = vec4f((*a)[${k}], (*b)[${k}]);
+    #end
 }
 
 // Samples from the first site to a site, along x and y.
@@ -239,14 +213,9 @@ fn rows_of(low: ptr<function, Sixteen>, high: ptr<function, Sixteen>, r: u32, ev
 
 // Photosites m .. of a pair of sites, 16/D apart, turned to where the sites lie in x.
 fn store(v: ptr<function, Sixteen>, at: u32, even: vec2f, odd: vec2f) {
-    store_one((*v)[0], 0u, at, even, odd); store_one((*v)[1], 1u, at, even, odd);
-    store_one((*v)[2], 2u, at, even, odd); store_one((*v)[3], 3u, at, even, odd);
-    store_one((*v)[4], 4u, at, even, odd); store_one((*v)[5], 5u, at, even, odd);
-    store_one((*v)[6], 6u, at, even, odd); store_one((*v)[7], 7u, at, even, odd);
-    store_one((*v)[8], 8u, at, even, odd); store_one((*v)[9], 9u, at, even, odd);
-    store_one((*v)[10], 10u, at, even, odd); store_one((*v)[11], 11u, at, even, odd);
-    store_one((*v)[12], 12u, at, even, odd); store_one((*v)[13], 13u, at, even, odd);
-    store_one((*v)[14], 14u, at, even, odd); store_one((*v)[15], 15u, at, even, odd);
+    #repeat k 16
+    store_one((*v)[${k}], ${k}u, at, even, odd);
+    #end
 }
 
 fn store_one(x: vec4f, t: u32, at: u32, even: vec2f, odd: vec2f) {
@@ -255,22 +224,9 @@ fn store_one(x: vec4f, t: u32, at: u32, even: vec2f, odd: vec2f) {
 
 // Adds numbers turned by exp(2 pi i g y / T), y = 16 t + `first`.
 fn add_turned(sum: ptr<function, Sixteen>, v: ptr<function, Sixteen>, g: u32, first: u32) {
-    (*sum)[0] += pair_mul((*v)[0], conj(turn(g * (first + 16u * 0u))));
-    (*sum)[1] += pair_mul((*v)[1], conj(turn(g * (first + 16u * 1u))));
-    (*sum)[2] += pair_mul((*v)[2], conj(turn(g * (first + 16u * 2u))));
-    (*sum)[3] += pair_mul((*v)[3], conj(turn(g * (first + 16u * 3u))));
-    (*sum)[4] += pair_mul((*v)[4], conj(turn(g * (first + 16u * 4u))));
-    (*sum)[5] += pair_mul((*v)[5], conj(turn(g * (first + 16u * 5u))));
-    (*sum)[6] += pair_mul((*v)[6], conj(turn(g * (first + 16u * 6u))));
-    (*sum)[7] += pair_mul((*v)[7], conj(turn(g * (first + 16u * 7u))));
-    (*sum)[8] += pair_mul((*v)[8], conj(turn(g * (first + 16u * 8u))));
-    (*sum)[9] += pair_mul((*v)[9], conj(turn(g * (first + 16u * 9u))));
-    (*sum)[10] += pair_mul((*v)[10], conj(turn(g * (first + 16u * 10u))));
-    (*sum)[11] += pair_mul((*v)[11], conj(turn(g * (first + 16u * 11u))));
-    (*sum)[12] += pair_mul((*v)[12], conj(turn(g * (first + 16u * 12u))));
-    (*sum)[13] += pair_mul((*v)[13], conj(turn(g * (first + 16u * 13u))));
-    (*sum)[14] += pair_mul((*v)[14], conj(turn(g * (first + 16u * 14u))));
-    (*sum)[15] += pair_mul((*v)[15], conj(turn(g * (first + 16u * 15u))));
+    #repeat k 16
+    (*sum)[${k}] += pair_mul((*v)[${k}], conj(turn(g * (first + 16u * ${k}u))));
+    #end
 }
 
 // Slots of a column: those of the sites, then those of the planes.
@@ -368,21 +324,9 @@ fn products(kx: u32) {
             let o_y = offset_y(site);
             let at = base + (((pair * params.times + g) * (16u / D)) * 17u + p) * 8u;
             lines[at] = rows_of(&low, &high, 0u, even, odd, o_y);
-            if (1u < 16u / D) { lines[at + 1u * 17u * 8u] = rows_of(&low, &high, 1u * D, even, odd, o_y); }
-            if (2u < 16u / D) { lines[at + 2u * 17u * 8u] = rows_of(&low, &high, 2u * D, even, odd, o_y); }
-            if (3u < 16u / D) { lines[at + 3u * 17u * 8u] = rows_of(&low, &high, 3u * D, even, odd, o_y); }
-            if (4u < 16u / D) { lines[at + 4u * 17u * 8u] = rows_of(&low, &high, 4u * D, even, odd, o_y); }
-            if (5u < 16u / D) { lines[at + 5u * 17u * 8u] = rows_of(&low, &high, 5u * D, even, odd, o_y); }
-            if (6u < 16u / D) { lines[at + 6u * 17u * 8u] = rows_of(&low, &high, 6u * D, even, odd, o_y); }
-            if (7u < 16u / D) { lines[at + 7u * 17u * 8u] = rows_of(&low, &high, 7u * D, even, odd, o_y); }
-            if (8u < 16u / D) { lines[at + 8u * 17u * 8u] = rows_of(&low, &high, 8u * D, even, odd, o_y); }
-            if (9u < 16u / D) { lines[at + 9u * 17u * 8u] = rows_of(&low, &high, 9u * D, even, odd, o_y); }
-            if (10u < 16u / D) { lines[at + 10u * 17u * 8u] = rows_of(&low, &high, 10u * D, even, odd, o_y); }
-            if (11u < 16u / D) { lines[at + 11u * 17u * 8u] = rows_of(&low, &high, 11u * D, even, odd, o_y); }
-            if (12u < 16u / D) { lines[at + 12u * 17u * 8u] = rows_of(&low, &high, 12u * D, even, odd, o_y); }
-            if (13u < 16u / D) { lines[at + 13u * 17u * 8u] = rows_of(&low, &high, 13u * D, even, odd, o_y); }
-            if (14u < 16u / D) { lines[at + 14u * 17u * 8u] = rows_of(&low, &high, 14u * D, even, odd, o_y); }
-            if (15u < 16u / D) { lines[at + 15u * 17u * 8u] = rows_of(&low, &high, 15u * D, even, odd, o_y); }
+            #repeat k 15
+            if (${k + 1}u < 16u / D) { lines[at + ${k + 1}u * 17u * 8u] = rows_of(&low, &high, ${k + 1}u * D, even, odd, o_y); }
+            #end
         }
     }
 }

@@ -58,21 +58,11 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     let row = group.y * BY + 2u * group.x;
     let next = select(row, row + 1u, 2u * group.x + 1u < BY);  // none after the last of an odd number
     let v = line_fft(Octet(
-        weighted(row, next, t),
-        weighted(row, next, t + LANES),
-        weighted(row, next, t + 2u * LANES),
-        weighted(row, next, t + 3u * LANES),
-        weighted(row, next, t + 4u * LANES),
-        weighted(row, next, t + 5u * LANES),
-        weighted(row, next, t + 6u * LANES),
-        weighted(row, next, t + 7u * LANES),
+        #repeat k 8
+        weighted(row, next, t + ${k}u * LANES),
+        #end
     ), t, 0u, T, FIRST_RADIX);
-    keep(row, next, t, v.v0);
-    keep(row, next, t + LANES, v.v1);
-    keep(row, next, t + 2u * LANES, v.v2);
-    keep(row, next, t + 3u * LANES, v.v3);
-    keep(row, next, t + 4u * LANES, v.v4);
-    keep(row, next, t + 5u * LANES, v.v5);
-    keep(row, next, t + 6u * LANES, v.v6);
-    keep(row, next, t + 7u * LANES, v.v7);
+    #repeat k 8
+    keep(row, next, t + ${k}u * LANES, v.v${k});
+    #end
 }

@@ -76,21 +76,11 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     let m = group.x * D + slot;
     let site = 4u * group.y;
     let v = line_fft(Octet(
-        bins(2u * group.y, lane, m),
-        bins(2u * group.y, lane + M / 8u, m),
-        bins(2u * group.y, lane + 2u * M / 8u, m),
-        bins(2u * group.y, lane + 3u * M / 8u, m),
-        bins(2u * group.y, lane + 4u * M / 8u, m),
-        bins(2u * group.y, lane + 5u * M / 8u, m),
-        bins(2u * group.y, lane + 6u * M / 8u, m),
-        bins(2u * group.y, lane + 7u * M / 8u, m),
+        #repeat k 8
+        bins(2u * group.y, lane + ${k}u * M / 8u, m),
+        #end
     ), lane, slot * M, M, SITE_RADIX);
-    add(site, lane, m, v.v0);
-    add(site, lane + M / 8u, m, v.v1);
-    add(site, lane + 2u * M / 8u, m, v.v2);
-    add(site, lane + 3u * M / 8u, m, v.v3);
-    add(site, lane + 4u * M / 8u, m, v.v4);
-    add(site, lane + 5u * M / 8u, m, v.v5);
-    add(site, lane + 6u * M / 8u, m, v.v6);
-    add(site, lane + 7u * M / 8u, m, v.v7);
+    #repeat k 8
+    add(site, lane + ${k}u * M / 8u, m, v.v${k});
+    #end
 }

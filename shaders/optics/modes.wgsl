@@ -85,24 +85,14 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     }
     workgroupBarrier();
     let x = Octet(
-        weighted(line, other, y, next, t),
-        weighted(line, other, y, next, t + LANES),
-        weighted(line, other, y, next, t + 2u * LANES),
-        weighted(line, other, y, next, t + 3u * LANES),
-        weighted(line, other, y, next, t + 4u * LANES),
-        weighted(line, other, y, next, t + 5u * LANES),
-        weighted(line, other, y, next, t + 6u * LANES),
-        weighted(line, other, y, next, t + 7u * LANES),
+        #repeat k 8
+        weighted(line, other, y, next, t + ${k}u * LANES),
+        #end
     );
     workgroupBarrier();
     let v = line_fft(x, t, 0u, T, FIRST_RADIX);
     let row = group.y * BY + y;
-    keep(row, last, t, v.v0);
-    keep(row, last, t + LANES, v.v1);
-    keep(row, last, t + 2u * LANES, v.v2);
-    keep(row, last, t + 3u * LANES, v.v3);
-    keep(row, last, t + 4u * LANES, v.v4);
-    keep(row, last, t + 5u * LANES, v.v5);
-    keep(row, last, t + 6u * LANES, v.v6);
-    keep(row, last, t + 7u * LANES, v.v7);
+    #repeat k 8
+    keep(row, last, t + ${k}u * LANES, v.v${k});
+    #end
 }

@@ -52,22 +52,16 @@ struct Params {
 
 // A line of the patch, or the column of its lines' sums: six coefficients of each plane.
 struct Line {
-    c0: vec3f,
-    c1: vec3f,
-    c2: vec3f,
-    c3: vec3f,
-    c4: vec3f,
-    c5: vec3f,
+    #repeat k 6
+    c${k}: vec3f,
+    #end
 }
 
 struct Patch {
     first: vec2f,   // u where the first of the three cells begins in which points may lie, in x and in y
-    l0: Line,
-    l1: Line,
-    l2: Line,
-    l3: Line,
-    l4: Line,
-    l5: Line,
+    #repeat k 6
+    l${k}: Line,
+    #end
 }
 
 struct Weights {
@@ -90,12 +84,9 @@ fn at_each(k: i32) -> vec3f {
 fn load_line(first: vec2i, row: i32) -> Line {
     let at = (mirror(first.y + row, params.size.y) - params.first.y) * params.cols - params.first.x;
     return Line(
-        at_each(at + mirror(first.x, params.size.x)),
-        at_each(at + mirror(first.x + 1, params.size.x)),
-        at_each(at + mirror(first.x + 2, params.size.x)),
-        at_each(at + mirror(first.x + 3, params.size.x)),
-        at_each(at + mirror(first.x + 4, params.size.x)),
-        at_each(at + mirror(first.x + 5, params.size.x)),
+        #repeat k 6
+        at_each(at + mirror(first.x + ${k}, params.size.x)),
+        #end
     );
 }
 
@@ -109,12 +100,9 @@ fn load_patch(x: vec2f) -> Patch {
     let first = vec2i(cell) - 1;
     return Patch(
         cell,
-        load_line(first, 0),
-        load_line(first, 1),
-        load_line(first, 2),
-        load_line(first, 3),
-        load_line(first, 4),
-        load_line(first, 5),
+        #repeat k 6
+        load_line(first, ${k}),
+        #end
     );
 }
 
@@ -143,12 +131,9 @@ fn radiance(x: vec2f, around: Patch) -> vec3f {
     }
     let wx = weights_of(u.x, around.first.x);
     return lit * sum_of(weights_of(u.y, around.first.y), Line(
-        sum_of(wx, around.l0),
-        sum_of(wx, around.l1),
-        sum_of(wx, around.l2),
-        sum_of(wx, around.l3),
-        sum_of(wx, around.l4),
-        sum_of(wx, around.l5),
+        #repeat k 6
+        sum_of(wx, around.l${k}),
+        #end
     ));
 }
 

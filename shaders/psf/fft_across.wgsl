@@ -48,14 +48,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     let pair = group.y;
     let column = 2u * group.x;
     let v = line_fft(Octet(
-        two(pair, column, t),
-        two(pair, column, t + LANES),
-        two(pair, column, t + 2u * LANES),
-        two(pair, column, t + 3u * LANES),
-        two(pair, column, t + 4u * LANES),
-        two(pair, column, t + 5u * LANES),
-        two(pair, column, t + 6u * LANES),
-        two(pair, column, t + 7u * LANES),
+        #repeat k 8
+        two(pair, column, t + ${k}u * LANES),
+        #end
     ), t, 0u, T, FIRST_RADIX);
     keep(pair, column, t, v.v0);
     keep(pair, column, t + LANES, v.v1);

@@ -44,21 +44,11 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) t:
     let pair = group.y;
     let row = 2u * group.x;
     let v = line_fft(Octet(
-        two(pair, row, t),
-        two(pair, row, t + LANES),
-        two(pair, row, t + 2u * LANES),
-        two(pair, row, t + 3u * LANES),
-        two(pair, row, t + 4u * LANES),
-        two(pair, row, t + 5u * LANES),
-        two(pair, row, t + 6u * LANES),
-        two(pair, row, t + 7u * LANES),
+        #repeat k 8
+        two(pair, row, t + ${k}u * LANES),
+        #end
     ), t, 0u, T, FIRST_RADIX);
-    keep(pair, row, t, v.v0);
-    keep(pair, row, t + LANES, v.v1);
-    keep(pair, row, t + 2u * LANES, v.v2);
-    keep(pair, row, t + 3u * LANES, v.v3);
-    keep(pair, row, t + 4u * LANES, v.v4);
-    keep(pair, row, t + 5u * LANES, v.v5);
-    keep(pair, row, t + 6u * LANES, v.v6);
-    keep(pair, row, t + 7u * LANES, v.v7);
+    #repeat k 8
+    keep(pair, row, t + ${k}u * LANES, v.v${k});
+    #end
 }

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
+from sampling import one_in
 from scipy.stats import binom
 
 from gpusim.certify import Certificate, MeanSignal, Measure, Placed, sensor_share
@@ -157,7 +158,7 @@ def check(found: Certificate, one: Sensor) -> None:
 
 
 @pytest.mark.parametrize("tile", TILES, ids=["whole", "corner", "tile", "pixel"])
-@pytest.mark.parametrize("name", CMOS)
+@pytest.mark.parametrize("name", one_in(2, CMOS))
 def test_a_sound_sensor_leaves_roundings(name: str, tile: tuple | None):
     one = made(**CMOS[name])
     check(certificate(one, tile=tile), one)

@@ -1,8 +1,9 @@
 """Composition and reflection of WGSL: pure text, no GPU.
 
-Covered: include once, nested, unknown, cyclic, unknown directive, line origins; comments; bindings,
-overrides, constants, workgroup size and bytes; every refusal beside a control case that passes;
-memory layout against offsets worked out by hand from the WGSL specification; packing of values.
+Covered: include once, nested, unknown, cyclic, repeated lines, unknown directive, line origins;
+comments; bindings, overrides, constants, workgroup size and bytes; every refusal beside a control
+case that passes; memory layout against offsets worked out by hand from the WGSL specification;
+packing of values.
 """
 
 from pathlib import Path
@@ -52,6 +53,16 @@ def test_an_include_is_pasted_once_and_lines_keep_their_origin(root: Path):
     assert source.numbered(around=4, margin=1).split("\n")[1].startswith(">    4")
 
 
+def test_what_is_unrolled_is_written_once(root: Path):
+    (root / "optics/x.wgsl").write_text(
+        "// x\n#repeat k 3\nv[${k}] = ${8 * k + 1}u;\n// {k}\n#end\n"
+    )
+    source = load("optics/x")
+    numbered = [line for k in range(3) for line in (f"v[{k}] = {8 * k + 1}u;", "// {k}")]
+    assert source.text.split("\n") == ["// x", *numbered]
+    assert [line for _, line in source.origins] == [1, 3, 4, 3, 4, 3, 4]
+
+
 def test_the_digest_changes_with_an_included_file(root: Path):
     (root / "common/a.wgsl").write_text("// one\n")
     (root / "optics/x.wgsl").write_text('#include "a"\n')
@@ -72,10 +83,15 @@ def test_the_digest_changes_with_an_included_file(root: Path):
         ),
         ({"optics/x": "#define N 3"}, "optics/x.wgsl:1: unknown directive '#define N 3'"),
         ({"optics/x": "#include <a>", "common/a": ""}, "unknown directive"),
+        ({"optics/x": "// x\n#repeat k 2\na${k}"}, "optics/x.wgsl:2: #repeat without #end"),
+        ({"optics/x": "#repeat k two\n#end"}, "optics/x.wgsl:1: unknown directive '#repeat k two'"),
+        ({"optics/x": "#end"}, "unknown directive '#end'"),
+        ({"optics/x": "#repeat k 2\n#repeat n 2\n#end\n#end"}, "unknown directive '#repeat n 2'"),
+        ({"optics/x": "#repeat k 2\na${n}\n#end"}, "optics/x.wgsl:2: cannot evaluate 'n'"),
         ({}, "no shader 'optics/x'"),
     ],
 )
-def test_a_broken_include_is_refused(root: Path, files: dict[str, str], problem: str):
+def test_a_broken_directive_is_refused(root: Path, files: dict[str, str], problem: str):
     for name, text in files.items():
         (root / f"{name}.wgsl").write_text(text + "\n")
     with pytest.raises(ShaderError, match=problem):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from lens.made import lens, model
+from sampling import one_in
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.entering import stretch
@@ -100,7 +101,7 @@ def test_of_a_near_object_the_light_on_axis_is_that_of_its_pupil():
     assert pupil.entering_at_chief < 1.0  # sr: a wider cone behind the lens than before it
 
 
-@pytest.mark.parametrize(("name", "tolerance"), [("double-gauss", 3e-4), ("wide", 1e-4)])
+@pytest.mark.parametrize(("name", "tolerance"), one_in(2, [("wide", 1e-4), ("double-gauss", 3e-4)]))
 def test_what_fields_send_adds_up_to_what_a_point_of_the_image_sees(name, tolerance):
     """Rays from the scene, spread by their PSFs, against rays traced back from the image.
 

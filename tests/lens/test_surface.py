@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from harness import assert_close, wgsl_eval
 from optics.made import ULP
+from sampling import one_in
 
 POINT, SNELL = 20 * 12 * ULP, 2e-5
 TERMS = 15
@@ -119,7 +120,7 @@ def normals(shape: Shape, points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "bowl undone"])
-@pytest.mark.parametrize("ratio", [1 / 1.8, 1.1])
+@pytest.mark.parametrize("ratio", one_in(2, [1 / 1.8, 1.1]))
 def test_rays_meet_the_surface_and_obey_snell(name: str, ratio: float):
     shape = SHAPES[name]
     at, along = rays(NAMES.index(name))

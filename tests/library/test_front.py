@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sampling import one_in
 
 import gpusim as gs
 from gpusim.errors import UserError
@@ -94,7 +95,7 @@ MODULES = {whole.rpartition(".")[0] for whole in PAGES} | {
 }
 
 
-@pytest.mark.parametrize("module", sorted(MODULES))
+@pytest.mark.parametrize("module", one_in(3, sorted(MODULES)))
 def test_the_examples_in_the_docstrings_run(
     module: str, light: gs.Light, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):

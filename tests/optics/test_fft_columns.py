@@ -138,7 +138,7 @@ def test_lines_of_modes_have_no_nodes_below_them(device: Device, nodes: int):
         (256, 4, 2, 3, 45, 2),
         (256, 1, 2, 3, 17, 1),  # four sites half a pixel's samples apart: a kernel each
         (512, 8, 4, 4, 70, 1),  # sixteen sites, all together
-        (1024, 8, 4, 3, 140, 1),  # sixteen sites, eight at a time
+        pytest.param(1024, 8, 4, 3, 140, 1, marks=pytest.mark.slow),  # eight of sixteen at a time
         (512, 4, 2, 3, 336, 2),
     ],
 )

@@ -388,6 +388,7 @@ def test_without_a_method_the_cheapest_of_all_is_taken():
     assert other.scales[0].method != chosen.scales[0].method
 
 
+@pytest.mark.slow
 def test_a_method_that_cannot_do_it_says_why():
     wide = bank(size=256, coma_um=0.5, halo=0.3)
     with pytest.raises(UserError, match="small supports") as caught:

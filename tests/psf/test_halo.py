@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sampling import one_in
 from scipy.fft import fft2, fftshift
 from scipy.integrate import quad
 
@@ -240,7 +241,7 @@ def test_edges_in_the_first_level_are_those_of_the_whole_transform(demo_lens):
         np.testing.assert_allclose(found, exact, rtol=0, atol=3e-4)
 
 
-@pytest.mark.parametrize("name", sorted(presets()))
+@pytest.mark.parametrize("name", one_in(2, sorted(presets())))
 def test_levels_and_what_lands_beyond_them_are_all_the_light(name):
     """In the lens's own window, at its own aperture; before scaling to it within 2.5 %.
 

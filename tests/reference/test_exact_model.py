@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from harness import assert_close
 from optics.made import FLAT, MOVED, RED, bank, dots_image, monochrome, plane_bank, sensor
+from sampling import one_in
 from scipy.special import j1, ndtr
 from scipy.stats import ncx2
 
@@ -376,7 +377,7 @@ def on_outlines(lens, camera) -> np.ndarray:
     return exact(lens, camera, SHADES).chart(chart(*OUTLINES), ON_OUTLINES)
 
 
-@pytest.mark.parametrize(("size", "zones"), [(64, 1), (128, 2), (512, 3)])
+@pytest.mark.parametrize(("size", "zones"), one_in(3, [(128, 2), (64, 1), (512, 3)]))
 def test_a_quarter_of_the_steps_changes_little(monkeypatch, size: int, zones: int):
     """The smallest tolerance that can be asked for is 1e-5."""
     lens, camera = bank(**REAL, size=size), sensor()
@@ -472,7 +473,9 @@ def test_light_from_the_rings_of_a_sharp_lens_is_counted(
         assert error() > 2e-6
 
 
-@pytest.mark.parametrize(("pitch", "undivided"), [(0.3875, 2e-5), (0.775, 2e-5), (1.55, 0.0)])
+@pytest.mark.parametrize(
+    ("pitch", "undivided"), one_in(2, [(0.775, 2e-5), (0.3875, 2e-5), (1.55, 0.0)])
+)
 def test_the_cells_are_small_enough_for_a_raster_and_its_border(
     monkeypatch, pitch: float, undivided: float
 ):

@@ -110,6 +110,7 @@ def judged(place: Place, scene: Scene, rows: list[int], cols: list[int]) -> np.n
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_an_even_scene_is_what_the_judge_sees(machine_vision):
     place = Place(machine_vision, 0.8, 0.8)
     errors = judged(place, scene_of(machine_vision), [0], [0])

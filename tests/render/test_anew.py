@@ -115,6 +115,7 @@ def by_a_wrong_model(monkeypatch):
     return gs.Camera(given.lens, given.sensor.roi(48, 64), "small")
 
 
+@pytest.mark.slow
 def test_light_by_a_prediction_that_errs_is_made_anew_and_again(tmp_path, by_a_wrong_model):
     light = gs.expose(by_a_wrong_model, gs.Scene.load("slanted-edge"), 1e-3, probes=32)
     assert light.certificate.met

@@ -1,5 +1,7 @@
 """The halo's coarse renders: rectangles of one frame share their plans, or one halo."""
 
+import pytest
+
 from gpusim.camera import load_camera
 from gpusim.plan import Accuracy
 from gpusim.plan.costs import LAVAPIPE
@@ -7,6 +9,7 @@ from gpusim.render import Renderer, planning
 from gpusim.scene import make_scene
 
 
+@pytest.mark.slow
 def test_parts_of_a_rectangle_whose_halo_is_held_have_it():
     camera, scene = load_camera("machine-vision"), make_scene("slanted-edge")
     made, light = [], Renderer._coarse_light

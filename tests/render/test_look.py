@@ -44,6 +44,7 @@ def seen(camera, scene, surveys):
         return list(through_focus(camera, scene, ASKED, SHIFTS_UM))
 
 
+@pytest.mark.slow
 def test_psfs_are_those_of_the_lens_with_its_plane_there(camera, seen):
     few = [0, -1]  # fields
     for one, shift_um in zip(seen, SHIFTS_UM, strict=True):

@@ -55,6 +55,7 @@ def band_by_band(scene: gs.Scene) -> np.ndarray:
     return total
 
 
+@pytest.mark.slow
 def test_a_spectral_scene_is_the_sum_of_its_bands(scene, band_by_band):
     whole, planes = seen(scene)
     assert planes < len(BANDS_NM)

@@ -13,6 +13,7 @@ from labels import overlaps, words
 from lens.made import lens as made_lens
 from lens.made import model
 from PIL import Image
+from sampling import one_in
 
 from gpusim.cli import lens as cli_lens
 from gpusim.cli.lens_plots import Setting, second
@@ -61,12 +62,12 @@ def readable(figure) -> None:
         assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
 
 
-@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
+@pytest.mark.parametrize("plot", one_in(2, PLOTS), ids=lambda plot: plot.name)
 def test_labels_of_a_figure_can_be_read(study: Study, plot):
     readable(draw_plot(plot, [study]))
 
 
-@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
+@pytest.mark.parametrize("plot", one_in(4, PLOTS), ids=lambda plot: plot.name)
 def test_two_lenses_share_a_figure(both: list[Study], plot):
     figure = draw_plot(plot, both)
     readable(figure)
@@ -77,7 +78,7 @@ def test_two_lenses_share_a_figure(both: list[Study], plot):
         assert set(columns["lens"]) == {study.label for study in both}
 
 
-@pytest.mark.parametrize("plot", PLOTS, ids=lambda plot: plot.name)
+@pytest.mark.parametrize("plot", one_in(4, PLOTS), ids=lambda plot: plot.name)
 def test_a_lens_without_an_axis_has_its_figures(tilted: Study, plot):
     readable(draw_plot(plot, [tilted]))
 

@@ -10,6 +10,7 @@ import pytest
 from changes import sensor_file
 from harness import assert_close
 from optics.made import StubCamera, bank, monochrome, scene, sensor, shapes
+from sampling import one_in
 from scipy.stats import norm
 
 from gpusim.errors import UserError
@@ -95,7 +96,7 @@ def expected_of(signal: np.ndarray, kernels: Kernels, camera: Sensor) -> np.ndar
     return crosstalk(signal, pattern[row[:, None], col], kernels.between, camera.period)
 
 
-@pytest.mark.parametrize("side", [1, 3, 5, 7])
+@pytest.mark.parametrize("side", one_in(2, [3, 1, 5, 7]))
 @pytest.mark.parametrize("pattern", PATTERNS, ids="/".join)
 def test_each_pixel_takes_its_shares(device: Device, pattern: tuple[str, ...], side: int):
     rows, cols = ROWS + 3, 61
