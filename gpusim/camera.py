@@ -207,6 +207,7 @@ def load_camera(
                 allowed=f"a .yaml file, or one of: {', '.join(presets())}",
             )
     data = read_yaml(path, "the camera file")
+    _check_kind(data, path)
     named = data.get("lens") if isinstance(data, dict) else None
     fields = checked(CameraFile, _spelled_out(data), path)
     ready = _ready_place(path, named) if isinstance(named, str) else None
@@ -256,6 +257,19 @@ def _no_camera(name: str) -> str:
             found = f"cameras with it: {', '.join(having)}" if having else "no camera has it"
             return f"{name} is a {kind}; {found}"
     return f"there is no camera of that name{perhaps(name, presets())}"
+
+
+def _check_kind(data: object, path: Path) -> None:
+    """Refuse a file of a lens or a sensor alone, and say what a camera of it looks like."""
+    own = {"surfaces": ("lens", "sensor: imx477"), "pixel_pitch_um": ("sensor", "lens: tessar")}
+    for field, (kind, other) in own.items():
+        if isinstance(data, dict) and field in data:
+            raise UserError(
+                f"this is the file of a {kind}, not of a camera",
+                file=path,
+                field=field,
+                allowed=f"a camera file of three lines: title: NAME; {kind}: {path.name}; {other}",
+            )
 
 
 def _spelled_out(data: object) -> object:

@@ -171,3 +171,17 @@ def test_the_preset_of_the_mtf_only_model_covers_its_sensor():
     one = load_camera("mtf-only")
     assert one.lens.kind == "MTF table"
     assert one.bank().provenance["lens_model"].startswith("MTF only")
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "other"),
+    [
+        ("lens", "title: t\nsource: s\nsurfaces: []\n", "lens: mine.yaml; sensor: imx477"),
+        ("sensor", "title: t\npixel_pitch_um: 2.0\n", "sensor: mine.yaml; lens: tessar"),
+    ],
+)
+def test_a_lens_or_a_sensor_alone_is_told_from_a_camera(tmp_path, kind, content, other):
+    (tmp_path / "mine.yaml").write_text(content)
+    with pytest.raises(UserError, match=f"the file of a {kind}, not of a camera") as caught:
+        load_camera(tmp_path / "mine.yaml")
+    assert other in caught.value.allowed

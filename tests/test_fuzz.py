@@ -386,6 +386,10 @@ READERS: dict[str, tuple[Callable[[Path], list[Path]], Callable[[Path], object]]
         picture("a.png", np.full((9, 12, 3), 77, np.uint8), "png"),
         scene_of("a.png", transfer="srgb"),
     ),
+    "jpeg": (
+        picture("a.jpg", np.full((9, 12, 3), 77, np.uint8), "jpeg"),
+        scene_of("a.jpg", transfer="srgb"),
+    ),
     "png of 16 bits": (wide_png, scene_of("a.png", transfer="srgb")),
     "table": (cube_files, lambda at: make_scene(at / "a.png", transfer=str(at / "film.cube"))),
     "spectrum": (lamp_files, all_lamps),

@@ -14,7 +14,7 @@ always errs to one side and is added whole.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -172,11 +172,11 @@ class Certificate:
     window: float
     total_rms: float
     total_worst: float
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = field(repr=False)
     met: bool
-    confidence: str
+    confidence: str = field(repr=False)
     seconds: float
-    points: tuple[Probe, ...]
+    points: tuple[Probe, ...] = field(repr=False)
 
 
 def settled(found: np.ndarray, bank: Judged, tolerance: float) -> bool:

@@ -26,7 +26,10 @@ Certify = Annotated[
 ]
 Luminance = Annotated[
     float | None,
-    typer.Option(metavar="CD_M2", help="Luminance of the scene's white, in cd/m^2."),
+    typer.Option(
+        metavar="CD_M2",
+        help="Luminance of the scene's white, in cd/m^2; else 300.",
+    ),
 ]
 BestEffort = Annotated[
     bool,

@@ -108,7 +108,7 @@ def show_capture(facts: Mapping[str, Any], folder: Path, console: Console | None
             f"sensor {say(certificate['sensor_rms'])}, window {say(certificate['window'])}",
             f"engine's RMS error {rms}",
             f"worst of {certificate['probes']} probes {worst}",
-            f"at row {row}, column {col}; {certificate['confidence']}",
+            f"at row {row}, column {col}. {certificate['confidence']}",
         ):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
     console.print(saturated(facts), markup=False, highlight=False)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # All arrays of a file together: a mask of 200 MP in float64 has 1.5 GiB, a bank some 0.1 GiB.
 MOST_BYTES = 2 << 30
-MOST_PIXELS = 1 << 27  # of a PNG, as of other pictures
+MOST_PIXELS = 1 << 27  # of a PNG or JPEG, as of other pictures
 # Deflate shortens nothing to less than 1/1032 (https://zlib.net/zlib_tech.html).
 MOST_RATIO = 1100
 # Where sizes, bits and colour type stand in a PNG, and a pixel's samples by that type (PNG, third
@@ -146,6 +146,27 @@ def read_png(content: bytes, *, indices: bool = False) -> np.ndarray:
         return np.uint16(256) * high + low
     found = pixels()
     return found.astype(np.uint16) if found.dtype == np.int32 else found
+
+
+def read_jpeg(content: bytes) -> np.ndarray:
+    """Return the samples of a JPEG (rows, cols) or (rows, cols, 3), uint8, upright by its Exif.
+
+    Raises
+    ------
+    Exception
+        Whatever Pillow says of a broken file; ValueError where it is larger than any of ours, or
+        its colours are those of print.
+    """
+    from PIL import Image, ImageOps
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of pictures that Pillow finds large
+        with Image.open(io.BytesIO(content), formats=["JPEG"]) as image:
+            if math.prod(image.size) > MOST_PIXELS:
+                raise ValueError("a picture of {} x {} pixels".format(*image.size))
+            if image.mode not in ("L", "RGB"):
+                raise ValueError(f"colours {image.mode}")
+            return np.array(ImageOps.exif_transpose(image))
 
 
 def _header(file) -> tuple[tuple[int, ...], bool, np.dtype]:

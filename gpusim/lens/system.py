@@ -336,9 +336,10 @@ def with_clear_apertures(prescription: LensModel) -> LensModel:
     for i in missing:
         surfaces[i] = surfaces[i].model_copy(update={"semi_diameter": float(needed[i])})
     names = ", ".join(str(i + 1) for i in missing)
+    which = f"apertures of surfaces {names}" if len(missing) > 1 else f"aperture of surface {names}"
     return prescription.derived(
-        f"clear apertures of surfaces {names} computed: the source gives none; they pass the full "
-        f"beam to {prescription.max_field_deg:g} deg",
+        f"clear {which} computed, for the source gives none: as wide as the full beam to "
+        f"{prescription.max_field_deg:g} deg",
         surfaces=tuple(surfaces),
     )
 

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import rawpy
-from PIL import Image
 
-from gpusim.config.arrays import read_npy, read_png, read_tiff
+from gpusim.config.arrays import read_jpeg, read_npy, read_png, read_tiff
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.isp.rawfile import read_raw
@@ -124,10 +123,10 @@ def _raw(raw: rawpy.RawPy) -> dict[str, Plane]:
 
 def _plain(path: Path, linear: bool) -> dict[str, Plane]:
     suffix = path.suffix.lower()
-    if suffix in PNG:
-        codes = read_png(read_bytes(path, "the picture"))
+    if suffix in TIFF:
+        codes = read_tiff(path)
     else:
-        codes = read_tiff(path) if suffix in TIFF else np.asarray(Image.open(path))
+        codes = (read_png if suffix in PNG else read_jpeg)(read_bytes(path, "the picture"))
     if codes.dtype.kind not in "uf":
         raise ValueError(f"samples of type {codes.dtype}")
     most = 1.0 if codes.dtype.kind == "f" else float(np.iinfo(codes.dtype).max)

@@ -23,8 +23,10 @@ from gpusim.report.words import duration, error, exposure, saturated, tolerance
 
 _OVERVIEW_PX = 1400
 _CROP_PX = 320
-# Where on the way from the centre to the upper right corner each crop lies.
+# Where on the way from the centre to the upper right corner each crop lies, in a whole frame and in
+# a rectangle of one.
 _CROPS = {"Centre": 0.0, "Half field": 0.5, "Corner": 1.0}
+_OF_RECTANGLE = {"Middle": 0.0, "Half way to its corner": 0.5, "Its corner": 1.0}
 _WORST_SHOWN = 10
 # Parts of the error budget: see gpusim.certify.budget.
 _PARTS = {
@@ -55,7 +57,7 @@ def page(facts: Mapping[str, Any], developed: np.ndarray, psfs: LocalPsfs | None
         f"{exposure(capture['exposure_s'])}, seed {capture['seed']}, frame {capture['frame']}. "
         f"Made {facts['created']} by gpusim {facts['gpusim']}.",
         facts=facts,
-        **_pictures(developed),
+        **_pictures(developed, _OF_RECTANGLE if _place(facts) else _CROPS),
         saturated=saturated(facts),
         tolerance=tolerance(capture),
         rim=RIM,
@@ -77,16 +79,18 @@ def _place(facts: Mapping[str, Any]) -> str:
     return f" at ({capture['first_col']}, {capture['first_row']}) of a larger frame"
 
 
-def _pictures(developed: np.ndarray) -> dict[str, Any]:
-    """Return the overview and the crops."""
+def _pictures(developed: np.ndarray, ways: Mapping[str, float]) -> dict[str, Any]:
+    """Return the overview and the crops, each of another place."""
     rows, cols = developed.shape[:2]
     scale = min(1.0, _OVERVIEW_PX / max(rows, cols))
     size = (max(1, round(cols * scale)), max(1, round(rows * scale)))
     height, width = min(rows, _CROP_PX), min(cols, _CROP_PX)
-    crops = []
-    for name, way in _CROPS.items():
+    crops: list[dict[str, Any]] = []
+    for name, way in ways.items():
         top = max(0, round(rows / 2 * (1 - way) - height / 2))
         left = min(cols - width, round(cols / 2 * (1 + way) - width / 2))
+        if any((top, left) == (one["top"], one["left"]) for one in crops):
+            continue
         crop = Image.fromarray(developed[top : top + height, left : left + width])
         crops.append({"name": name, "top": top, "left": left, "picture": crop})
     overview = Image.fromarray(developed).resize(size, Image.Resampling.BOX)

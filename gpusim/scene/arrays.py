@@ -65,8 +65,8 @@ def _finite(values: np.ndarray, field: str, allowed: str) -> np.ndarray:
             "bytes are a picture with its curve, not light",
             field=field,
             value="uint8",
-            allowed="linear light in floating point, 1 for white; a PNG or TIFF: gpusim render "
-            "FILE --transfer srgb",
+            allowed="linear light in floating point, 1 for white; a PNG, TIFF or JPEG: gpusim "
+            "render FILE --transfer srgb",
         )
     try:
         found = np.asarray(values, np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of other programs as scenes: TIFF and PNG of a stated transfer function, camera raws."""
+"""Pictures of other programs as scenes: TIFF, PNG and JPEG of a stated transfer, camera raws."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.config.arrays import MOST_RATIO, opened_tiff, read_png
+from gpusim.config.arrays import MOST_RATIO, opened_tiff, read_jpeg, read_png
 from gpusim.config.text import read_bytes
 from gpusim.errors import UserError
 from gpusim.scene.colorimetry import REC709_CHROMATICITIES, rgb_to_xyz
 from gpusim.scene.exr import MOST_PIXELS, Photograph, _check, _into_gamut, library_messages
 from gpusim.scene.medium import is_table, light_of
 
-TIFF, PNG = (".tif", ".tiff"), (".png",)
+TIFF, PNG, JPEG = (".tif", ".tiff"), (".png",), (".jpg", ".jpeg")
+ENCODED = (*TIFF, *PNG, *JPEG)
 RAWS = (".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef "
         ".raf .rw2 .rwl .sr2 .srf .srw .x3f").split()  # fmt: skip
 GAMMA = re.compile(r"gamma ?(\d(?:\.\d{1,4})?)", re.ASCII)
@@ -61,7 +62,7 @@ def linear(encoded: np.ndarray, transfer: str, path: Path) -> np.ndarray:
 
 
 def read_encoded(path: Path, transfer: str | None) -> Photograph:
-    """Read a TIFF or PNG: grey or RGB, 8 or 16 bits or floats, with Rec.709's primaries.
+    """Read a TIFF, PNG or JPEG: grey or RGB, 8 or 16 bits or floats, with Rec.709's primaries.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def read_encoded(path: Path, transfer: str | None) -> Photograph:
     UserError
         Where it is no such picture, or its transfer function is not said.
     """
-    pixels = _tiff(path) if path.suffix.lower() in TIFF else _png(path)
+    pixels = _tiff(path) if path.suffix.lower() in TIFF else _by_pillow(path)
     whole = pixels.dtype.kind in "ub"
     if transfer is None and whole:
         raise UserError(
@@ -168,9 +169,10 @@ def _tiff(path: Path) -> np.ndarray:
     return pixels
 
 
-def _png(path: Path) -> np.ndarray:
+def _by_pillow(path: Path) -> np.ndarray:
+    reader = read_png if path.suffix.lower() in PNG else read_jpeg
     try:
-        pixels = read_png(read_bytes(path, "the picture"))
+        pixels = reader(read_bytes(path, "the picture"))
     except UserError:
         raise
     except Exception as error:  # Pillow has its own and those of what is missing in a file

@@ -59,8 +59,8 @@ def make_scene(
         The camera (`gpusim.camera.Camera.frame`): for charts that count in its pixels, are drawn
         on samples, or have a size in the scene.
     transfer : str, optional
-        What light the values of a TIFF or PNG stand for: "srgb", "linear", "rec709", "gamma2.2", or
-        the .cube file of a table: see `gpusim.scene.medium`.
+        What light the values of a TIFF, PNG or JPEG stand for: "srgb", "linear", "rec709",
+        "gamma2.2", or the .cube file of a table: see `gpusim.scene.medium`.
     upsampling : str, optional
         Method by which an RGB photograph's colours become spectra: "mallett-2019" if not given,
         "jakob-2019" or "smits-1999".
@@ -109,7 +109,9 @@ def make_scene(
             scene = replace(scene, source=whole)
         return replace(scene, projection=plane, made_from=made_from)
     raise UserError(
-        f"unknown scene{perhaps(name, CHARTS)}",
+        "a file of a kind that is not read"
+        if path.is_file()
+        else f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
         allowed=f"{', '.join(CHARTS)}; a chart's NAME.yaml; or a picture: {PICTURES}",
@@ -159,7 +161,7 @@ def _check_chart(projection: str, transfer: str | None, upsampling: str | None) 
             "a chart has no transfer function",
             field="transfer",
             value=transfer,
-            allowed="with a TIFF or PNG",
+            allowed="with a TIFF, PNG or JPEG",
         )
     if upsampling is not None:
         raise UserError(

@@ -9,7 +9,7 @@ import numpy as np
 
 from gpusim.errors import UserError
 from gpusim.scene.bands import Bands, band_scene
-from gpusim.scene.encoded import PNG, RAWS, TIFF, read_encoded, read_raw_scene
+from gpusim.scene.encoded import ENCODED, RAWS, read_encoded, read_raw_scene
 from gpusim.scene.envi import is_envi, read_envi
 from gpusim.scene.exr import Photograph, read_exr, units_of
 from gpusim.scene.isetcam_scene import read_isetcam_scene
@@ -19,8 +19,10 @@ from gpusim.scene.spectral_exr import RADIANCE_UNITS, is_spectral, read_spectral
 from gpusim.scene.upsampling import MALLETT, check_upsampling, lit_rgb
 
 ENVI = (".hdr", ".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ".cube")
-SUFFIXES = (".exr", ".pic", ".mat", *ENVI, *TIFF, *PNG, *RAWS)
-PICTURES = ".exr, RGB or spectral; .hdr of Radiance or ENVI; .mat of ISETCam; .tif; .png; a raw"
+SUFFIXES = (".exr", ".pic", ".mat", *ENVI, *ENCODED, *RAWS)
+PICTURES = (
+    ".exr, RGB or spectral; .hdr of Radiance or ENVI; .mat of ISETCam; .tif; .png; .jpg; a raw"
+)
 
 
 def is_picture(path: Path) -> bool:
@@ -40,14 +42,14 @@ def picture_scene(
     Parameters
     ----------
     path : Path
-        An EXR, RGB or spectral; an ENVI cube; an ISETCam scene; a Radiance picture; a TIFF or PNG;
-        a camera's raw.
+        An EXR, RGB or spectral; an ENVI cube; an ISETCam scene; a Radiance picture; a TIFF, PNG or
+        JPEG; a camera's raw.
     luminance_cd_m2 : float, optional
         Luminance of its white.
     illuminant : str, optional
         Light on a picture of reflectances.
     transfer : str, optional
-        What light the values of a TIFF or PNG stand for: see `gpusim.scene.encoded.linear`.
+        What light the values of a TIFF, PNG or JPEG stand for: see `gpusim.scene.encoded.linear`.
     upsampling : str, optional
         Method by which RGB becomes spectra: see `gpusim.scene.upsampling`.
 
@@ -57,13 +59,13 @@ def picture_scene(
         Where it cannot be read, or is given what it has no use for.
     """
     suffix = path.suffix.lower()
-    if transfer is not None and suffix not in (*TIFF, *PNG):
+    if transfer is not None and suffix not in ENCODED:
         raise UserError(
             "the picture has no transfer function but its own",
             file=path,
             field="transfer",
             value=transfer,
-            allowed="with a TIFF or PNG",
+            allowed="with a TIFF, PNG or JPEG",
         )
     method = check_upsampling(upsampling or MALLETT)
     if not os.path.isfile(path):

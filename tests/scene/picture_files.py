@@ -129,3 +129,9 @@ def write_png(at: Path, values: np.ndarray) -> Path:
     """Write a PNG."""
     Image.fromarray(values).save(at)
     return at
+
+
+def write_jpeg(at: Path, values: np.ndarray) -> Path:
+    """Write a JPEG."""
+    Image.fromarray(values).save(at)
+    return at

@@ -244,6 +244,31 @@ def test_pngs_of_a_palette_are_its_colours_and_transparency_is_left_out(tmp_path
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("grey", [False, True])
+def test_jpegs_are_read_upright(tmp_path, grey: bool):
+    """Even squares of 16 pixels survive JPEG's blocks within two codes; Exif turns them."""
+    codes = np.array([[20, 90, 160], [200, 140, 60]], np.uint8).repeat(16, 0).repeat(16, 1)
+    codes = codes if grey else np.stack([codes, codes, codes], axis=-1)
+    exif = Image.Exif()
+    exif[0x0112] = 6  # to be shown turned to the right
+    Image.fromarray(codes).save(tmp_path / "a.jpg", quality=100, exif=exif)
+    found = make_scene(tmp_path / "a.jpg", transfer="linear").source.planes
+    expected = np.rot90(codes, -1)
+    expected = np.stack([expected] * 3) if grey else np.moveaxis(expected, -1, 0)
+    assert_close(found, expected / 255, atol=2 / 255)
+
+
+def test_a_picture_of_print_colours_or_of_another_kind_is_refused(tmp_path):
+    Image.new("CMYK", (8, 8)).save(tmp_path / "a.jpeg")
+    Image.new("RGB", (8, 8)).save(tmp_path / "a.webp")
+    with pytest.raises(UserError, match="no picture that can be read") as caught:
+        make_scene(tmp_path / "a.jpeg", transfer="srgb")
+    assert "CMYK" in str(caught.value.value)
+    with pytest.raises(UserError, match="a kind that is not read") as caught:
+        make_scene(tmp_path / "a.webp")
+    assert ".jpg" in caught.value.allowed
+
+
 def test_float_tiffs_are_linear_and_may_be_bright(tmp_path):
     picture = np.random.default_rng(1).uniform(0, 30, (4, 5, 3)).astype(np.float32)
     found = make_scene(write_tiff(tmp_path / "a.tiff", picture)).source.planes
