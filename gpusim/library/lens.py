@@ -10,6 +10,7 @@ from gpusim.config.mistakes import user_error
 from gpusim.formats.lens_file import load_prescription
 from gpusim.formats.ready import ReadyLens, is_ready, load_ready
 from gpusim.lens.prescription import Prescription
+from gpusim.lens.system import FirstOrder, first_order
 from gpusim.library.views import Views
 
 if TYPE_CHECKING:
@@ -74,6 +75,28 @@ class Lens(Views):
         for name in ("__dict__", "__pydantic_private__"):
             object.__setattr__(lens, name, dict(getattr(prescription, name)))
         return lens
+
+    def first_order(self, wavelength_nm: float | None = None) -> FirstOrder:
+        """Return the paraxial lens: focal length, f-number, and where its pupils lie, in mm.
+
+        Parameters
+        ----------
+        wavelength_nm : float, optional
+            By default the lens's reference wavelength.
+
+        Raises
+        ------
+        UserError
+            A glass is unknown there, or the lens has no focal length greater than 0.
+
+        Examples
+        --------
+        >>> from gpusim import Lens
+        >>> paraxial = Lens.load("double-gauss").scaled(12.0).stopped(2.8).first_order()
+        >>> round(paraxial.efl_mm, 6), round(paraxial.f_number, 6)
+        (12.0, 2.8)
+        """
+        return first_order(self, wavelength_nm)
 
     def __repr__(self) -> str:
         return f"Lens({self.title!r}, {len(self.surfaces)} surfaces)"

@@ -110,7 +110,7 @@ def make_scene(
         return replace(scene, projection=plane, made_from=made_from)
     raise UserError(
         "a file of a kind that is not read"
-        if path.is_file()
+        if os.path.isfile(path)  # also of a name that no file can have
         else f"unknown scene{perhaps(name, CHARTS)}",
         field="scene",
         value=name,
