@@ -13,6 +13,7 @@ from rich.console import Console
 from gpusim.batch.run import Outcome, run, status
 from gpusim.batch.sweep import Sweep
 from gpusim.cli import screen
+from gpusim.cli.stop import RESUMES, advised
 from gpusim.errors import UserError
 
 if TYPE_CHECKING:
@@ -51,15 +52,16 @@ def run_batch(
         _say({"frames": len(sweep), "done": len(found.done), "missing": found.missing}, show)
         return 0 if not found.missing else 1
     with screen.progress_bar(show != "nothing") as progress:
-        outcome = run(
-            sweep,
-            out,
-            resume=resume,
-            workers=workers,
-            scheduler=scheduler,
-            fail_fast=fail_fast,
-            progress=progress,
-        )
+        with advised(RESUMES):
+            outcome = run(
+                sweep,
+                out,
+                resume=resume,
+                workers=workers,
+                scheduler=scheduler,
+                fail_fast=fail_fast,
+                progress=progress,
+            )
         # Once the frames are there: workers need not wait for what tables and pages need.
         from gpusim.batch.page import batch_page
         from gpusim.batch.table import write_table

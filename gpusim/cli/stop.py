@@ -25,6 +25,8 @@ SHOW_CURSOR = "\x1b[?25h"
 # Python's own process that removes what others leave, semaphores of a batch's workers, complains of
 # each run that ends so. It takes its filters from here when it starts.
 QUIET = "ignore::UserWarning:multiprocessing.resource_tracker"
+RESUMES = "what is made stays, and --resume goes on"
+_ADVICE: list[str] = []  # what to say after the signal
 
 
 class Stopped(BaseException):
@@ -63,6 +65,19 @@ def stopping() -> Iterator[None]:
         os.close(write)  # the thread reads the end
 
 
+@contextmanager
+def advised(words: str) -> Iterator[None]:
+    """Say these words too where a signal comes meanwhile."""
+    _ADVICE.append(words)
+    try:
+        yield
+    except Exception:
+        _ADVICE.remove(words)
+        raise
+    # Not where it is `Stopped`: that is told when all is left.
+    _ADVICE.remove(words)
+
+
 def _raise(number: int, frame: FrameType | None) -> None:
     raise Stopped(number)
 
@@ -79,7 +94,8 @@ def _watch(read: int, done: threading.Event) -> None:
 def _say(number: int) -> None:
     cursor = SHOW_CURSOR if sys.stderr.isatty() else ""
     with suppress(OSError, ValueError):
-        os.write(2, f"{cursor}\nstopped by {signal.Signals(number).name}\n".encode())
+        words = "".join(f": {one}" for one in _ADVICE)
+        os.write(2, f"{cursor}\nstopped by {signal.Signals(number).name}{words}\n".encode())
 
 
 def _end(number: int) -> None:

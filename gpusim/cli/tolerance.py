@@ -11,6 +11,7 @@ from rich.console import Console
 from gpusim.batch.table import write_rows
 from gpusim.camera import load_camera
 from gpusim.cli import screen
+from gpusim.cli.stop import RESUMES, advised
 from gpusim.disk import whole
 from gpusim.report.drawing import png
 from gpusim.tolerance.budget import Budget
@@ -28,7 +29,7 @@ def run_tolerance(camera: str, budget: Path, out: Path, *, resume: bool, as_json
     """Do a tolerance study: write its files and show what it found."""
     study = Study(load_camera(camera), Budget.load(budget), out)
     study.prepare(resume)
-    with screen.progress_bar() as progress:
+    with screen.progress_bar() as progress, advised(RESUMES):
         study.progress = progress
         found = run(study)
         raws = both(found) if study.budget.raws else None

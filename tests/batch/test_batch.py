@@ -335,7 +335,8 @@ def test_an_interrupt_says_one_line(folder: Path):
     while not (out / LIGHTS).exists() and time.monotonic() < ends:  # a worker is at work
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    assert process.communicate(timeout=60)[1].strip() == "stopped by SIGINT"
+    said = process.communicate(timeout=60)[1].strip()
+    assert said == "stopped by SIGINT: what is made stays, and --resume goes on"
     assert process.returncode != 0
 
 
