@@ -310,7 +310,7 @@ class ExactCore:
         return list(self.sensor.channels).index(name)
 
 
-@lru_cache(maxsize=16)  # judging a bank makes a model for each of its heights
+@lru_cache(maxsize=8)  # judging a bank makes a model for each of its heights
 def _zones(
     pitch_um: float,
     reach_um: float,
