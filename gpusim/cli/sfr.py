@@ -32,7 +32,7 @@ COLUMNS = {
     "MTF50": "right",
     "at Nyquist": "right",
     "10-90 %": "right",
-    "angle, to": "right",
+    "angle": "right",
 }
 
 
@@ -183,7 +183,8 @@ def show(facts: dict) -> None:
         )
     console = Console()
     console.print(table)
-    console.print(facts["units"], markup=False, highlight=False, soft_wrap=True)
+    words = f"{facts['units']}; angle from the vertical (v) or the horizontal (h)"
+    console.print(words, markup=False, highlight=False, soft_wrap=True)
 
 
 def _pair(figure: dict[str, float]) -> str:
