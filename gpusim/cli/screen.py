@@ -16,7 +16,15 @@ from gpusim.certify.budget import WORST_TO_RMS
 from gpusim.errors import UserError
 from gpusim.gpu import compiling
 from gpusim.plan.stages import RIM
-from gpusim.report.words import duration, error, mebibytes, saturated, sigmas, tolerance
+from gpusim.report.words import (
+    duration,
+    error,
+    is_whole,
+    mebibytes,
+    saturated,
+    sigmas,
+    tolerance,
+)
 
 RUNNERS_UP_SHOWN = 3  # the report has all
 
@@ -132,7 +140,8 @@ def _missed(
 
 def stages(facts: Mapping[str, Any]) -> Table:
     """Return each stage: predicted error, predicted and measured time, and why it runs or not."""
-    columns = ("stage", "error", "planned", "time", "")
+    planned = "planned" if is_whole(facts) else "planned, frame"
+    columns = ("stage", "error", planned, "time", "")
     table = Table(*columns, box=None, header_style="bold", pad_edge=False)
     for column in table.columns[1:4]:
         column.justify = "right"

@@ -19,7 +19,7 @@ from gpusim.report.patches import patches_html
 from gpusim.report.probes import probe_map
 from gpusim.report.psfs import psfs_html
 from gpusim.report.template import filled
-from gpusim.report.words import duration, error, exposure, saturated, tolerance
+from gpusim.report.words import duration, error, exposure, is_whole, saturated, tolerance
 
 _OVERVIEW_PX = 1400
 _CROP_PX = 320
@@ -57,7 +57,7 @@ def page(facts: Mapping[str, Any], developed: np.ndarray, psfs: LocalPsfs | None
         f"{exposure(capture['exposure_s'])}, seed {capture['seed']}, frame {capture['frame']}. "
         f"Made {facts['created']} by gpusim {facts['gpusim']}.",
         facts=facts,
-        **_pictures(developed, _OF_RECTANGLE if _place(facts) else _CROPS),
+        **_pictures(developed, _CROPS if is_whole(facts) else _OF_RECTANGLE),
         saturated=saturated(facts),
         tolerance=tolerance(capture),
         rim=RIM,
@@ -73,8 +73,8 @@ def page(facts: Mapping[str, Any], developed: np.ndarray, psfs: LocalPsfs | None
 
 def _place(facts: Mapping[str, Any]) -> str:
     """Return where a rectangle lies in its frame; nothing for a whole frame."""
-    capture, sensor = facts["capture"], facts["camera"]["sensor"]
-    if (capture["rows"], capture["cols"]) == (sensor["rows"], sensor["cols"]):
+    capture = facts["capture"]
+    if is_whole(facts):
         return ""
     return f" at ({capture['first_col']}, {capture['first_row']}) of a larger frame"
 

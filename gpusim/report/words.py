@@ -1,4 +1,4 @@
-"""Numbers as people write them."""
+"""Facts and numbers as people write them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 NOTHING = "\N{EN DASH}"
+
+
+def is_whole(facts: Mapping[str, Any]) -> bool:
+    """Return whether a capture is a whole frame of its sensor."""
+    capture, sensor = facts["capture"], facts["camera"]["sensor"]
+    return (capture["rows"], capture["cols"]) == (sensor["rows"], sensor["cols"])
 
 
 def exposure(seconds: float) -> str:

@@ -317,7 +317,12 @@ def test_the_files_of_a_rectangle_have_its_filter_pattern(
         assert "".join(names[site] for site in raw.raw_pattern.flat) == first
     report = json.loads((tmp_path / "report.json").read_text())
     assert [report["capture"][key] for key in ("first_col", "first_row")] == [x, y]
-    assert f"at ({x}, {y}) of a larger frame" in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert f"at ({x}, {y}) of a larger frame" in page
+    # Smaller than a crop, it is shown once, and not as the centre of the frame.
+    assert page.count("<figcaption>Middle: from row 0, column 0") == 1
+    assert "<figcaption>Centre" not in page and "<figcaption>Its corner" not in page
+    assert "planned, frame" in ran.out
 
 
 def test_the_screen_shows_adapter_stages_certificate_and_files(

@@ -250,9 +250,11 @@ def test_the_overview_is_the_reduced_picture(facts: dict):
     assert np.abs(overview.astype(int) - picture[::2, ::2].astype(int)).max() <= 2
 
 
-def test_a_picture_smaller_than_a_crop_is_shown_whole(facts: dict):
+def test_a_picture_smaller_than_a_crop_is_shown_whole_and_once(facts: dict):
     small = np.zeros((3, 5, 3), np.uint8)
-    assert 'width="5" height="3"' in report.page(facts, small)
+    page = report.page(facts, small)
+    assert 'width="5" height="3"' in page
+    assert page.count("<figcaption>Centre: ") == 1 and "<figcaption>Corner" not in page
 
 
 def test_without_certificate_the_page_says_so(developed: np.ndarray):
