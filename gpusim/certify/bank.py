@@ -272,6 +272,7 @@ def _changes(
 ) -> np.ndarray:
     """Return by how much (P,) electrons/s change from bank to lens."""
     scene, placed, changes = exact.scene, exact.placed, np.zeros(len(pixels))
+    landings = exact.landings  # made before the threads begin, which share it
 
     def of_height(number: int) -> None:
         own = np.flatnonzero(owners == number)
@@ -280,7 +281,7 @@ def _changes(
         for level in range(len(exact.bank.levels)):
             ours, (theirs, fields) = pairs[number](level)
             given = theirs, exact.sensor, scene.spectra, scene.wavelengths_nm
-            banks = {"fields": fields, "less": ours, "landings": exact.landings}
+            banks = {"fields": fields, "less": ours, "landings": landings}
             if level:
                 changes[own] += Wide(*given, **banks).at(placed, pixels[own])
             else:

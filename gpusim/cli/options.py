@@ -28,7 +28,7 @@ Luminance = Annotated[
     float | None,
     typer.Option(
         metavar="CD_M2",
-        help="Luminance of the scene's white, in cd/m^2; else 300.",
+        help="Luminance of the scene's white, in cd/m^2; 300 where nothing says it.",
     ),
 ]
 BestEffort = Annotated[

@@ -73,7 +73,7 @@ class ExactCore:
     less : (bank, Heights or Grid), optional
         A bank of the same pitch and size, and its fields: what the first one brings more than it.
     landings : Landings, optional
-        Of a model with the same map.
+        Those of another model with the same map.
     """
 
     def __init__(
